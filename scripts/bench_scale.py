@@ -182,13 +182,13 @@ def run_on(found: Cluster, store: str, side: int, folder: Path) -> tuple[dict[st
 
 def row(made: dict[str, Any], scheduler: Load) -> list[str]:
     """A row of the table of the cluster."""
-    each = 1e3 / made["tiles"]
+    per_tile = 1e3 / made["tiles"]
     return [
         str(made["workers"]),
         f"{made['tiles']:,}",
         f"{100 * made['busy']:.1f} %",
-        f"{each * made['processor']:.2f}",
-        f"{each * scheduler.seconds:.2f}",
+        f"{per_tile * made['processor']:.2f}",
+        f"{per_tile * scheduler.seconds:.2f}",
         f"{made['peak'] / 1e6:.0f}",
         f"{scheduler.peak_bytes / 1e6:.0f}",
     ]

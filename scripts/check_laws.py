@@ -156,10 +156,10 @@ def cost(light: bool) -> list[list[str]]:
                 works.append(partial(processor_seconds, partial(solve_tile, system, given, settings)))
                 works[-1]()  # compiles, or loads what an earlier run compiled
     seconds = np.reshape(in_turn(1 if light else 5, *works), (len(counts), 2, 2))
-    each = 1e6 * (seconds[..., 0] - seconds[..., 1]) / (lengths[0] - lengths[1]) / CELLS
+    per_period = 1e6 * (seconds[..., 0] - seconds[..., 1]) / (lengths[0] - lengths[1]) / CELLS
     return [
-        [str(n), str(many), *(f"{one:.2f}" for pair in zip(own, own / each[0], strict=True) for one in pair)]
-        for n, many, own in zip(counts, events, each, strict=True)
+        [str(n), str(many), *(f"{one:.2f}" for pair in zip(own, own / per_period[0], strict=True) for one in pair)]
+        for n, many, own in zip(counts, events, per_period, strict=True)
     ]
 
 

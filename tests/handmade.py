@@ -113,12 +113,12 @@ def exponents(motion: OrbitMotion) -> Array:
     The eigenvalues of the cyclic matrix of the factors of a turn are the roots of the multipliers: none is lost
     beside another as in the product of the factors.
     """
-    each, itinerary = factors(motion), motion.itinerary
-    m, size = each.shape[:2]
+    rates, itinerary = factors(motion), motion.itinerary
+    m, size = rates.shape[:2]
     cyclic = np.zeros((m * size, m * size))
     for i in range(m):
         after = (i + 1) % m
-        cyclic[after * size : (after + 1) * size, i * size : (i + 1) * size] = each[i]
+        cyclic[after * size : (after + 1) * size, i * size : (i + 1) * size] = rates[i]
     with np.errstate(divide="ignore"):
         logs = -np.sort(-np.log(np.abs(np.linalg.eigvals(cyclic))))
     periods = itinerary.periods * (0.5 if itinerary.symmetric else 1.0)

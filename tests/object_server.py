@@ -60,6 +60,6 @@ def _make_bucket(endpoint: str, process: subprocess.Popen[bytes], log: Path) -> 
 def _free_ports(count: int) -> list[int]:
     with ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
+        for sock in sockets:
+            sock.bind(("127.0.0.1", 0))
+        return [int(socket.getsockname()[1]) for socket in sockets]

@@ -161,9 +161,9 @@ def branches() -> xr.Dataset:
     second["section"][6:] = NAN
     share = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.9, 1.0, 1.0])
     other = np.where(share < 1.0, 1.0 - share, NAN)
-    for each, values in ((one, share), (second, other)):
+    for ds, values in ((one, share), (second, other)):
         for name, away in (("share", 0.0), ("share_low", -0.1), ("share_high", 0.1)):
-            each[name] = ("omega", np.clip(values + away, 0.0, 1.0))
+            ds[name] = ("omega", np.clip(values + away, 0.0, 1.0))
     made = xr.concat([one, second], "attractor", coords="minimal", compat="override", join="override")
     return made.transpose("omega", "attractor", ...)
 

@@ -135,10 +135,10 @@ def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
     }
 
 
-def _named(found: dict[str, Any], k: int) -> str:
+def _named(arrays: dict[str, Any], k: int) -> str:
     """The class of a cell in words."""
-    name = REGIME.meaning(found[REGIME.name][k]).name
-    period, *impacts = (int(found[key][k]) for key in CLASS[1:])
+    name = REGIME.meaning(arrays[REGIME.name][k]).name
+    period, *impacts = (int(arrays[key][k]) for key in CLASS[1:])
     return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name
 
 

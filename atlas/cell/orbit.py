@@ -116,9 +116,9 @@ def cell_orbit(
 ) -> CellOrbit:
     """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
 
-    All exponents and the section are computed whatever ``settings`` say of them; a section with fewer samples than
-    the orbit needs is filled up. Raises InputError for parameters that do not exist or are out of range, and for a
-    cell without a motion to show: invalid, failed, or given up for its cost.
+    All exponents and the section are computed for any ``settings``, with as many samples as the orbit
+    needs. Raises InputError for parameters that do not exist or are out of range, and for a cell without a motion to
+    show: invalid, failed, or given up for its cost.
     """
     from workers.tile import solve_tile
 

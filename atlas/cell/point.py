@@ -35,7 +35,7 @@ def point(
     record, settings = checked_system(system), given_settings(settings)
     parameters = checked_parameters(record, given_values(given, named))
     arrays = solve_tile(record, parameters, settings)
-    found = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
-    words = in_words(found)
-    del found[REASON.name]
-    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | found | words
+    results = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
+    words = in_words(results)
+    del results[REASON.name]
+    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | results | words

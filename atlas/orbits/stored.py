@@ -87,17 +87,17 @@ class StoredOrbits:
         try:
             for share in np.arange(1, steps + 1) / steps:
                 reached = continued_to(self.family, reached, (1.0 - share) * here + share * there)
-            return reached._replace(found=attract(self.family, reached)) if attracting else reached
+            return reached._replace(converged=attract(self.family, reached)) if attracting else reached
         except (NoOscillatorError, ValueError):
-            return start._replace(found=np.zeros(len(orbits), dtype=np.bool_))
+            return start._replace(converged=np.zeros(len(orbits), dtype=np.bool_))
 
 
 def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
     """The orbit of each of N periodic cells, exact; or why there is none, in words, as where it rests on a rigid stop.
 
-    points (N, free)   their parameters, those that are free in the family
+    points (N, free)   their values of the family's free parameters
     cells              the columns NEEDED as the store has them: (N,), of states (N, 2n)
-    Motion without impact is its own mirror image wherever the machine has any, whatever the store says.
+    Motion without impact is its own mirror image in a symmetric machine, also if its row in the store is not marked so.
     Raises NoOscillatorError for a point without a machine.
     """
     if not len(points):
@@ -106,28 +106,28 @@ def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) 
     symmetric = np.where(still, machines.mirrored, cells["symmetric"]).astype(bool)
     lengths = cells[CYCLE_PERIOD.name].tolist() if CYCLE_PERIOD.name in cells else [None] * len(points)
     turns = zip(cells["state"], np.maximum(cells["period"], 1).tolist(), symmetric.tolist(), lengths, strict=True)
-    found = list[Orbit | str]()
+    orbits = list[Orbit | str]()
     for k, turn in enumerate(turns):
         try:
-            found.append(recorded(machines.taken(np.array([k])), *turn))
+            orbits.append(recorded(machines.at_rows(np.array([k])), *turn))
         except ValueError as error:
-            found.append(str(error))
-    found = _exact(family, found, points)
-    for k, orbit in enumerate(found):
-        half = halved(machines.taken(np.array([k])), orbit) if isinstance(orbit, Orbit) else orbit
+            orbits.append(str(error))
+    orbits = _exact(family, orbits, points)
+    for k, orbit in enumerate(orbits):
+        half = halved(machines.at_rows(np.array([k])), orbit) if isinstance(orbit, Orbit) else orbit
         if half is not orbit:
-            (found[k],) = _exact(family, [half], points[k : k + 1])
-    return found
+            (orbits[k],) = _exact(family, [half], points[k : k + 1])
+    return orbits
 
 
 def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list[Orbit | str]:
     """The orbits near these at their points (N, free), to rounding; or why there is none. Words stay."""
-    found = list(orbits)
+    solved = list(orbits)
     for rows in alike(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
         same = [orbit for k in rows.tolist() if isinstance(orbit := orbits[k], Orbit)]
         for k, orbit in zip(rows.tolist(), _by_newton(family, same, points[rows]), strict=True):
-            found[k] = orbit
-    return found
+            solved[k] = orbit
+    return solved
 
 
 def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit | str]:
@@ -138,4 +138,4 @@ def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit
         if len(orbits) == 1:
             return [str(error)]
         return [one for k, orbit in enumerate(orbits) for one in _by_newton(family, [orbit], points[k : k + 1])]
-    return [near.orbit(k) if near.found[k] else "Newton's method finds no orbit there" for k in range(len(orbits))]
+    return [near.orbit(k) if near.converged[k] else "Newton's method finds no orbit there" for k in range(len(orbits))]

@@ -73,7 +73,7 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     labels, regime = shown[LABEL.name].values.astype(np.int64), shown[REGIME.name].values
     solved = ~np.isin(regime, (INVALID, PENDING))
     count = int(solved.sum())
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for k in range(known.sizes[ATTRACTOR]):
         one = known.isel({ATTRACTOR: k})
         names = [name for name in one.data_vars if name not in ("points", "section", "cells")]
@@ -81,7 +81,7 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
         low, high = wilson(hits, max(count, 1))
         values = {str(name): one[name].values.tolist() for name in names}
         values |= {"share": hits / max(count, 1), "share_low": float(low), "share_high": float(high)}
-        found.append({LABEL.name: k} | attractor_in_words(values))
+        entries.append({LABEL.name: k} | attractor_in_words(values))
     unknown = float(np.count_nonzero(solved & (labels < 0)) / max(count, 1))
     answer: dict[str, Any] = {"starts": count, "unknown": unknown}
     for name, pair in zip(("entropy", "boundary_entropy"), basin_entropy(labels, solved), strict=True):
@@ -89,7 +89,7 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     alpha, error, reason = uncertainty_exponent(labels, solved)
     dimension = len(axis_names(ds)) - alpha
     answer |= {"uncertainty": alpha, "uncertainty_error": error, "uncertainty_reason": reason}
-    return answer | {"boundary_dimension": dimension, "boundary_dimension_error": error, "attractors": found}
+    return answer | {"boundary_dimension": dimension, "boundary_dimension_error": error, "attractors": entries}
 
 
 def basin_entropy(
@@ -122,8 +122,8 @@ def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[flo
     """alpha, its error, and why there is none, NaN; an empty reason where there is one. See the module's text."""
     shares = np.unique(labels[solved], return_counts=True)[1] / max(int(np.count_nonzero(solved)), 1)
     limit = SATURATED * (1.0 - float(np.sum(shares ** (1 + 2 * labels.ndim))))
-    found = [(e, *_uncertain(labels, solved, e)) for e in DISTANCES if e <= min(labels.shape) // 8]
-    distance, part, counted = np.array(found, dtype=np.float64).reshape(-1, 3).T
+    rows = [(e, *_uncertain(labels, solved, e)) for e in DISTANCES if e <= min(labels.shape) // 8]
+    distance, part, counted = np.array(rows, dtype=np.float64).reshape(-1, 3).T
     if not np.any(part > 0.0):
         return float("nan"), float("nan"), "no initial state is uncertain"
     fitted = (part > 0.0) & (part <= limit)

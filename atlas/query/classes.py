@@ -69,8 +69,8 @@ class Classes:
             meant = (keys == self._only).all(axis=1)
             counted[counted], keys = meant, keys[meant]
         if keys.size:
-            found, which = _distinct(keys)
-            known = [self._numbers.setdefault(key, len(self._numbers) + 1) for key in found]
+            distinct, which = _distinct(keys)
+            known = [self._numbers.setdefault(key, len(self._numbers) + 1) for key in distinct]
             numbers[counted] = np.array(known, np.int32)[which]
         return numbers
 
@@ -97,8 +97,8 @@ class Classes:
 def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:
     """The different rows, and which of them each row is."""
     if keys.shape[1] == 1:
-        found, which = np.unique(keys[:, 0], return_inverse=True)
-        return [(key,) for key in found.tolist()], which
+        distinct, which = np.unique(keys[:, 0], return_inverse=True)
+        return [(key,) for key in distinct.tolist()], which
     rows, which = np.unique(keys, axis=0, return_inverse=True)
     return [tuple(row) for row in rows.tolist()], which.reshape(-1)
 

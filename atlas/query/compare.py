@@ -65,8 +65,8 @@ class Comparison:
         settings and solver versions may differ.
         """
         _check_cells(one, other)
-        found = inside(one, window)
-        weights = tuple(cell_widths(one, str(dim))[found[str(dim)]] for dim in one[REGIME.name].dims)
+        slices = inside(one, window)
+        weights = tuple(cell_widths(one, str(dim))[slices[str(dim)]] for dim in one[REGIME.name].dims)
         pairs = {name: (float(one[name]), float(other[name])) for name in differing([one, other])}
         return cls(within(one, window), within(other, window), pairs, weights)
 
@@ -187,8 +187,8 @@ class Comparison:
 
     def _place(self, first: int, at: list[int]) -> dict[str, float]:
         index = dict(zip(self.one[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
-        found = {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
-        return found | {name: float(axis_values(self.one, name)[index[POINT]]) for name in columns(self.one)}
+        place = {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
+        return place | {name: float(axis_values(self.one, name)[index[POINT]]) for name in columns(self.one)}
 
 
 def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:

@@ -68,12 +68,12 @@ def labels(
     """The label, as in ``regions``, of the region that each cell belongs to; 0 for none."""
     import xarray
 
-    found, part = _find(ds, by, value, window, min_cells), within(ds, window)
-    by = found.by
+    regions, part = _find(ds, by, value, window, min_cells), within(ds, window)
+    by = regions.by
     dims = part[REGIME.name].dims
     coords = {name: part[name] for name in dims} | {n: part[n] for n in part.coords if part[n].ndim == 0}
     attrs = {"long_name": f"label of the region of equal {by}", "units": "1"}
-    return xarray.DataArray(found.as_given(), coords, dims, "label", attrs)
+    return xarray.DataArray(regions.as_given(), coords, dims, "label", attrs)
 
 
 @dataclass(frozen=True)
@@ -151,15 +151,15 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
         numbers[block.cells], pending[block.cells] = classes.number(block), block.regime == PENDING
     rising = np.ix_(*(side.order for side in sides))
     numbers, pending = numbers[rising], pending[rising]
-    found, values = labelled(numbers, classes.ordered())
-    cells = np.bincount(found.ravel(), minlength=len(values) + 1)[1:]
-    areas = _sums(found, sides, len(values))[0]
+    label, values = labelled(numbers, classes.ordered())
+    cells = np.bincount(label.ravel(), minlength=len(values) + 1)[1:]
+    areas = _sums(label, sides, len(values))[0]
     kept = np.flatnonzero(cells >= min_cells)
     order = kept[np.argsort(-areas[kept], kind="stable")]
     renamed = np.zeros(len(values) + 1, np.int32)
     renamed[order + 1] = np.arange(1, order.size + 1)
-    found = renamed[found]
-    return _Regions(by, sides, found, [values[k] for k in order], areas[order], _beside(found, pending))
+    label = renamed[label]
+    return _Regions(by, sides, label, [values[k] for k in order], areas[order], _beside(label, pending))
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _Side:
@@ -177,31 +177,31 @@ def labelled(
 
     ``classes``: the numbers that occur, with their values.
     """
-    found = np.zeros(numbers.shape, np.int32)
+    label = np.zeros(numbers.shape, np.int32)
     owners: list[Any] = []
     boxes = ndimage.find_objects(numbers)
     for number, value in classes:
         box = boxes[number - 1]
         part, count = ndimage.label(numbers[box] == number)
-        found[box] += np.where(part > 0, part + len(owners), 0).astype(np.int32)
+        label[box] += np.where(part > 0, part + len(owners), 0).astype(np.int32)
         owners += [value] * count
-    return found, owners
+    return label, owners
 
 
-def _strips(found: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
+def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
     """Labels some rows at a time, flat, and the indices of their cells along each dimension."""
-    rows = max(1, _TOGETHER * found.shape[0] // max(1, found.size))
-    for first in range(0, found.shape[0], rows):
-        strip = found[first : first + rows]
+    rows = max(1, _TOGETHER * label.shape[0] // max(1, label.size))
+    for first in range(0, label.shape[0], rows):
+        strip = label[first : first + rows]
         inside = np.flatnonzero(strip)
         at = np.unravel_index(inside, strip.shape)
         yield strip.ravel()[inside], [at[0] + first, *at[1:]]
 
 
-def _sums(found: NDArray[np.int32], sides: tuple[_Side, ...], count: int) -> NDArray[np.float64]:
+def _sums(labels: NDArray[np.int32], sides: tuple[_Side, ...], count: int) -> NDArray[np.float64]:
     """For each label: its area, and along each dimension the sums of area times middle and of the cells' indices."""
     sums = np.zeros((1 + 2 * len(sides), count))
-    for label, at in _strips(found):
+    for label, at in _strips(labels):
         area = np.prod([(side.high - side.low)[i] for side, i in zip(sides, at, strict=True)], axis=0)
         weights = [area]
         for side, i in zip(sides, at, strict=True):
@@ -212,14 +212,14 @@ def _sums(found: NDArray[np.int32], sides: tuple[_Side, ...], count: int) -> NDA
 
 
 def _centres(
-    found: NDArray[np.int32], sides: tuple[_Side, ...], count: int
+    labels: NDArray[np.int32], sides: tuple[_Side, ...], count: int
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.intp]]:
     """The centre of each label's area along each dimension, and the indices of its cell nearest to it, in cells."""
-    sums = _sums(found, sides, count)
-    cells = np.bincount(found.ravel(), minlength=count + 1)[1:]
+    sums = _sums(labels, sides, count)
+    cells = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     middle = [total / cells for total in sums[2::2]]
     best, nearest = np.full(count, np.inf), np.zeros((count, len(sides)), np.intp)
-    for label, at in _strips(found):
+    for label, at in _strips(labels):
         away = sum((i - m[label - 1]) ** 2 for i, m in zip(at, middle, strict=True))
         before = best.copy()
         np.minimum.at(best, label - 1, away)
@@ -228,11 +228,11 @@ def _centres(
     return [total / sums[0] for total in sums[1::2]], nearest
 
 
-def _beside(found: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:
+def _beside(label: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:
     """The labels that have a pending cell next to them."""
     beside: set[int] = set()
-    for axis in range(found.ndim):
+    for axis in range(label.ndim):
         for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
             cut = (slice(None),) * axis
-            beside |= set(np.unique(found[(*cut, one)][pending[(*cut, other)]]).tolist())
+            beside |= set(np.unique(label[(*cut, one)][pending[(*cut, other)]]).tolist())
     return beside - {0}

@@ -51,7 +51,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
         for number in np.unique(numbers[numbers > 0]).tolist():
             best.setdefault(number, _Best()).add(block, block.values[name], numbers == number)
     ordered = [(1, None)] if classes is None else classes.ordered()
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for number, value in ordered:
         for extreme, (at, number_there) in best[number].ends() if number in best else ():
             index = dict(zip(map(str, dims), at, strict=True))
@@ -62,8 +62,8 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
             entry["value"] = number_there
             if name == LARGEST.name and ERROR.name in ds:
                 entry["error"] = float(part[ERROR.name].isel(index).values)
-            found.append(entry | {"cells": best[number].cells})
-    return found
+            entries.append(entry | {"cells": best[number].cells})
+    return entries
 
 
 class _Best:

@@ -91,15 +91,15 @@ def with_one_stop(system: System) -> tuple[System, ...]:
 
 def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
     """The same of a machine with one rigid contact."""
-    found = np.full(len(next(iter(points.values()))), np.nan)
+    ratios = np.full(len(next(iter(points.values()))), np.nan)
     for part, osc, there in machine.oscillators(system, fixed, points):
         highest, lowest = extremes(osc.gap)
         there = there & (osc.gap.amplitude > 0.0) & ~drifts(osc)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.maximum(highest / osc.b_upper, -lowest / osc.b_lower)
-            found[part] = np.where(there, np.log(ratio), np.nan)
-        found[part][there & (np.minimum(osc.b_upper, osc.b_lower) <= 0.0)] = np.inf
-    return found
+            ratios[part] = np.where(there, np.log(ratio), np.nan)
+        ratios[part][there & (np.minimum(osc.b_upper, osc.b_lower) <= 0.0)] = np.inf
+    return ratios
 
 
 def drifts(osc: Oscillator) -> NDArray[np.bool_]:

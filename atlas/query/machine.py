@@ -39,10 +39,10 @@ def oscillators(
 
 def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Array]) -> NDArray[np.bool_]:
     """Where x(t) -> -x(t + T/2) takes motions to motions, at points (N,) of some parameters."""
-    found = np.zeros(len(next(iter(points.values()))), dtype=bool)
+    twins = np.zeros(len(next(iter(points.values()))), dtype=bool)
     for part, osc, there in oscillators(system, same, points):
-        found[part] = there & (osc.symmetric > 0.0)
-    return found
+        twins[part] = there & (osc.symmetric > 0.0)
+    return twins
 
 
 def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
@@ -83,10 +83,10 @@ def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
     if system is None:
         return np.asarray(states[..., 0].values, dtype=np.float64)
     rows = gap_rows(system, {**fixed(ds, system), x: np.asarray(ds[x].values, np.float64)})
-    found = np.zeros(states.shape[:-1])
+    gap = np.zeros(states.shape[:-1])
     for i in np.flatnonzero(np.any(rows != 0.0, axis=0)):  # what it does not consist of is not read
-        found += rows[:, i, None] * np.asarray(states[..., int(i)].values)
-    return found
+        gap += rows[:, i, None] * np.asarray(states[..., int(i)].values)
+    return gap
 
 
 def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:

@@ -69,8 +69,8 @@ def regions(plane: Plane, twins: bool, regimes: Variable = REGIME) -> Iterator[t
     period, upper, lower = (plane[name] for name in VARIABLES)
     if twins:
         upper, lower = np.maximum(upper, lower), np.minimum(upper, lower)
-    found, number = motions(plane.regime, period, upper, lower)
-    for k, motion in enumerate(found):
+    names, number = motions(plane.regime, period, upper, lower)
+    for k, motion in enumerate(names):
         cells = number == k
         if twins and motion.p == motion.q >= 0 and "symmetric" in plane.values:
             own = plane["symmetric"].astype(bool)
@@ -89,16 +89,16 @@ def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
     system, symmetric = system_of(ds.attrs, "kind 'symmetry'"), plane["symmetric"].astype(bool)
     same, periodic = machine.fixed(ds, system), plane.regime == PERIODIC
     rows, columns = np.nonzero(periodic & ~symmetric)
-    found = np.zeros(periodic.shape, bool)
+    broken = np.zeros(periodic.shape, bool)
     if not rows.size:
-        return found
+        return broken
     points = {plane.x.name: plane.x.values[columns], plane.y.name: plane.y.values[rows]}
-    found[rows, columns] = machine.has_twins(system, same, points)
-    if not found.any() and not np.any(periodic & symmetric):  # a symmetric motion proves that its machine is
+    broken[rows, columns] = machine.has_twins(system, same, points)
+    if not broken.any() and not np.any(periodic & symmetric):  # a symmetric motion proves that its machine is
         here = {name: float(values[0]) for name, values in points.items()}
         raise InputError(
             f"kind 'symmetry' tells motions from their mirror images, which no motion has here: at "
             f"{', '.join(f'{name} = {value:g}' for name, value in here.items())} "
             f"{machine.why_no_twins(system, same | here)}"
         )
-    return found
+    return broken

@@ -68,16 +68,16 @@ def handle_of(ds: "xarray.Dataset") -> Atlas:
     """
     kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
     if isinstance(kept, Atlas):
-        found = kept.current()
-        if found is not kept:
-            note_store(ds, found)
+        handle = kept.current()
+        if handle is not kept:
+            note_store(ds, handle)
     elif isinstance(source, str):
-        found = open_handle(source)
+        handle = open_handle(source)
     else:
         raise InputError("this dataset does not name its store: use the one that atlas.open returns")
-    if ds.attrs.get("run_id", found.run_id) != found.run_id:
-        raise InputError(f"{found.place}: another store than the one that this dataset is of; open it again")
-    return found
+    if ds.attrs.get("run_id", handle.run_id) != handle.run_id:
+        raise InputError(f"{handle.place}: another store than the one that this dataset is of; open it again")
+    return handle
 
 
 def open_table(handle: Atlas, table: str) -> "xarray.Dataset":

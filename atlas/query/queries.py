@@ -80,11 +80,11 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     index = {name: nearest(ds, name, number(name, point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
-    found: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
-    found["distance"] = {name: abs(found[name] - float(point[name])) for name in names}
-    found |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
-    found |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
-    return found | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
+    results: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
+    results["distance"] = {name: abs(results[name] - float(point[name])) for name in names}
+    results |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
+    results |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
+    return results | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
@@ -202,9 +202,9 @@ def rate_of(exponents: "xr.DataArray") -> str:
 
 def codes_of(regimes: Iterable[str]) -> list[int]:
     """The codes of regimes by name; InputError with the nearest known name otherwise."""
-    found = list(regimes)
-    check_names("regime", found, _CODES)
-    return [_CODES[name] for name in found]
+    names = list(regimes)
+    check_names("regime", names, _CODES)
+    return [_CODES[name] for name in names]
 
 
 def _frequency(ds: "xr.Dataset") -> str:
@@ -217,7 +217,7 @@ def _frequency(ds: "xr.Dataset") -> str:
 def _areas_of_cells(
     shown: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
 ) -> dict[int, float]:
-    """Areas of each regime from the cells themselves; their widths are those that they have in the whole."""
+    """Areas of each regime from the cells themselves, with their widths in the whole."""
     names = axis_names(whole)
     widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
     codes = shown[REGIME.name].values

@@ -82,15 +82,15 @@ def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
 
     A quarter of a halving is let pass: better 1.19 cells a pixel than 0.6.
     """
-    found = []
+    steps = []
     for name, size in zip(axis_names(ds), pixels, strict=False):
         values = axis_values(ds, name)
         log = is_log(ds, name)
         edges = edges_of(values, log)
         drawn = np.log(edges) if log and values[-1] / values[0] >= LOG_SPAN else edges
         cells = (drawn[-1] - drawn[0]) / np.diff(drawn).max()  # that would fit, were all as wide as the widest
-        found.append(max(0, math.ceil(math.log2(cells / size) - 0.25)))
-    return found[::-1]
+        steps.append(max(0, math.ceil(math.log2(cells / size) - 0.25)))
+    return steps[::-1]
 
 
 def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":

@@ -157,9 +157,9 @@ def crowded_parts(
     """
     if not lines:
         return
-    found, lengths = zip(*map(dense, places), strict=True)
-    everywhere, length = np.concatenate(found), np.concatenate(lengths)
-    line = np.repeat(np.arange(len(lines)), [len(points) for points in found])
+    dense_lines, lengths = zip(*map(dense, places), strict=True)
+    everywhere, length = np.concatenate(dense_lines), np.concatenate(lengths)
+    line = np.repeat(np.arange(len(lines)), [len(points) for points in dense_lines])
     near = np.zeros(len(everywhere), dtype=bool)
     one, two = KDTree(everywhere).query_pairs(distance, output_type="ndarray").T
     beside = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * distance)

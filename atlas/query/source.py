@@ -43,15 +43,15 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "Part | None":
     cells = [_neighbours(np.array(axis.values), np.atleast_1d(axis_values(ds, axis.name))) for axis in axes]
     if any(run is None for run in cells) or not all(_is_untouched(ds, name, handle) for name in names):
         return None
-    found, pyramid = tuple(run for run in cells if run is not None), pyramid_of(handle)
-    return Part(handle, found, pyramid, dims != spec.dims, pyramid.chunks_read)
+    runs, pyramid = tuple(run for run in cells if run is not None), pyramid_of(handle)
+    return Part(handle, runs, pyramid, dims != spec.dims, pyramid.chunks_read)
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
     """Where values lie, one after the other, among all values of an axis; None where they do not."""
     first = int(np.searchsorted(full, values[0])) if values.size else full.size
-    found = full[first : first + values.size]
-    return slice(first, first + values.size) if values.size and np.array_equal(found, values) else None
+    section = full[first : first + values.size]
+    return slice(first, first + values.size) if values.size and np.array_equal(section, values) else None
 
 
 def _is_untouched(ds: "xr.Dataset", name: str, handle: Atlas) -> bool:
@@ -98,8 +98,8 @@ class Part:
     @property
     def axes(self) -> tuple[tuple[Axis, slice], ...]:
         """The axes of the dataset by its dimensions, and the cells that the part has along them."""
-        found = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
-        return tuple(found)[1 if self.plane else 0 :]
+        axes = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
+        return tuple(axes)[1 if self.plane else 0 :]
 
     @cached_property
     def records(self) -> Records:
@@ -132,16 +132,16 @@ class Part:
         wanted = list(names)
         if level == 0:
             return self._read_cells(piece, wanted)
-        found, missing = self.read_stored(level, piece, wanted)
+        arrays, missing = self.read_stored(level, piece, wanted)
         for block in missing:
             at = inside(piece, block)
             if self.done[self.pyramid.levels.tiles_below(level, block)].any():
                 computed = self._compute(level, block, wanted)
                 for name in wanted:
-                    found[name][at] = computed[name]
-            elif SHARE.name in found:
-                found[SHARE.name][(*at, PENDING_SHARE)] = 1.0
-        return found
+                    arrays[name][at] = computed[name]
+            elif SHARE.name in arrays:
+                arrays[SHARE.name][(*at, PENDING_SHARE)] = 1.0
+        return arrays
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
         """Stored variables of a piece of a level, and its blocks that must not be used."""
@@ -151,26 +151,26 @@ class Part:
         mark = next(mark.name for mark in MARKS if mark.name in names)
         try:
             # The mark first: what was there before it is there, though a run may be writing all of it right now.
-            found = {name: self.pyramid.read(level, name, piece) for name in dict.fromkeys((mark, *names))}
+            arrays = {name: self.pyramid.read(level, name, piece) for name in dict.fromkeys((mark, *names))}
         except ChunkError:
             return self._read_each(level, piece, names, blocks)
-        return found, [
-            block for block in blocks if not self._is_current(level, block, found[mark][inside(piece, block)])
+        return arrays, [
+            block for block in blocks if not self._is_current(level, block, arrays[mark][inside(piece, block)])
         ]
 
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
         """As ``read_stored`` of a piece with a bad chunk: which block it lies in shows when each is read alone."""
-        found, missing = self._pending(piece, names), blocks
+        arrays, missing = self._pending(piece, names), blocks
         if len(blocks) > 1:
             missing = []
             for block in blocks:
                 alone, bad = self.read_stored(level, block, names)
                 missing += bad
                 for name in names:
-                    found[name][inside(piece, block)] = alone[name]
-        return found, missing
+                    arrays[name][inside(piece, block)] = alone[name]
+        return arrays, missing
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
         """Variables of a level from the cells themselves."""

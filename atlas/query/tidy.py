@@ -81,8 +81,8 @@ def isolines(
         even = smooth(size, width)
         if np.isfinite(even).sum() >= 4:
             shown = np.where(np.isfinite(even), sign * even, shown)
-            found = np.asarray(ticks(0.0, float(np.nanpercentile(size, 98))))
-            levels |= {sign * level for level in found[(found > np.nanmin(even)) & (found < np.nanmax(even))]}
+            steps = np.asarray(ticks(0.0, float(np.nanpercentile(size, 98))))
+            levels |= {sign * level for level in steps[(steps > np.nanmin(even)) & (steps < np.nanmax(even))]}
     lines = contour_generator(x, y, np.ma.masked_invalid(shown))
     for level in sorted(levels):
         yield from ((level, np.asarray(line)) for line in lines.lines(level))

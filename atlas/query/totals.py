@@ -78,10 +78,10 @@ class StoreTotals:
         if level == 0:
             return self._areas_of_cells(piece)
         levels = self.part.pyramid.levels
-        found, missing = self.part.read_stored(level, piece, [REGIME.name, SHARE.name])
+        arrays, missing = self.part.read_stored(level, piece, [REGIME.name, SHARE.name])
         for block in missing:
-            found[SHARE.name][inside(piece, block)] = 0.0
-        total = self._weighed(level, piece, found[SHARE.name])
+            arrays[SHARE.name][inside(piece, block)] = 0.0
+        total = self._weighed(level, piece, arrays[SHARE.name])
         for block in missing:
             tiles = levels.tiles_below(level, block)
             whole = tiles == levels.tiles_within(level, block) and self._recorded[1][tiles].all()

@@ -39,9 +39,9 @@ def columns(ds: "xr.Dataset") -> tuple[str, ...]:
     """The parameters that are the columns of a table of points, in its order; none of other atlases."""
     if axis_names(ds) != (POINT,):
         return ()
-    found = [str(name) for name in ds.coords if ds[name].dims == (POINT,) and name != POINT]
+    names = [str(name) for name in ds.coords if ds[name].dims == (POINT,) and name != POINT]
     stored = str(ds[REGIME.name].encoding.get("coordinates", "")).split()  # xarray has them in no order
-    return tuple(sorted(found, key=lambda name: stored.index(name) if name in stored else len(stored)))
+    return tuple(sorted(names, key=lambda name: stored.index(name) if name in stored else len(stored)))
 
 
 def refuse_table(ds: "xr.Dataset", what: str) -> None:
@@ -141,20 +141,20 @@ def within(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
     window = checked_window(window)
     if not window:
         return ds
-    return ds.isel({name: _as_slice(found) for name, found in inside(ds, window).items() if name in window})
+    return ds.isel({name: _as_slice(slices_of) for name, slices_of in inside(ds, window).items() if name in window})
 
 
 def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float] | None) -> NDArray[np.intp]:
     if bounds is None:
         return np.arange(values.size)
     low, high = min(bounds), max(bounds)
-    found = np.flatnonzero((values >= low) & (values <= high))
-    if found.size == 0:
+    places = np.flatnonzero((values >= low) & (values <= high))
+    if places.size == 0:
         raise InputError(
             f"no cell centre with {name} from {low:g} to {high:g}; "
             f"the centres reach from {values.min():g} to {values.max():g}"
         )
-    return found
+    return places
 
 
 def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:

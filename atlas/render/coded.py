@@ -110,8 +110,8 @@ def _coded(name: str, meaning: str, view: View, needs: tuple[str, ...]) -> Coded
     layers = explained(PAINTERS[view.kind.name](view), view.ds)
     textures, patterns = _textures(layers)
     outlined = np.zeros(layers.codes.shape, np.int64)
-    for each in layers.textures:
-        outlined |= 0 if each.outlined is None else each.outlined
+    for texture in layers.textures:
+        outlined |= 0 if texture.outlined is None else texture.outlined
     base = 2 * (len(patterns) + 1)
     keys, codes = np.unique(layers.codes * base + 2 * textures + outlined, return_inverse=True)
     entries, own = [], words.regime(view.ds)
@@ -167,7 +167,7 @@ def _hex(color: Colors) -> str:
 
 def _textures(layers: Layers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
-    found, patterns = np.zeros(layers.codes.shape, np.int64), []
+    numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
     regimes = [code for code in style.HATCH if code != NO_IMPACT]  # textured where its colour is hidden
     textures = [
         (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
@@ -175,8 +175,8 @@ def _textures(layers: Layers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
     for cells, hatch, ink in [*textures, *((texture.cells, texture.hatch, texture.ink) for texture in layers.textures)]:
         if cells.any():
             patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
-            found[cells] = len(patterns)
-    return found, patterns
+            numbers[cells] = len(patterns)
+    return numbers, patterns
 
 
 def _bar(bar: Field, stored: NDArray[Any], variable: str, main: bool) -> dict[str, Any]:

@@ -128,20 +128,20 @@ def _parts(plane: Plane, line: Array) -> list[list[float]]:
     seen = np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1)
     cuts = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
     decimals = [int(np.ceil(-np.log10(_FINE * width))) for width in np.subtract(high, low)]
-    found = []
+    flat = []
     for begin, end in cuts.reshape(-1, 2).tolist():
         part = line[begin : end + 1]
-        found.append(np.column_stack([np.round(part[:, k], decimals[k]) for k in (0, 1)]).ravel().tolist())
-    return found
+        flat.append(np.column_stack([np.round(part[:, k], decimals[k]) for k in (0, 1)]).ravel().tolist())
+    return flat
 
 
 def _placed(plane: Plane, at: Array, size: Size) -> Array:
     """Points of a plane in pixels from its lower left corner."""
-    found = []
+    columns = []
     for k, axis in enumerate((plane.x, plane.y)):
         low, high, values = (np.log(v) if axis.log else v for v in (axis.edges[0], axis.edges[-1], at[:, k]))
-        found.append((values - low) / (high - low) * size[k])
-    return np.column_stack(found)
+        columns.append((values - low) / (high - low) * size[k])
+    return np.column_stack(columns)
 
 
 _OVERLAYS: dict[str, Callable[[View, Size], Lines]] = {

@@ -145,8 +145,8 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
         raise InputError(f"maps side by side need two atlases or more, found {len(atlases)}")
     first = axis_names(atlases[0])
     if len(first) != 2:
-        found = "one" if len(first) == 1 else f"{len(first)}"
-        raise InputError(f"maps have two axes, found {found} ({', '.join(first)})")
+        count = "one" if len(first) == 1 else f"{len(first)}"
+        raise InputError(f"maps have two axes, found {count} ({', '.join(first)})")
     for k, ds in enumerate(atlases[1:], 2):
         if axis_names(ds) != first:
             raise InputError(

@@ -63,14 +63,14 @@ class Wanted:
 
 def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
     """The kind to draw: the named one, or the first that fits; InputError if it does not fit."""
-    axes, atlases, found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
+    axes, atlases, axes_found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
     if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
         _check_scalar(ds, wanted)
         return TABLE[SCALAR]
     fitting = [name for name in KINDS if TABLE[name].axes == axes]
     possible = [name for name in fitting if TABLE[name].atlases == atlases]
     if not possible:
-        raise InputError(f"two atlases are drawn together as sweeps, {found}")
+        raise InputError(f"two atlases are drawn together as sweeps, {axes_found}")
     held = [name for name in possible if TABLE[name].variables[0] in ds]
     held = [BASINS] if BASINS in held else held or possible
     chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
@@ -78,7 +78,7 @@ def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
         raise InputError(f"unknown kind of picture {chosen!r}{here}")
     kind = TABLE[chosen]
     if chosen not in fitting:
-        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {found}{here}")
+        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {axes_found}{here}")
     if chosen not in possible:
         needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
         raise InputError(f"kind {chosen!r} needs {needed}{here}")

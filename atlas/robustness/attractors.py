@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class AttractorSearch:
-    """A search for all attractors of one cell: all that decides it, and what it finds when that is asked for."""
+    """A search for all attractors of one cell: its arguments, and its results, computed when first used."""
 
     record: System
     parameters: Mapping[str, float]
@@ -70,11 +70,11 @@ class AttractorSearch:
         self.table.write(arrays)
         cell = {name: array[0] for name, array in arrays.items()}
         many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
-        found = {name: values.tolist() for name, values in cell.items() if name not in many}
+        results = {name: values.tolist() for name, values in cell.items() if name not in many}
         listed = attractors_listed(cell, many)
         if not listed:
-            found |= in_words({name: cell[name][0] for name in (REGIME.name, REASON.name)})
-        return found | {"coexisting": listed}
+            results |= in_words({name: cell[name][0] for name in (REGIME.name, REASON.name)})
+        return results | {"coexisting": listed}
 
 
 def attractors(

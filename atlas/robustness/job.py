@@ -65,9 +65,9 @@ def measure_and_keep(job: MeasureJob) -> PartReceipt:
     compile_once(*kernels_of(handle.spec))
     begin = time.thread_time()
     slices = handle.tiling.at(job.tile).slices
-    found = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
+    arrays = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
     file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **found)
+    np.savez(file, allow_pickle=False, **arrays)
     job.site.keep(handle, STABILITY, job.name, file.getvalue())
     return PartReceipt(job.index, job.name, time.thread_time() - begin, job.last - job.first)
 

@@ -83,10 +83,10 @@ def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) ->
         return Linear(reason=NO_ORBIT)
     largest = float(attractor.result["largest"])
     time = np.inf if largest >= -ENDLESS else -1.0 / largest
-    found = phases_of(oscillator, attractor)
-    if isinstance(found, str):
-        return Linear(time, reason=found)
-    matrices = weighted(found.jacobians, weights)
+    phases = phases_of(oscillator, attractor)
+    if isinstance(phases, str):
+        return Linear(time, reason=phases)
+    matrices = weighted(phases.jacobians, weights)
     fastest = reactivity(matrices)
     if largest >= -ENDLESS:
         return Linear(time, fastest, reason=LASTING)

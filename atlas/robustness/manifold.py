@@ -82,8 +82,8 @@ def grow(
             branch.end = BUDGET
         if branch.end:
             return branch
-        found = _next(image, branch, heading, step, half, at, ON * extent)
-        if found is None:
+        following = _next(image, branch, heading, step, half, at, ON * extent)
+        if following is None:
             if step > SHORTEST * extent:
                 step *= 0.5
                 continue
@@ -99,7 +99,7 @@ def grow(
             branch.points.append(beyond[1])
             heading, half, step = beyond[2], WIDE, FIRST * extent
             continue
-        point, place = found
+        point, place = following
         turned = (point - branch.points[-1]) / step
         alpha = float(np.arccos(np.clip(turned @ heading, -1.0, 1.0)))
         new = half == WIDE

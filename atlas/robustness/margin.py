@@ -25,14 +25,14 @@ def checked_scale(handle: Atlas, given: Mapping[str, Any] | None) -> dict[str, f
     plane = plane_of(handle)
     given = {} if given is None else checked_kind("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
     check_names("axis in scale", given, plane.axes)
-    found = {}
+    units = {}
     for name, log in zip(plane.axes, plane.log, strict=True):
         low, high = (np.log(end) if log else end for end in plane.window[name])
         unit = number(f"scale.{name}", given[name]) if name in given else float(high - low)
         if unit <= 0.0:
             raise InputError(f"scale.{name}: found {unit:g}, must be above 0")
-        found[name] = unit
-    return found
+        units[name] = unit
+    return units
 
 
 def margin_request(handle: Atlas, scale: Mapping[str, float]) -> dict[str, Any]:
@@ -60,13 +60,13 @@ def margins_of(handle: Atlas, scale: Mapping[str, float]) -> Arrays:
     plane, curves = plane_of(handle), _curves(handle)
     chords = chords_of((_placed(plane, curve.points, scale), curve.bounding) for curve in curves)
     valid, count = np.flatnonzero(plane.valid), len(plane.x) * len(plane.y)
-    found = empty(of_family(MARGIN), (count,))
+    columns = empty(of_family(MARGIN), (count,))
     if len(chords.curve) and len(valid):
         nearest = margins(_placed(plane, plane.values(valid), scale), chords)
         kinds = np.array([KINDS.index(curve.kind) for curve in curves])
-        found["margin"][valid], found["margin_error"][valid] = nearest.distance, nearest.error
-        found["margin_curve"][valid], found["margin_kind"][valid] = nearest.curve, kinds[nearest.curve]
-    return {name: values.reshape(plane.shape) for name, values in found.items()}
+        columns["margin"][valid], columns["margin_error"][valid] = nearest.distance, nearest.error
+        columns["margin_curve"][valid], columns["margin_kind"][valid] = nearest.curve, kinds[nearest.curve]
+    return {name: values.reshape(plane.shape) for name, values in columns.items()}
 
 
 def _curves(handle: Atlas) -> Curves:

@@ -39,8 +39,8 @@ def stability(
 ) -> dict[str, Any]:
     """How stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
 
-    ``omega=4.0`` or a mapping gives parameters other than the defaults. The attractors are those that
-    ``atlas.attractors`` finds from as many ``starts``; ``share`` is the basin stability, with its 95 % interval.
+    ``omega=4.0`` or a mapping gives parameters other than the defaults. The attractors are the ones
+    of ``atlas.attractors`` with as many ``starts``; ``share`` is the basin stability, with its 95 % interval.
     ``norm`` has weights w > 0 of components of the state, ``|dz|`` = sqrt(sum (w dz)^2); the others have 1 if
     displacements, 1/omega if velocities.
     Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
@@ -65,8 +65,8 @@ def stability(
     if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
     w = asked.weights(checked_weights(norm, asked.record))
-    found = {"norm": dict(zip(asked.record.states, w.tolist(), strict=True))}
-    found |= {name: asked.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in asked.results}
+    results = {"norm": dict(zip(asked.record.states, w.tolist(), strict=True))}
+    results |= {name: asked.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in asked.results}
     entries = [
         {name: entry[name] for name in SHOWN}
         | _measured(asked.table, place, w)
@@ -74,29 +74,29 @@ def stability(
         | (_shocked(asked.table, place, w) if shocks else {})
         for place, entry in enumerate(asked.results["coexisting"])
     ]
-    return asked.described | found | {"coexisting": entries}
+    return asked.described | results | {"coexisting": entries}
 
 
 def _measured(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
     """The linear measures of the attractor in this place of the table."""
     from atlas.robustness.linear import measures_of
 
-    found = measures_of(table.cell.oscillator, table.attractors[place], weights)._asdict()
-    return found if found["reason"] else {name: value for name, value in found.items() if name != "reason"}
+    measures = measures_of(table.cell.oscillator, table.attractors[place], weights)._asdict()
+    return measures if measures["reason"] else {name: value for name, value in measures.items() if name != "reason"}
 
 
 def _shocked(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
     """The minimal fatal shock of the attractor in this place of the table."""
     from atlas.robustness.shock import shock_of
 
-    found = shock_of(table, place, weights)
-    if found is None:
+    shock = shock_of(table, place, weights)
+    if shock is None:
         return {"fatal_shock": np.nan, "shock_reason": "no other attractor is known"}
     return {
-        "fatal_shock": found.size,
-        "shock_reaches": found.reached,
-        "shock_tried": found.tried,
-        "shock_unseen_share": found.unseen,
-        "shock_from": found.phase,
-        "shock_state": found.state.tolist(),
+        "fatal_shock": shock.size,
+        "shock_reaches": shock.reached,
+        "shock_tried": shock.tried,
+        "shock_unseen_share": shock.unseen,
+        "shock_from": shock.phase,
+        "shock_state": shock.state.tolist(),
     }

@@ -88,8 +88,8 @@ def saddles_between(
             branches = manifold_of(table, saddle, ends)
             entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
             entry["ends"] = [branch.end for branch in branches]
-    found = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
-    return asked.described | found | {"saddles": entries, "troubles": tracked.troubles}
+    results = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
+    return asked.described | results | {"saddles": entries, "troubles": tracked.troubles}
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
@@ -105,9 +105,9 @@ def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], 
     values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
     asked = AttractorSearch(spec.record, values, spec.settings, spec.attractors)
-    found = saddles_between(asked, manifolds=True, box=wide)["saddles"]
-    lines = [np.array(line)[:, order] for entry in found for line in entry["manifold"] if len(line) > 1]
-    return [np.array(entry["states"])[:, order] for entry in found], lines
+    saddles = saddles_between(asked, manifolds=True, box=wide)["saddles"]
+    lines = [np.array(line)[:, order] for entry in saddles for line in entry["manifold"] if len(line) > 1]
+    return [np.array(entry["states"])[:, order] for entry in saddles], lines
 
 
 def _described(saddle: "Saddle") -> dict[str, Any]:

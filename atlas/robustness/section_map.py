@@ -8,7 +8,7 @@ from atlas.robustness.linear import one_period
 from workers.cell.stretch import begin, sections_from
 from workers.kernel.cells import physical_states
 from workers.kernel.motion import RUNNING, STATUS
-from workers.model.oscillator import Array, Oscillator, taken
+from workers.model.oscillator import Array, Oscillator, at_rows
 from workers.results import NO_REASON
 
 FIRST = np.zeros(1, dtype=np.int64)
@@ -19,14 +19,16 @@ class SectionMap:
 
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
-        self.many = lru_cache(maxsize=4)(lambda count: taken(oscillator, np.zeros(count, dtype=np.int64)))
+        self.many = lru_cache(maxsize=4)(lambda count: at_rows(oscillator, np.zeros(count, dtype=np.int64)))
 
     def orbits(self, states: Array, periods: int) -> Array:
         """The states (N, periods + 1, 2n) of motions from states (N, 2n); NaN beyond a stop, and where one ends."""
         many = self.many(len(states))
         motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), np.ascontiguousarray(states))
-        found = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
-        return np.asarray(found) if found.shape[1] else np.full((len(states), periods + 1, states.shape[1]), np.nan)
+        sections = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
+        return (
+            np.asarray(sections) if sections.shape[1] else np.full((len(states), periods + 1, states.shape[1]), np.nan)
+        )
 
     def images(self, states: Array, periods: int) -> Array:
         """P^periods of states (N, 2n)."""

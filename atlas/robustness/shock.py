@@ -36,7 +36,7 @@ NO_MOTION = -3
 """In the place of a label: no motion begins at that state."""
 
 CANDIDATES, DIRECTIONS, SIZES = 4, 8, 6
-"""Shocks that are improved together; directions tried about each in a round, and sizes tried along each of them."""
+"""Shocks that are improved together; directions tried about a shock in a round; sizes tried along a direction."""
 
 WIDEST, NARROWEST = 0.5, 2e-4
 """Angles between a shock and the directions tried about it: at first, and at last. A smooth boundary is met at
@@ -81,10 +81,10 @@ def minimal_fatal_shock(
     points = _ball(states.shape[1], tries * BEGINNINGS, seed).reshape(BEGINNINGS, tries, -1)
     for ball in points:
         best = search.bisected(search.improved(best))
-        found, tried = search.within(best.size[0], ball)
-        if found is None:
+        smaller, tried = search.within(best.size[0], ball)
+        if smaller is None:
             break
-        best, tried = found, 0
+        best, tried = smaller, 0
     return search.reported(best, tried)
 
 
@@ -127,7 +127,7 @@ class _Shocks(NamedTuple):
     direction: Array
     size: Array
 
-    def taken(self, rows: Labels) -> "_Shocks":
+    def at_rows(self, rows: Labels) -> "_Shocks":
         return _Shocks(self.phase[rows], self.direction[rows], self.size[rows])
 
 
@@ -156,19 +156,19 @@ class _Search:
         sizes = np.linalg.norm(away, axis=2)
         phase, rows = sizes.argmin(axis=1), np.arange(len(states))
         size = sizes[rows, phase]
-        found = _Shocks(phase, away[rows, phase] / size[:, None], size)
-        return found.taken(np.argsort(size, kind="stable"))
+        shocks = _Shocks(phase, away[rows, phase] / size[:, None], size)
+        return shocks.at_rows(np.argsort(size, kind="stable"))
 
     def nearest(self, states: Array) -> _Shocks | None:
         """The smallest shocks to some of these states (K, 2n) that are fatal; None where none is."""
         states = states[self.fatal(states)] if len(states) else states
-        return self.shocks_to(states).taken(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
+        return self.shocks_to(states).at_rows(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
 
     def improved(self, shocks: _Shocks) -> _Shocks:
         """The smallest shock that rays near these lead to."""
         angle = np.full(len(shocks.size), WIDEST)
         while len(rows := np.flatnonzero(angle > NARROWEST)):
-            phase, direction, size = shocks.taken(rows)
+            phase, direction, size = shocks.at_rows(rows)
             near = self._near(direction, angle[rows])
             cuts = np.minimum(angle[rows][:, None] * 2.0 ** np.arange(1.0, 1.0 - SIZES, -1.0), 0.9)
             cuts = np.append(cuts, angle[rows][:, None] ** 2 / 16.0, axis=1)
@@ -180,7 +180,7 @@ class _Search:
             shocks.direction[rows[better]] = near[row, place // sizes.shape[2]][better]
             shocks.size[rows[better]] = best[row, place][better]
             angle[rows[~better]] *= 0.5
-        return shocks.taken(np.array([np.argmin(shocks.size)]))
+        return shocks.at_rows(np.array([np.argmin(shocks.size)]))
 
     def _near(self, direction: Array, angle: Array) -> Array:
         """Directions (K, DIRECTIONS + 1, 2n) about some (K, 2n), each its own first, at these angles (K,)."""

@@ -14,7 +14,7 @@ from workers.attractors.basins import AttractorTable
 from workers.attractors.record import ON_ATTRACTOR, STABLE, Attractor
 from workers.attractors.starts import Starts
 from workers.cell.stretch import begin
-from workers.model.oscillator import Array, taken
+from workers.model.oscillator import Array, at_rows
 from workers.model.system import System
 from workers.results import BEYOND_TABLE, NO_REASON, UNKNOWN_LABEL
 from workers.settings import Settings
@@ -32,14 +32,14 @@ def linear_measures(
     cells    regime, period, largest (N, keep), and state (N, keep, 2n): a section state of each attractor
     """
     regime = cells["regime"]
-    found = empty(of_family(LINEAR), regime.shape)
-    found["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
+    measures = empty(of_family(LINEAR), regime.shape)
+    measures["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
     oscillators, reasons = record.build_many(params)
     stable = np.isin(regime, STABLE) & (reasons == NO_REASON)[:, None] & np.isfinite(cells["state"]).all(axis=-1)
     cell, place = np.nonzero(stable)
-    motions, _ = begin(taken(oscillators, cell), reasons[cell], cells["state"][stable])
+    motions, _ = begin(at_rows(oscillators, cell), reasons[cell], cells["state"][stable])
     for k, at in enumerate(zip(cell.tolist(), place.tolist(), strict=True)):
-        one = taken(oscillators, cell[k : k + 1])
+        one = at_rows(oscillators, cell[k : k + 1])
         orbit = Attractor(
             int(regime[at]),
             {"largest": cells["largest"][at]},
@@ -49,11 +49,11 @@ def linear_measures(
         )
         linear = measures_of(one, orbit, weights_of(norm, record, float(one.period[0])))
         for name, value in linear._asdict().items():
-            if name in found:
-                found[name][at] = value
+            if name in measures:
+                measures[name][at] = value
         if linear.reason:
-            found["unmeasured"][at] = UNMEASURED[linear.reason]
-    return found
+            measures["unmeasured"][at] = UNMEASURED[linear.reason]
+    return measures
 
 
 def shock_measures(
@@ -68,7 +68,7 @@ def shock_measures(
 
     The attractors of a cell are found anew from the same initial states; one that is not found again has no shock.
     """
-    found = empty(of_family(SHOCKS), cells["regime"].shape)
+    measures = empty(of_family(SHOCKS), cells["regime"].shape)
     for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
         table = AttractorTable(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
         if len(table.attractors) < 2:
@@ -80,11 +80,11 @@ def shock_measures(
         for label, place in enumerate(places):
             shock = shock_of(table, label, weights) if place >= 0 else None
             if shock is not None:
-                found["fatal_shock"][n, place] = shock.size
+                measures["fatal_shock"][n, place] = shock.size
                 reached = places[shock.reached] if shock.reached >= 0 else BEYOND_TABLE
-                found["shock_reaches"][n, place] = BEYOND_TABLE if reached == UNKNOWN_LABEL else reached
-                found["shock_tried"][n, place] = shock.tried
-    return found
+                measures["shock_reaches"][n, place] = BEYOND_TABLE if reached == UNKNOWN_LABEL else reached
+                measures["shock_tried"][n, place] = shock.tried
+    return measures
 
 
 def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:

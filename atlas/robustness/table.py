@@ -92,16 +92,16 @@ def read_measures(handle: Atlas) -> Stored:
     return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
 
 
-def write_measures(handle: Atlas, found: Stored) -> None:
+def write_measures(handle: Atlas, stored: Stored) -> None:
     """Keep measures in the store, in the place of any before."""
     dims = handle.spec.dims
     many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
     columns = {
         name: StoredArray(values, dims if MEASURES[name].of_cell else many, variable_attributes(MEASURES[name]))
-        for name, values in found.arrays.items()
+        for name, values in stored.arrays.items()
     }
     own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(handle, STABILITY, columns, own | found.requests)
+    write_table(handle, STABILITY, columns, own | stored.requests)
 
 
 def drop_family(handle: Atlas, family: str) -> None:
@@ -114,21 +114,21 @@ def drop_family(handle: Atlas, family: str) -> None:
 
 def check_names(handle: Atlas) -> None:
     """InputError if its machine has a parameter or a result with the name of a measure."""
-    taken = {*handle.array_names} & MEASURES.keys()
-    if taken:
-        raise InputError(f"{handle.place}: {min(taken)!r} is a name of its own, and that of a measure")
+    shared = {*handle.array_names} & MEASURES.keys()
+    if shared:
+        raise InputError(f"{handle.place}: {min(shared)!r} is a name of its own, and that of a measure")
 
 
 def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:
     """Of each measure that is a number how often it is known, and its least, middle and largest finite value."""
-    found = {}
+    summary = {}
     for name, values in arrays.items():
         if MEASURES[name].dtype != "float64" or name == "margin_error":
             continue
         known = values[np.isfinite(values)]
-        found[name] = {"known": int(np.sum(~np.isnan(values)))} | (
+        summary[name] = {"known": int(np.sum(~np.isnan(values)))} | (
             {"least": float(known.min()), "median": float(np.median(known)), "largest": float(known.max())}
             if known.size
             else {}
         )
-    return found
+    return summary

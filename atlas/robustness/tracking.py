@@ -89,11 +89,11 @@ def saddles_of(table: AttractorTable, weights: Array) -> Tracked:
         troubles.append(f"between basins: attractors that the initial states reach: {count}, fewer than two")
     for own, other in permutations(range(len(table.attractors)), 2):
         tracker = _Tracker(table, own, weights)
-        found = tracker.track(points[own, 0], points[other, 0])
-        if isinstance(found, str):
-            troubles.append(f"from {own} towards {other}: {found}")
-        elif not any(_same(found, known) for known in saddles):
-            saddles.append(found)
+        saddle = tracker.track(points[own, 0], points[other, 0])
+        if isinstance(saddle, str):
+            troubles.append(f"from {own} towards {other}: {saddle}")
+        elif not any(_same(saddle, known) for known in saddles):
+            saddles.append(saddle)
     return Tracked(saddles, troubles)
 
 
@@ -132,9 +132,9 @@ class _Tracker:
             period = self._recurs(history, whole) if step >= BURN else 0
             if period and tried < TRIES:
                 tried += 1
-                found = self.orbit(history[-1], period, whole)
-                if found is not None:
-                    return found
+                orbit = self.orbit(history[-1], period, whole)
+                if orbit is not None:
+                    return orbit
             pair = self.map.images(pair, 1)
             if not np.isfinite(pair).all():
                 return "its motion cannot be followed"

@@ -305,15 +305,15 @@ def test_with_the_fixed_method_chaos_has_survived_for_the_periods_averaged() -> 
 def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[float]]) -> None:
     spec = atlas.Spec("two-mass", axes=axes)
     slices = tuple(slice(0, n) for n in spec.shape)
-    free, each = (np.broadcast_to(part, spec.shape) for part in law_of(spec, slices))
+    free, parts = (np.broadcast_to(part, spec.shape) for part in law_of(spec, slices))
     cells = {name: np.broadcast_to(values, spec.shape) for name, values in spec.cell_params(slices).items()}
     for cell in np.ndindex(spec.shape):
         oscillator = find_system("two-mass").build({name: float(values[cell]) for name, values in cells.items()})
         assert free[cell] == sum_of_exponents(oscillator, 0.0)
         if oscillator.R:
-            assert free[cell] + 2.5 * each[cell] == pytest.approx(sum_of_exponents(oscillator, 2.5), rel=1e-12)
+            assert free[cell] + 2.5 * parts[cell] == pytest.approx(sum_of_exponents(oscillator, 2.5), rel=1e-12)
         else:
-            assert np.isnan(each[cell])
+            assert np.isnan(parts[cell])
 
 
 def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:

@@ -22,7 +22,7 @@ def opened(message: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     body = 4 + int.from_bytes(content[:4], "little")
     about = json.loads(zlib.decompress(content[4:body]))
     arrays = {}
-    for name, each in about["arrays"].items():
-        begin = body + each["at"]
-        arrays[name] = unpack(Packed(each["type"], content[begin : begin + each["size"]]), about["axes"][0]["count"])
+    for name, array in about["arrays"].items():
+        begin = body + array["at"]
+        arrays[name] = unpack(Packed(array["type"], content[begin : begin + array["size"]]), about["axes"][0]["count"])
     return about, arrays

@@ -52,13 +52,13 @@ def colored(
     for made, plane in maps:
         arrays = {"codes": made.codes} | {name: narrow(plane[name]) for name in made.needs}
         packed = {name: pack(values) for name, values in arrays.items()}
-        texts = {name: {"type": each.type, "text": each.text} for name, each in packed.items()}
+        texts = {name: {"type": file.type, "text": file.text} for name, file in packed.items()}
         given.append({"map": made.described, "arrays": texts, "width": made.codes.shape[1], "ends": ends})
     found, begin = np.array(run(browser, COLORS, given), "<u4").view(np.uint8), 0
     for made, _ in maps:
-        for each in ends:
+        for end in ends:
             size = 4 * made.codes.size
-            yield made, each, found[begin : begin + size].reshape(*made.codes.shape, 4)
+            yield made, end, found[begin : begin + size].reshape(*made.codes.shape, 4)
             begin += size
     assert begin == found.size
 

@@ -55,8 +55,8 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
         found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
     alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts)
     assert found.count == int(alone["attractors"]) > 1
-    assert [each["share"] for each in found.listed] == alone["share"][: found.count].tolist()
-    assert [each["largest"] for each in found.listed] == alone["largest"][: found.count].tolist()
+    assert [row["share"] for row in found.listed] == alone["share"][: found.count].tolist()
+    assert [row["largest"] for row in found.listed] == alone["largest"][: found.count].tolist()
     assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
 
 
@@ -103,8 +103,8 @@ def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finishe
     fixed = replace(subject, settings=Settings(method="fixed"))
     found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
     assert found is not None and "adaptive" in attractors_table(found, fixed)
-    for each, offered in ((subject, True), (fixed, False)):
-        explorer = SimpleNamespace(subject=each, patches=SimpleNamespace(want=lambda who, jobs: None))
+    for shown, offered in ((subject, True), (fixed, False)):
+        explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(want=lambda who, jobs: None))
         panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
         panel.turn(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
         assert panel._button.visible == offered

@@ -158,7 +158,7 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     assert len(explorer._others) == MOST_OTHERS
     assert explorer.turned((names[-1], "b")) is others[-1]
     assert explorer.turned((names[0], "b")) is not others[0]
-    assert waited(lambda: all(each.ended for each in explorer._ending))
+    assert waited(lambda: all(thread.ended for thread in explorer._ending))
     explorer.turned((names[1], "b"))
     assert len(explorer._ending) <= 1  # the one that has just been forgotten
 
@@ -168,8 +168,8 @@ def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they
 ) -> None:
     turned, memory = explorer.turned(("b", "omega")), explorer.tiles.memory
     key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
-    for each in (explorer, turned):
-        memory.put(each.tiles, each.subject.plane, key, arrays)
+    for page in (explorer, turned):
+        memory.put(page.tiles, page.subject.plane, key, arrays)
     assert turned.tiles.memory is memory and memory.bytes == 32
     turned.tiles.drop()
     assert memory.bytes == 16 and explorer.tiles.of(explorer.subject.plane) != []

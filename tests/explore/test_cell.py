@@ -124,8 +124,8 @@ def test_a_long_path_is_thinned_and_says_how_many_points_a_period_has(subject: S
 
 def test_each_attractor_of_a_cell_has_a_portrait_of_its_own(subject: Subject) -> None:
     found = atlas.attractors({"omega": 4.0, "b": 0.1}, starts=8)
-    drawn = motions(subject, {"omega": 4.0, "b": 0.1}, [each["state"] for each in found["coexisting"]])
-    assert {place: each.moving.shape[1] // each.per_period for place, each in drawn.items()} == {0: 1, 1: 3}
+    drawn = motions(subject, {"omega": 4.0, "b": 0.1}, [row["state"] for row in found["coexisting"]])
+    assert {place: motion.moving.shape[1] // motion.per_period for place, motion in drawn.items()} == {0: 1, 1: 3}
 
 
 def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(

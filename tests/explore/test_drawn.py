@@ -117,11 +117,11 @@ def test_numbers_have_four_digits_on_the_page_and_the_regime_is_exact(subject: S
 
 
 def test_a_view_that_is_known_comes_with_every_map_of_its_variables(subject: Subject) -> None:
-    names = [each["name"] for each in sent(subject, looking(subject, view_of(subject), "kind=combined"))[0]["maps"]]
+    names = [entry["name"] for entry in sent(subject, looking(subject, view_of(subject), "kind=combined"))[0]["maps"]]
     assert names[0] == "combined"
     assert {*names} == {"combined", "exponent", "period", "number-largest", "number-period", "number-period-log"}
     alone = sent(subject, looking(subject, view_of(subject), "kind=combined"), others=False)[0]
-    assert [each["name"] for each in alone["maps"]] == ["combined"]
+    assert [entry["name"] for entry in alone["maps"]] == ["combined"]
 
 
 def test_a_scale_keeps_its_ends_and_says_which_would_fit_the_view(subject: Subject) -> None:

@@ -308,7 +308,9 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
     store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
     assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
     jobs[-1][0].take(found)
-    (slider, typed), text = (each.children if hasattr(each, "children") else each for each in panel._body.children[:2])
+    (slider, typed), text = (
+        child.children if hasattr(child, "children") else child for child in panel._body.children[:2]
+    )
     assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
     slider.value = found.own + 4
     assert store.now.chosen.follow == FollowedOrbit("omega", *WINDOW, 4, found.values[found.own + 4])

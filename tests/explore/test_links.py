@@ -41,9 +41,9 @@ def proxy(port: int) -> Iterator[int]:
         with suppress(OSError):
             while data := source.recv(65536):
                 sink.sendall(data.replace(b"GET " + FOLDER.encode(), b"GET ") if inward else data)
-        for each in (source, sink):
+        for element in (source, sink):
             with suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
+                element.shutdown(socket.SHUT_RDWR)
 
     def serve() -> None:
         with suppress(OSError):

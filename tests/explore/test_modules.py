@@ -40,7 +40,7 @@ def test_a_module_uses_what_it_imports_and_imports_what_is_exported(path: Path) 
     body = re.sub(r"^import .*?;\n", "", text, flags=re.MULTILINE | re.DOTALL)
     for names, source in re.findall(r'^import \{(.*?)\} from "(.*?)";', text, re.MULTILINE | re.DOTALL):
         exported = (path.parent / source).resolve().read_text(encoding="utf-8")
-        for name in (each.strip() for each in names.split(",")):
+        for name in (word.strip() for word in names.split(",")):
             assert re.search(rf"^export .*\b{name}\b", exported, re.MULTILINE), f"{source} exports no {name}"
             assert re.search(rf"\b{name}\b", body), f"{name} is not used"
 

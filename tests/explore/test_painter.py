@@ -56,7 +56,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
     assert painter.busy and waited(lambda: not painter.busy)
     assert painter.looked == 1
     assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
-    steps = [each.shares for each in came]
+    steps = [picture.shares for picture in came]
     assert all(old <= new for one, other in pairwise(steps) for old, new in zip(one, other, strict=True))
     assert opened(came[-1].message)[0]["axes"][0]["edges"][0] == pytest.approx(2.55, abs=0.05)
 

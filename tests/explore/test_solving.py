@@ -286,7 +286,7 @@ def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finishe
 def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client) -> None:
     with exploring(finished, client) as one, exploring(finished, client) as other:
         sight = view_of(one.subject)
-        threads = [threading.Thread(target=solved, args=(each, sight)) for each in (one, other)]
+        threads = [threading.Thread(target=solved, args=(tiles_of, sight)) for tiles_of in (one, other)]
         for thread in threads:
             thread.start()
         for thread in threads:

@@ -94,15 +94,17 @@ def test_what_does_not_fit_loses_digits_one_after_the_other_and_then_is_left_out
     rng = np.random.default_rng(3)
     every = {name: rng.random((30, 30)) for name in ("error", "largest", "speed")} | {"period": np.ones((3, 3), int)}
     arrays = {name: partial(np.copy, values) for name, values in every.items()}
-    whole = sum(len(each.text) for each in fit(arrays, 10**9, "largest", "error")[0].values())
+    whole = sum(len(file.text) for file in fit(arrays, 10**9, "largest", "error")[0].values())
     seen = []
     for limit in range(whole, 0, -100):
         found, left_out = fit(arrays, limit, "largest", "error")
-        assert sum(len(each.text) for each in found.values()) <= limit or found.keys() == {"period"}
+        assert sum(len(file.text) for file in found.values()) <= limit or found.keys() == {"period"}
         assert {*left_out, *found} == {*arrays}
         seen.append(tuple(found[name].bits if name in found else 0 for name in ("error", "speed", "largest")))
     bits = [MANTISSA, *DIGITS, 0]
-    turns = [each for high, low in pairwise(bits) for each in ((low, high, high), (low, low, high), (low, low, low))]
+    turns = [
+        corner for high, low in pairwise(bits) for corner in ((low, high, high), (low, low, high), (low, low, low))
+    ]
     assert list(dict.fromkeys(seen)) == [(MANTISSA, MANTISSA, MANTISSA), *turns]
 
 
@@ -139,8 +141,8 @@ def test_maps_of_variables_that_are_left_out_are_left_out_too(opened: xr.Dataset
     while not (known := described(page := page_of(opened, limit)))["leftOut"]:
         limit -= 10000
     assert len(page.encode()) <= limit
-    assert all(set(each["needs"]) <= known["arrays"].keys() for each in known["maps"])
-    assert all(each["codes"] in known["arrays"] for each in known["maps"])
+    assert all(set(entry["needs"]) <= known["arrays"].keys() for entry in known["maps"])
+    assert all(entry["codes"] in known["arrays"] for entry in known["maps"])
 
 
 def test_a_limit_that_nothing_fits_into_is_refused(opened: xr.Dataset) -> None:
@@ -194,39 +196,39 @@ def planes() -> Iterator[tuple[str, xr.Dataset, xr.Dataset | None]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "ds", "table"), list(planes()), ids=lambda each: each if isinstance(each, str) else ""
+    ("name", "ds", "table"), list(planes()), ids=lambda value: value if isinstance(value, str) else ""
 )
 def test_javascript_has_the_colours_of_paint_to_the_bit_with_any_ends_of_the_scale(
     name: str, ds: xr.Dataset, table: xr.Dataset | None, browser: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("atlas.query.basins.table", lambda _: table)
     monkeypatch.setattr("atlas.render.classes.branches", lambda _: table)
-    maps = [(each, Plane.of(ds, each.needs)) for each in coded_maps(ds, ds)]
-    seen = {each.name for each, _ in maps}
-    planes_of = {each.name: plane for each, plane in maps}
-    for each, ends, found in colored(browser, maps, [None, *OTHER_ENDS]):
-        scalar = each.name.removeprefix("number-")
-        kind = TABLE[SCALAR if scalar != each.name else each.name]
+    maps = [(coded, Plane.of(ds, coded.needs)) for coded in coded_maps(ds, ds)]
+    seen = {coded.name for coded, _ in maps}
+    planes_of = {coded.name: plane for coded, plane in maps}
+    for coded, ends, found in colored(browser, maps, [None, *OTHER_ENDS]):
+        scalar = coded.name.removeprefix("number-")
+        kind = TABLE[SCALAR if scalar != coded.name else coded.name]
         page = STANDARD if ends is None else replace(STANDARD, vmin=ends[0], vmax=ends[1])
         wanted = Wanted(page, kind.name, variable=scalar if kind.name == SCALAR else None)
         try:
-            layers = PAINTERS[kind.name](View(kind, ds, planes_of[each.name], wanted))
+            layers = PAINTERS[kind.name](View(kind, ds, planes_of[coded.name], wanted))
         except InputError:
             continue  # a scale that takes no such ends
         expected = paint(layers)
         expected[expected[..., 3] == 0] = 255
-        assert np.array_equal(found, expected), (each.name, ends)
+        assert np.array_equal(found, expected), (coded.name, ends)
     there = {
         "plane": {*MAPS} - {"regions"},
         "regimes": {"exponent", "period", "combined"},
         "basin": {BASINS},
         "labelled": {LABELS, "share"},
     }
-    assert seen - {each for each in seen if each.startswith("number-")} == there[name]
+    assert seen - {word for word in seen if word.startswith("number-")} == there[name]
 
 
 def test_cells_without_a_result_and_cells_without_impact_have_a_texture() -> None:
-    maps = {each.name: each for each in coded_maps(pictures.every_regime(), pictures.every_regime())}
+    maps = {coded.name: coded for coded in coded_maps(pictures.every_regime(), pictures.every_regime())}
     exponent = maps["exponent"]
     hatches = [exponent.described["entries"][code].get("hatch", "") for code in exponent.codes.ravel()]
     assert hatches == ["/", ".", "", "", "", "", "\\", "x"]
@@ -348,7 +350,7 @@ def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened:
     (tmp_path / "page.html").write_text("old")
     opened.atlas.page(tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").startswith("<!doctype html>")
-    assert [each.name for each in tmp_path.iterdir()] == ["page.html"]
+    assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
 
 
 @pytest.mark.parametrize(
@@ -440,7 +442,7 @@ def test_of_an_atlas_of_all_attractors_the_page_says_which_it_shows(several: Pat
     assert np.all(numbers(second)["largest"] == -1.0)
     assert known["others"] == {}
     assert known["regimes"]["-1"] == "not more than 1"
-    exponent = next(each for each in known["maps"] if each["name"] == "exponent")
+    exponent = next(entry for entry in known["maps"] if entry["name"] == "exponent")
     assert "not more than 1" in [entry["label"] for entry in exponent["legend"]]
 
 

@@ -278,7 +278,7 @@ def test_text_stands_out_from_what_is_behind_it_and_nothing_is_wider_than_the_pa
         numbers(tab)
         assert tab.page.evaluate("() => document.documentElement.scrollWidth") == width
         for name in ("--ink", "--faint"):
-            paper, ink = (tab.page.evaluate(f"() => themed('{each}')") for each in ("--paper", name))
+            paper, ink = (tab.page.evaluate(f"() => themed('{color}')") for color in ("--paper", name))
             assert contrast(paper, ink) >= 4.5  # WCAG AA
     finally:
         context.close()

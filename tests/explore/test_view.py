@@ -32,7 +32,7 @@ from workers.results import PENDING, REGIME, empty_results, result_variables
 LINEAR = Lattice(Axis("omega", tuple(np.linspace(2.0, 4.0, 101).tolist())))
 LOG = Lattice(Axis("b", tuple(np.geomspace(0.01, 1.0, 51).tolist()), "log"))
 UNEVEN = Lattice(Axis("omega", (1.0, 1.5, 3.0, 3.1)))
-each = pytest.mark.parametrize("lattice", [LINEAR, LOG, UNEVEN], ids=["linear", "log", "uneven"])
+each_lattice = pytest.mark.parametrize("lattice", [LINEAR, LOG, UNEVEN], ids=["linear", "log", "uneven"])
 
 
 @pytest.fixture(scope="module")
@@ -43,20 +43,20 @@ def subject() -> Subject:
     return Subject(spec, exploring(spec.settings))
 
 
-@each
+@each_lattice
 def test_points_of_level_zero_are_those_of_the_axis_to_the_bit(lattice: Lattice) -> None:
     index = np.arange(len(lattice.axis))
     assert lattice.values(0, index).tolist() == list(lattice.axis.values)
 
 
-@each
+@each_lattice
 @pytest.mark.parametrize("level", [0, 1, 7, 20])
 def test_a_point_has_the_same_bits_at_the_next_level(lattice: Lattice, level: int) -> None:
     index = np.arange(-50, 200, dtype=np.int64) * 3
     assert lattice.values(level, index).tolist() == lattice.values(level + 1, 2 * index).tolist()
 
 
-@each
+@each_lattice
 @pytest.mark.parametrize("level", [0, 3, 20, "deepest"])
 def test_points_rise_strictly_at_every_level(lattice: Lattice, level: int | str) -> None:
     depth = lattice.deepest if level == "deepest" else int(level)
@@ -65,7 +65,7 @@ def test_points_rise_strictly_at_every_level(lattice: Lattice, level: int | str)
     assert np.all(np.diff(values) > 0)
 
 
-@each
+@each_lattice
 def test_positions_are_the_inverse_of_values_to_a_thousandth_of_a_cell_a_million_times_deeper(lattice: Lattice) -> None:
     index = (np.int64(1) << 20) + np.arange(100, dtype=np.int64)
     assert np.abs(lattice.positions(lattice.values(20, index)) * 2.0**20 - index).max() < 1e-3
@@ -171,8 +171,8 @@ def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subj
     for key, only_here in zip(keys, (True, False, True, True), strict=True):
         memory.put(None, subject.plane, key, arrays, only_here)
         if key == keys[2]:
-            assert [memory.get(None, subject.plane, each) != {} for each in keys] == [True, False, True, False]
-    assert [memory.get(None, subject.plane, each) != {} for each in keys] == [False, False, True, True]
+            assert [memory.get(None, subject.plane, key) != {} for key in keys] == [True, False, True, False]
+    assert [memory.get(None, subject.plane, key) != {} for key in keys] == [False, False, True, True]
 
 
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:

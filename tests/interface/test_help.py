@@ -160,9 +160,9 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_the_tab_key_completes(plane: Path, typed: tuple[str, ...], word: str, offered: set[str]) -> None:
-    words = [str(plane) if each == "PLANE" else each for each in typed]
+    words = [str(plane) if typed_word == "PLANE" else typed_word for typed_word in typed]
     found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(words, word)
-    assert {each.value for each in found if each.type == "plain"} == offered
+    assert {choice.value for choice in found if choice.type == "plain"} == offered
 
 
 def test_the_help_of_a_run_in_python_shows_its_options_and_no_record_of_defaults() -> None:

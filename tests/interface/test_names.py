@@ -58,7 +58,9 @@ def own_names() -> Iterator[str]:
     for function in vars(AtlasAccessor).values():
         if inspect.isfunction(function) and "point" in inspect.signature(function).parameters:
             named = inspect.signature(function).parameters.values()
-            yield from {each.name for each in named if each.kind is not each.POSITIONAL_ONLY} - {"point"}
+            yield from {parameter.name for parameter in named if parameter.kind is not parameter.POSITIONAL_ONLY} - {
+                "point"
+            }
 
 
 def with_parameter(name: str) -> dict[str, object]:

@@ -91,8 +91,8 @@ def test_a_plan_a_status_and_a_report_are_tables_in_a_notebook_with_the_facts_of
     """Truth: the text, whose facts they must have, each once and in order."""
     spec = atlas.Spec("two-mass", {"x1": [0.0, 0.1], "v1": [0.0, 0.1]})
     found = [atlas.plan(spec, probe=False), atlas.status(handle.path), atlas.verify(handle.path, sample=0)]
-    for each in found:
-        assert words(rows_of(each._repr_html_())) == words(str(each).splitlines())
+    for summary in found:
+        assert words(rows_of(summary._repr_html_())) == words(str(summary).splitlines())
 
 
 def test_text_in_a_table_is_escaped(handle: store.Atlas) -> None:

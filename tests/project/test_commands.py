@@ -182,8 +182,8 @@ def test_a_forked_command_says_what_a_new_process_says_and_ends_like_it(
 ) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     ended = [
-        subprocess.run([*each, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True)
-        for each in ([str(forked)], ATLAS)
+        subprocess.run([*line, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        for line in ([str(forked)], ATLAS)
     ]
     assert len({(one.returncode, one.stdout, one.stderr) for one in ended}) == 1
     assert ended[0].returncode == (0 if arguments == ["systems"] else 2)

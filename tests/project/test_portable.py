@@ -58,7 +58,7 @@ def faults(tree: ast.AST) -> Iterator[str]:
             module = node.module or ""
             if module.partition(".")[0] in MODULES:
                 yield module
-            yield from (f"{module}.{each.name}" for each in node.names if each.name in NAMES.get(module, "").split())
+            yield from (f"{module}.{name.name}" for name in node.names if name.name in NAMES.get(module, "").split())
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             if node.attr in NAMES.get(node.value.id, "").split():
                 yield f"{node.value.id}.{node.attr}"

@@ -70,7 +70,7 @@ def test_every_difference_has_a_reason() -> None:
     differing = [
         statement for entry in BY_STORED.values() for statement in entry["statements"] if not statement["agrees"]
     ]
-    assert differing and all(each["reason"] for each in differing)
+    assert differing and all(statement["reason"] for statement in differing)
 
 
 @pytest.mark.slow
@@ -334,7 +334,7 @@ def test_the_impact_damper_breaks_its_symmetry_and_flutters_where_the_closed_for
 
 
 def test_the_exponents_of_fig_3_are_those_of_multiprecision_arithmetic() -> None:
-    (orbit,) = (each for each in symmetric_orbit(naive.FIGURES[3]) if each.exponents[0] < 0)
+    (orbit,) = (solution for solution in symmetric_orbit(naive.FIGURES[3]) if solution.exponents[0] < 0)
     assert [float(exponent) for exponent in orbit.exponents] == pytest.approx(li_tan_2011.FIG_3, abs=1e-14)
 
 

@@ -181,8 +181,10 @@ def test_all_files_that_describe_the_package_agree() -> None:
 def test_the_recipe_asks_for_the_dependencies_of_the_package() -> None:
     recipe = yaml.safe_load((ROOT / "recipe/recipe.yaml").read_text(encoding="utf-8"))
     there = {"dask": "dask-core", "matplotlib": "matplotlib-base"}
-    wanted = [re.sub(r"^[\w-]+", lambda name: there.get(name[0], name[0]), each) for each in PROJECT["dependencies"]]
-    found = [each.replace(" ", "") for each in recipe["requirements"]["run"]]
+    wanted = [
+        re.sub(r"^[\w-]+", lambda name: there.get(name[0], name[0]), package) for package in PROJECT["dependencies"]
+    ]
+    found = [package.replace(" ", "") for package in recipe["requirements"]["run"]]
     assert found == [f"python{PROJECT['requires-python']}", *wanted]
     assert recipe["build"]["noarch"] == "python"
     entry = f"{next(iter(PROJECT['scripts']))} = {PROJECT['scripts']['atlas']}"

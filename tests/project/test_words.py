@@ -27,8 +27,10 @@ PHRASE = re.compile(rf"\b(?:{'|'.join(BANNED)})\b", re.IGNORECASE)
 NAMES = {"each", "found", "told", "moved", "taken"}
 NAMED = (
     "atlas/service", "atlas/store", "atlas/cli", "atlas/check", "atlas/spec", "atlas/task", "atlas/overview",
-    "atlas/explore", "atlas/explore/front", "atlas/explore/static",
-    "workers", "workers/orbit", "workers/attractors", "workers/cell",
+    "atlas/explore", "atlas/explore/front", "atlas/explore/static", "atlas/cell", "atlas/query", "atlas/render",
+    "atlas/orbits", "atlas/orbits/branches", "atlas/orbits/curves", "atlas/orbits/labels", "atlas/robustness",
+    "workers", "workers/model", "workers/kernel", "workers/orbit", "workers/continuation", "workers/attractors",
+    "workers/cell",
 )  # fmt: skip
 """Rooms whose names and docstrings are clean too, as are files of ``atlas`` itself."""
 ROOMS = [file for package in ("atlas", "workers") for file in sorted((ROOT / package).rglob("*.py"))]

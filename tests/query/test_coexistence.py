@@ -259,9 +259,9 @@ def test_all_attractors_of_one_cell_are_those_of_an_atlas_of_it(solved: Path) ->
     settings = Settings(max_periods=2000, survival=2000, tolerance=0.1)
     found = atlas.attractors({"omega": cell["omega"], "R": cell["R"], "b": 0.1}, settings=settings, starts=16)
     assert found["attractors"] == len(found["coexisting"]) == cell["attractors"] > 1
-    assert sum(each["share"] for each in found["coexisting"]) + found["undecided"] / found["starts"] == pytest.approx(1)
+    assert sum(row["share"] for row in found["coexisting"]) + found["undecided"] / found["starts"] == pytest.approx(1)
     patterns = [
-        {(each["regime"], each["period"], each["impacts_upper"], each["impacts_lower"]) for each in of["coexisting"]}
+        {(row["regime"], row["period"], row["impacts_upper"], row["impacts_lower"]) for row in of["coexisting"]}
         for of in (found, cell)
     ]
     assert patterns[0] >= patterns[1]
@@ -272,7 +272,7 @@ def test_the_command_lists_all_attractors_of_one_cell() -> None:
     """At b = 0.6 the motion from rest has no impact; all that is printed is in the JSON too."""
     line = ["point", "--set", "omega=4", "--set", "b=0.6", "--attractors", "--starts", "4", "--max-periods", "500"]
     found = json.loads(CliRunner().invoke(main, [*line, "--json"]).stdout)
-    assert [(each["regime"], each["share"]) for each in found["coexisting"]] == [("no_impact", 1.0)]
+    assert [(row["regime"], row["share"]) for row in found["coexisting"]] == [("no_impact", 1.0)]
     shown = CliRunner().invoke(main, line)
     assert "share_low" in shown.stdout and "unseen_share" in shown.stdout
     refused = CliRunner().invoke(main, ["point", "--starts", "4"])

@@ -85,14 +85,14 @@ def test_regions_of_all_regimes_are_those_of_a_flood() -> None:
 def test_areas_of_all_regions_add_up_to_the_plane_and_their_cells_to_its_cells() -> None:
     codes = np.random.default_rng(2).choice([P, C], (9, 7))
     found = regions(plane([1, 2, 4, 8, 16, 32, 64], list(range(1, 10)), codes))
-    assert sum(each["share"] for each in found) == pytest.approx(1.0)
-    assert sum(each["cells"] for each in found) == 63
+    assert sum(region["share"] for region in found) == pytest.approx(1.0)
+    assert sum(region["cells"] for region in found) == 63
 
 
 def test_regions_come_by_falling_area_and_not_by_cells() -> None:
     # Edges of 1, 2, 4, 8 are 0.5, 1.5, 3, 6, 10.
     found = regions(periods([[2, 2, 0, 3]], [1, 2, 4, 8], spec=spec(omega="linear", b="linear")), "period")
-    assert [(each["period"], each["cells"]) for each in found] == [(3, 1), (2, 2)]
+    assert [(region["period"], region["cells"]) for region in found] == [(3, 1), (2, 2)]
 
 
 def test_areas_on_a_log_axis_are_in_its_own_unit() -> None:
@@ -137,7 +137,7 @@ def test_a_falling_axis_changes_no_window() -> None:
 def test_labels_are_those_of_the_list() -> None:
     ds = periods([[0, 3, 3, 2], [0, 0, 0, 2]])
     listed, marked = regions(ds, "period"), labels(ds, "period")
-    assert [int((marked == each["label"]).sum()) for each in listed] == [each["cells"] for each in listed]
+    assert [int((marked == region["label"]).sum()) for region in listed] == [region["cells"] for region in listed]
 
 
 def test_small_regions_are_left_out_where_asked() -> None:
@@ -161,7 +161,7 @@ def test_regions_of_impacts_are_named_n_p_q_and_all_that_stick_are_one_class() -
 
 def test_a_sweep_has_regions_too() -> None:
     found = regions(periods([[2, 2, 0, 2]]).isel(b=0), "period")
-    assert [(each["cells"], each["cut"]) for each in found] == [(2, ["lowest omega"]), (1, ["highest omega"])]
+    assert [(region["cells"], region["cut"]) for region in found] == [(2, ["lowest omega"]), (1, ["highest omega"])]
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_impacts_that_are_infinitely_many_are_no_smallest_number() -> None:
 
 def test_extremes_for_each_period_come_by_period() -> None:
     found = extremes(periods([[3, 1, 3, 1]]), "largest", "period")
-    assert [(each["period"], each["value"]) for each in found] == [(1, 1.0), (1, 3.0), (3, 0.0), (3, 2.0)]
+    assert [(region["period"], region["value"]) for region in found] == [(1, 1.0), (1, 3.0), (3, 0.0), (3, 2.0)]
 
 
 @pytest.mark.parametrize("name", ["largest", "periods_used"])
@@ -276,9 +276,9 @@ def test_extremes_of_a_store_are_those_of_its_cells(handle: store.Atlas, name: s
     found = extremes(ds, name, by, part)
     whole = ds.load()
     np.testing.assert_equal(found, extremes(whole, name, by, part))
-    for each in found:
-        cell = whole.sel({axis: each[axis] for axis in ("omega", "b")})
-        assert float(cell[name]) == each["value"]
+    for region in found:
+        cell = whole.sel({axis: region[axis] for axis in ("omega", "b")})
+        assert float(cell[name]) == region["value"]
 
 
 def test_of_equal_values_the_first_cell_counts(handle: store.Atlas) -> None:
@@ -356,7 +356,7 @@ def test_a_regime_alone_names_its_regions(handle: store.Atlas) -> None:
     assert len(meant) and ds.atlas.regions("chaotic").equals(meant)
     assert ds.atlas.labels("chaotic").equals(ds.atlas.labels("regime", "chaotic"))
     short, whole = (
-        call("find", "regions", handle.path, each, "--json").stdout for each in ("chaotic", "regime=chaotic")
+        call("find", "regions", handle.path, table, "--json").stdout for table in ("chaotic", "regime=chaotic")
     )
     assert json.loads(short)["regions"] and short == whole
 

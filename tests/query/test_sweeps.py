@@ -20,7 +20,7 @@ from workers.results import CHAOTIC
 
 def test_every_exponent_has_its_line() -> None:
     bottom = render.figure(line(), "spectrum").axes[1]
-    drawn = {each.get_color(): each.get_ydata() for each in bottom.lines if len(each.get_xdata()) == 8}
+    drawn = {line.get_color(): line.get_ydata() for line in bottom.lines if len(line.get_xdata()) == 8}
     assert [drawn[sweep.color_of(i)][0] for i in range(4)] == pytest.approx([-0.4, -0.5, -0.6, -0.7])
 
 
@@ -36,9 +36,9 @@ def test_a_lost_direction_is_marked_and_not_drawn_as_a_number() -> None:
     ds = line()
     ds["spectrum"].values[2, 3] = -np.inf
     bottom = render.figure(ds, "spectrum").axes[1]
-    marks = next(each for each in bottom.lines if each.get_marker() == "v")
+    marks = next(line for line in bottom.lines if line.get_marker() == "v")
     assert list(marks.get_xdata()) == [ds["omega"].values[2]]
-    assert np.isnan(next(each for each in bottom.lines if each.get_color() == sweep.color_of(3)).get_ydata()[2])
+    assert np.isnan(next(line for line in bottom.lines if line.get_color() == sweep.color_of(3)).get_ydata()[2])
 
 
 def test_a_spectrum_that_is_not_stored_is_refused_with_the_setting_that_stores_it() -> None:
@@ -102,7 +102,7 @@ def test_mirror_images_with_equal_impact_counts_are_told_from_one_orbit(samples:
 
 def test_mirror_images_with_exchanged_impact_counts_are_mirror_images() -> None:
     one, other = solved(-0.15, 0.0), solved(0.15, 0.0)
-    assert [int(each["impacts_upper"][0]) for each in (one, other)] == [2, 4]
+    assert [int(orbit["impacts_upper"][0]) for orbit in (one, other)] == [2, 4]
     assert hysteresis.compare(one, other)[0] == hysteresis.MIRRORED
 
 

@@ -135,7 +135,7 @@ def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> 
 
 
 SCALES = {name: scales.colormap_of(kind.scale.colors) for name, kind in TABLE.items() if kind.scale.colors}
-SCALES |= {"exponent": scales.EXPONENT, **{f"error, {name}": each for name, (each, _) in scales.ERRORS.items()}}
+SCALES |= {"exponent": scales.EXPONENT, **{f"error, {name}": scale for name, (scale, _) in scales.ERRORS.items()}}
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
@@ -155,7 +155,7 @@ def test_a_cell_is_the_darker_the_more_attractors_it_has(sight: str) -> None:
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
-    below, above = (lab(scales.EXPONENT(each)[:3], EVERY_SIGHT[sight]) for each in (0.4999, 0.5001))
+    below, above = (lab(scales.EXPONENT(share)[:3], EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))
     assert ciede2000(below, above) > 40.0
 
 

@@ -144,14 +144,14 @@ def test_of_several_contacts_the_nearest_is_grazed() -> None:
 @pytest.mark.parametrize("name", ["soft-impact", "two-stops"])
 def test_the_grazing_line_of_a_machine_with_modes_is_drawn(name: str) -> None:
     system = find_system(name)
-    axes = {each: np.linspace(low, high, 5) for each, low, high in system.axes}
+    axes = {parameter: np.linspace(low, high, 5) for parameter, low, high in system.axes}
     drawn = render.figure(periodic_plane(system, axes), "period", overlay="grazing")
     assert labels(drawn)[-1] == "impact-free motion\ngrazes a stop"
 
 
 def test_where_motion_without_impact_is_not_linear_the_way_on_is_named() -> None:
     mass = find_system("stick-slip")
-    ds = periodic_plane(mass, {each: np.linspace(low, high, 4) for each, low, high in mass.axes})
+    ds = periodic_plane(mass, {parameter: np.linspace(low, high, 4) for parameter, low, high in mass.axes})
     with pytest.raises(InputError, match=r"has friction, so that .*; atlas find curves finds the grazes of its orbits"):
         render.figure(ds, "period", overlay="grazing")
 
@@ -173,7 +173,7 @@ def test_a_grazing_line_of_unequal_stops_is_not_called_an_amplitude() -> None:
 
 def test_an_upright_label_is_no_longer_than_its_axis() -> None:
     suspension = find_system("soft-suspension")
-    ds = periodic_plane(suspension, {each: np.linspace(low, high, 4) for each, low, high in suspension.axes})
+    ds = periodic_plane(suspension, {parameter: np.linspace(low, high, 4) for parameter, low, high in suspension.axes})
     ax = render.figure(ds, "period", width="5in", height="2.9in").axes[0]
     assert ax.yaxis.label.get_text() == "amplitude of the base, in units\nof the travel to a stop $a$"
     assert ax.yaxis.label.get_window_extent().height <= ax.bbox.height
@@ -191,7 +191,7 @@ def test_shares_are_stacked_up_to_the_share_that_is_decided() -> None:
     values = {"regime": regime, "share": share, "share_low": share - 0.1, "share_high": share + 0.1, "largest": -share}
     coords = {p.name: p.default for p in SINGLE.parameters} | {"omega": [1.0, 2.0, 3.0]}
     attrs = {"spec": json.dumps({"system": "single-mass"})}
-    ds = xr.Dataset({name: (("omega", "attractor"), each) for name, each in values.items()}, coords, attrs)
+    ds = xr.Dataset({name: (("omega", "attractor"), array) for name, array in values.items()}, coords, attrs)
     drawn = render.figure(ds, "coexistence")
     heights = (np.arange(80) + 0.5) / 80
     shown = [
@@ -228,8 +228,8 @@ def test_a_symmetry_map_without_mirror_images_is_refused_with_the_reason(
 
 def test_a_symmetry_map_tells_twins_only_where_the_machine_is_symmetric() -> None:
     figure = render.figure(periodic_plane(SINGLE, {"s": [0.5, 1.0], "omega": [0.5, 0.7]}), "symmetry")
-    colors = [tuple(round(255 * part) for part in to_rgb(each)) for each in (classes.ALONE, classes.UPPER)]
-    assert [tuple(each[:3]) for each in drawn(figure)[0]] == colors
+    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in (classes.ALONE, classes.UPPER)]
+    assert [tuple(color[:3]) for color in drawn(figure)[0]] == colors
 
 
 @pytest.mark.parametrize(("s", "expected"), [(0.5, hysteresis.DIFFERENT), (1.0, hysteresis.MIRRORED)])
@@ -270,7 +270,7 @@ def test_sweeps_draw_the_gap_coordinate_and_name_it(name: str, value: float, lab
     ds = swept_section(find_system(name))
     ax = render.figure(ds, against=ds if against else None).axes[0]
     assert ax.get_ylabel() == label
-    assert {float(each) for points in ax.lines for each in points.get_ydata()} == {value}
+    assert {float(y) for points in ax.lines for y in points.get_ydata()} == {value}
 
 
 def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> None:

@@ -130,7 +130,7 @@ def test_exponents_of_locking_cells_are_textured_as_those_of_a_rest() -> None:
 def test_averages_of_an_undetermined_cell_do_not_stretch_the_scale() -> None:
     ds = plane()
     ds["largest"] = ds["largest"].where(ds["regime"] != UNDETERMINED, 50.0)
-    bars = [render.figure(each).axes[1].get_ylim() for each in (ds, plane())]
+    bars = [render.figure(dataset).axes[1].get_ylim() for dataset in (ds, plane())]
     assert bars[0] == bars[1]
 
 
@@ -416,7 +416,7 @@ def test_two_grazing_lines_side_by_side_are_solid_and_one_alone_is_dashed() -> N
     _, crowded, alone = (
         layer for layer in render.figure(ds, overlay="grazing").axes[0].collections if layer.get_zorder() == 3
     )
-    found = [np.concatenate(each.get_segments()) for each in (crowded, alone)]
+    found = [np.concatenate(lines.get_segments()) for lines in (crowded, alone)]
     assert np.abs(found[0][:, 0] - 1.75).max() < 0.3  # beside the narrow resonance
     assert found[1][:, 0].max() > 3.0
 

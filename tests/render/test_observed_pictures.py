@@ -40,7 +40,7 @@ def test_a_store_keeps_so_many_values_of_each_cell_and_counts_them_all(store: Pa
     assert ds["impact_phase_stop"].attrs["units"] == "rad"
     assert int(ds["impact_phase_stop_number"][0]) > 3
     assert ds["impact_phase_stop_number"].values[1:].tolist() == [2, 2]
-    assert [each.name for each in held_by(ds)] == ["impact_phase:stop", "energy_loss"]
+    assert [observable.name for observable in held_by(ds)] == ["impact_phase:stop", "energy_loss"]
 
 
 def test_a_sweep_shows_the_first_observable_where_it_holds_no_sections_and_another_one_if_asked(store: Path) -> None:

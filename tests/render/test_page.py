@@ -76,7 +76,7 @@ def texts(figure: Figure) -> list[Text]:
     """Every text that is drawn."""
     notes = _Notes(*figure.bbox.size, figure.dpi)
     figure.draw(notes)
-    return [each for each in notes.__dict__["drawn"] if each is not None]
+    return [artist for artist in notes.__dict__["drawn"] if artist is not None]
 
 
 @pytest.mark.parametrize("width", ["85mm", "180mm"])
@@ -167,7 +167,7 @@ def test_a_legend_beside_a_map_is_not_printed_over_its_title(width: str) -> None
     long = plane().assign_coords(R=0.812345, zeta=0.0512345, mu_m=2.123456, mu_k=5.123456, f2=0.123456, tau=1.234567)
     figure = render.figure(long, "period", overlay=["grazing", "boundaries"], width=width)
     figure.draw_without_rendering()
-    title = next(each for each in figure.findobj(Text) if each.get_gid() == "title")
+    title = next(text for text in figure.findobj(Text) if text.get_gid() == "title")
     (legend,) = figure.legends
     assert not legend.get_window_extent().overlaps(title.get_window_extent())
 
@@ -231,7 +231,7 @@ def test_a_number_where_an_option_is_none_is_named_in_one_line(option: str, says
 
 def test_one_overlay_may_be_given_as_a_text() -> None:
     one, several = (
-        render.figure(plane(), overlay=each).legends[0].get_texts()[-1] for each in ("grazing", ["grazing"])
+        render.figure(plane(), overlay=count).legends[0].get_texts()[-1] for count in ("grazing", ["grazing"])
     )
     assert one.get_text() == several.get_text() == r"grazing, $|Y| = b$"
 

@@ -12,7 +12,7 @@ from PIL import Image
 import atlas
 from atlas import render
 from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit, describe, modulation
-from atlas.cell.shown import path
+from atlas.cell.shown import impact_times, path
 from atlas.errors import InputError
 from tests import naive
 from tests.pictures import orbit
@@ -91,6 +91,15 @@ def test_a_path_that_is_shorter_than_the_periods_shown_begins_again(closed: Cell
     times, states = path(closed, 2 * own + 1)
     assert times[-1] == pytest.approx(3 * own * closed.period)
     assert np.array_equal(states, np.concatenate([closed.states] * 3))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_impacts_beyond_the_path_are_those_of_its_turns(closed: CellOrbit, side: float) -> None:
+    own = round(closed.times[-1] / closed.period)
+    once = impact_times(closed, side, own)
+    assert len(once)
+    thrice = np.concatenate([once + turn * own * closed.period for turn in range(3)])
+    assert impact_times(closed, side, 3 * own) == pytest.approx(thrice)
 
 
 def test_the_running_exponents_approach_the_exact_ones(closed: CellOrbit) -> None:
@@ -259,7 +268,7 @@ def test_a_torus_is_shown_until_its_modulation_has_come_round() -> None:
 
 
 def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, closed: CellOrbit) -> None:
-    titles = [[ax.get_title(loc="left") for ax in render.figure(each).axes] for each in (sticking, closed)]
+    titles = [[ax.get_title(loc="left") for ax in render.figure(drawn).axes] for drawn in (sticking, closed)]
     assert "chatter, enlarged" in titles[0]
     assert "chatter, enlarged" not in titles[1]
     (zoom,) = (ax for ax in render.figure(sticking).axes if ax.get_title(loc="left"))
@@ -288,5 +297,5 @@ def test_without_the_plane_of_the_gap_a_portrait_has_all_other_panels(closed: Ce
         return [(ax.get_xlabel(), ax.get_ylabel()) for ax in drawn.axes]
 
     every, without = panels(), panels(gap_plane=False)
-    assert [each for each in every if each not in without] == [("$x_1$", r"$\dot x_1$")]
+    assert [panel for panel in every if panel not in without] == [("$x_1$", r"$\dot x_1$")]
     assert len(without) == len(every) - 1

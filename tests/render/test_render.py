@@ -336,7 +336,9 @@ def test_an_axis_with_one_point_is_drawn(tmp_path: Path, axes: dict[str, list[fl
 def test_falling_axes_are_drawn_rising_with_their_cells(tmp_path: Path) -> None:
     ds = every_regime()
     turned = ds.isel(omega=slice(None, None, -1), b=slice(None, None, -1))
-    first, second = (render.render(each, tmp_path / f"{i}.png").read_bytes() for i, each in enumerate((ds, turned)))
+    first, second = (
+        render.render(dataset, tmp_path / f"{i}.png").read_bytes() for i, dataset in enumerate((ds, turned))
+    )
     assert first == second
 
 

@@ -48,8 +48,8 @@ def test_threads_that_draw_at_once_make_the_pictures_of_one_alone_and_change_no_
     errors, (ones, others, _) = draw_at_once(one, other, one)
     assert errors == []
     assert {name: value for name, value in mpl.rcParams.items() if value != before[name]} == {}
-    assert all(each == expected[0] for each in ones)
-    assert all(each == expected[1] for each in others)
+    assert all(one == expected[0] for one in ones)
+    assert all(other == expected[1] for other in others)
 
 
 def test_what_another_thread_sets_of_other_settings_while_something_is_drawn_stays() -> None:

@@ -212,7 +212,7 @@ def test_a_sweep_marks_exponents_of_minus_infinity_at_its_foot() -> None:
     ds["largest"].values[2] = -np.inf
     ax = next(ax for ax in render.figure(ds).axes if "Lyapunov" in ax.get_ylabel())
     assert r"▾: $-\infty$" in ax.get_ylabel()
-    marks = [each for each in ax.lines if each.get_marker() == "v"]
+    marks = [line for line in ax.lines if line.get_marker() == "v"]
     assert [mark.get_xdata().tolist() for mark in marks] == [[float(ds["omega"][2])]]
 
 
@@ -225,6 +225,6 @@ def test_contacts_without_end_and_those_of_no_orbit_are_no_numbers_of_a_map_nor_
     spec = {"spec": '{"system": "capsule", "axes": []}'}
     ds = xr.Dataset({name: (("R", "omega"), values) for name, values in cells.items()}, axes, spec)
     shown = drawn(render.figure(ds, variable="stop_upper"))[0]
-    neutral = [tuple(each[:3]) == rgb(scales.NEUTRAL) for each in shown]
+    neutral = [tuple(color[:3]) == rgb(scales.NEUTRAL) for color in shown]
     assert neutral == [True, False, False, True]
     assert [extreme["value"] for extreme in extremes(ds, "stop_upper", "all")] == [2, 3]

@@ -46,7 +46,7 @@ from workers import SOLVER_VERSION
 from workers.results import NO_IMPACT, PERIODIC
 
 NORM = {"v1": 0.5}
-LINEAR_NAMES = [each.name for each in of_family(LINEAR)]
+LINEAR_NAMES = [measure.name for measure in of_family(LINEAR)]
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +108,9 @@ def test_measures_of_a_store_are_those_of_single_cells(measured: Path) -> None:
             "coexisting"
         ]
         assert len(found) == int(cell["attractors"]) >= 2
-        for place, each in enumerate(found[: ds.sizes["attractor"]]):
+        for place, row in enumerate(found[: ds.sizes["attractor"]]):
             for name in ("return_time", "reactivity", "amplification", "amplified_after"):
-                assert float(cell[name][place]) == pytest.approx(each[name], rel=1e-9, nan_ok=True)
+                assert float(cell[name][place]) == pytest.approx(row[name], rel=1e-9, nan_ok=True)
 
 
 def test_places_without_an_attractor_have_no_measure(measured: Path) -> None:
@@ -370,8 +370,8 @@ def test_shocks_of_a_store_are_those_of_single_cells(tmp_path: Path, client: Cli
     measure_attractors(tmp_path / "gears.zarr", shocks=True, client=client)
     ds = atlas.open(tmp_path / "gears.zarr").sel(zeta=0.05)
     found = atlas.stability({"zeta": 0.05}, system="gear-mesh", shocks=True)["coexisting"]
-    assert ds["fatal_shock"].values[:2] == pytest.approx([each["fatal_shock"] for each in found], rel=1e-9)
-    assert ds["shock_reaches"].values[:2].tolist() == [each["shock_reaches"] for each in found]
+    assert ds["fatal_shock"].values[:2] == pytest.approx([row["fatal_shock"] for row in found], rel=1e-9)
+    assert ds["shock_reaches"].values[:2].tolist() == [row["shock_reaches"] for row in found]
 
 
 def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(measured: Path, tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_friction_that_sticks_under_a_force_above_the_kinetic_one_has_no_reactiv
 ) -> None:
     """At one of the sections of an orbit is enough."""
     several = atlas.stability(given, system=system, starts=3)["coexisting"]
-    (found,) = [each for each in several if each["period"] == period]
+    (found,) = [row for row in several if row["period"] == period]
     assert found["reason"] == JUMPS
     assert 0.0 < found["return_time"] < math.inf
     assert math.isnan(found["reactivity"]) and math.isnan(found["amplification"])
@@ -218,13 +218,13 @@ def test_friction_that_sticks_under_a_force_below_the_kinetic_one_has_a_jacobian
 
 def test_friction_that_holds_a_mass_at_rest_is_a_reason() -> None:
     found = atlas.stability({"A": 0.5, "s": 1.2}, system="friction-oscillator", starts=3)["coexisting"]
-    assert {(each["reason"], each["return_time"]) for each in found} == {(STICKS, math.inf)}
+    assert {(row["reason"], row["return_time"]) for row in found} == {(STICKS, math.inf)}
 
 
 def test_a_coordinate_that_drifts_is_a_reason() -> None:
     table = table_of("capsule", {}, 2)
     periodic = [attractor for attractor in table.attractors if attractor.period]
-    assert periodic and all(phases_of(table.cell.oscillator, each) == DRIFTS for each in periodic)
+    assert periodic and all(phases_of(table.cell.oscillator, orbit) == DRIFTS for orbit in periodic)
 
 
 def test_one_factor_for_all_weights_changes_nothing() -> None:
@@ -241,8 +241,8 @@ def test_the_default_norm_weighs_velocities_by_the_time_of_a_radian() -> None:
 def test_shares_are_those_of_all_attractors() -> None:
     found, plain = atlas.stability(FIG3, starts=8), atlas.attractors(FIG3, starts=8)
     names = ("regime", "share", "share_low", "share_high", "period", "largest", "state")
-    assert [[each[name] for name in names] for each in found["coexisting"]] == [
-        [each[name] for name in names] for each in plain["coexisting"]
+    assert [[row[name] for name in names] for row in found["coexisting"]] == [
+        [row[name] for name in names] for row in plain["coexisting"]
     ]
     for name in ("attractors", "starts", "undecided", "unseen_share", "periods_used", "parameters", "solve", "search"):
         assert found[name] == plain[name]

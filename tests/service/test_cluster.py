@@ -127,7 +127,7 @@ def test_no_other_user_of_this_machine_can_run_code_on_the_local_cluster() -> No
             subprocess.Popen([sys.executable, "-c", INTRUDER, address], stdout=subprocess.PIPE, encoding="utf-8")
             for address in addresses
         ]
-        return [each.communicate(timeout=60)[0].strip() for each in begun]
+        return [process.communicate(timeout=60)[0].strip() for process in begun]
 
     with LocalCluster(n_workers=0, host="127.0.0.1", protocol="tcp", dashboard_address="127.0.0.1:0") as unsafe:
         assert tried(unsafe.scheduler_address) == [f"as user {os.geteuid()}"]

@@ -21,7 +21,7 @@ OMEGA = np.linspace(2.0, 4.0, 6)
 
 def states(arrays: dict[str, np.ndarray]) -> list[dict[str, float]]:
     """Each cell's final state as the initial state of another."""
-    return [dict(zip(("x1", "x2", "v1", "v2"), map(float, each), strict=True)) for each in arrays["state"]]
+    return [dict(zip(("x1", "x2", "v1", "v2"), map(float, array), strict=True)) for array in arrays["state"]]
 
 
 def same(one: dict[str, np.ndarray], two: dict[str, np.ndarray]) -> bool:

@@ -39,7 +39,7 @@ def start(**options: bool) -> tuple[list[str], str]:
             with error:
                 page = str(error.code)
         assert client.submit(sum, [1, 2]).result() == 3
-        notes = [each.note.replace(client.dashboard_link, "LINK") for each in seen if each.note]
+        notes = [progress.note.replace(client.dashboard_link, "LINK") for progress in seen if progress.note]
     return notes, page
 
 
@@ -127,7 +127,7 @@ def test_a_report_that_cannot_be_written_at_the_end_is_told_and_the_run_is_kept(
 
     summary = atlas.run(plane_of(), tmp_path / "out.zarr", client, performance_report=path, on_progress=note)
     assert summary.tiles_done == 9
-    (told,) = [each.note for each in seen if each.note]
+    (told,) = [progress.note for progress in seen if progress.note]
     assert told.startswith(f"performance report {path}: not written (IsADirectoryError")
 
 

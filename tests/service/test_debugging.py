@@ -49,7 +49,7 @@ def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(
     assert line in failure.traceback and "in faulty" in failure.traceback
     assert failure.traceback not in repr(failure)
     said = [record.getMessage() for record in caplog.records if record.name.startswith("atlas.")]
-    assert sum(line in each for each in said) == dispatch.ATTEMPTS
+    assert sum(line in text for text in said) == dispatch.ATTEMPTS
     assert "tile (1, 1) is given up after 3 attempts" in said
 
 

@@ -49,7 +49,7 @@ def three_seconds(worker: str, job: Numbered) -> float:
 def test_a_thousand_workers_are_kept_busy_with_few_requests_a_job(monkeypatch: pytest.MonkeyPatch) -> None:
     cluster = Cluster(WORKERS, three_seconds)
     found, _ = all_outcomes(cluster, 8000, monkeypatch)
-    assert {each.index for each in found} == {(k,) for k in range(8000)}
+    assert {outcome.index for outcome in found} == {(k,) for k in range(8000)}
     assert sum(cluster.requests.values()) < 0.15 * 8000
     longest = max(three_seconds("", Numbered((k,))) for k in range(8000))
     assert cluster.busy > 0.95 * 1000 * (cluster.now - longest)
@@ -65,8 +65,8 @@ def test_a_worker_of_a_thousand_that_fails_at_once_is_left_out_after_a_few_jobs_
 
     cluster = Cluster(WORKERS, seconds, lambda worker, _: "ImportError" if worker == BAD else "")
     found, last = all_outcomes(cluster, 4000, monkeypatch)
-    assert not [each for each in found if isinstance(each, TileFailure)]
-    assert {each.index for each in found} == {(k,) for k in range(4000)}
+    assert not [outcome for outcome in found if isinstance(outcome, TileFailure)]
+    assert {outcome.index for outcome in found} == {(k,) for k in range(4000)}
     assert last.left_out.keys() == {BAD}
     assert FAILURES <= cluster.attempts[BAD] <= FAILURES + dispatch.IN_FLIGHT
 
@@ -108,7 +108,7 @@ def test_dask_is_asked_for_jobs_and_results_in_batches(client: Client, monkeypat
     monkeypatch.setattr(dispatch, "IN_FLIGHT", 50)
     labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
     found = list(outcomes(client, labour, (Job((k,)) for k in range(200)), lambda _: None))
-    assert {each.index for each in found} == {(k,) for k in range(200)}
+    assert {outcome.index for outcome in found} == {(k,) for k in range(200)}
     assert sum(asked) == 400
     assert asked[0] == 100
     assert len(asked) < 200
@@ -128,7 +128,7 @@ def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
     labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
     timing = Timing(connect=0.1)
     found = list(outcomes(client, labour, (Job((k,)) for k in range(20)), lambda _: None, timing))
-    assert {each.index for each in found} == {(k,) for k in range(20)}
+    assert {outcome.index for outcome in found} == {(k,) for k in range(20)}
 
 
 @contextmanager

@@ -213,8 +213,8 @@ def locking_faults(machine: Machine, cell: dict[str, Any]) -> list[str]:
 def growth_between_rests(stretch: Array) -> float:
     """The largest logarithm of growth since a rest, over sections before the next one."""
     since = largest = 0.0
-    for each in stretch:
-        since = 0.0 if np.isneginf(each) else since + each
+    for row in stretch:
+        since = 0.0 if np.isneginf(row) else since + row
         largest = max(largest, since)
     return largest
 

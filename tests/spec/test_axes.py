@@ -175,7 +175,7 @@ def test_listed_values_outlive_damage_to_one_of_their_two_copies(
     assert np.ravel(values).tolist() == [2.0, 2.5, 3.9]
     assert len(verify(path, repair=True).faults) == 1
     assert verify(path).faults == ()
-    assert {each: each.read_bytes() for each in whole} == whole
+    assert {file: file.read_bytes() for file in whole} == whole
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

@@ -171,12 +171,12 @@ def test_a_coordinate_that_is_not_the_table_is_found(solved: Path, tmp_path: Pat
 
 def test_the_sum_law_of_a_table_is_that_of_each_row() -> None:
     spec = atlas.Spec("two-mass", points=TABLE | {"zeta": [0.05, 0.01, 0.02, 0.05, 0.0]})
-    free, each = (np.broadcast_to(part, spec.shape) for part in law_of(spec, (slice(0, 5),)))
+    free, parts = (np.broadcast_to(part, spec.shape) for part in law_of(spec, (slice(0, 5),)))
     for row in range(5):
         one = atlas.Spec("two-mass", axes={"omega": [spec.points["omega"][row]]}, parameters={
             name: values[row] for name, values in spec.points.items() if name != "omega"
         })  # fmt: skip
-        np.testing.assert_array_equal([free[row], each[row]], np.ravel(law_of(one, (slice(0, 1),))))
+        np.testing.assert_array_equal([free[row], parts[row]], np.ravel(law_of(one, (slice(0, 1),))))
 
 
 def test_a_point_is_asked_for_by_its_row(solved: Path) -> None:

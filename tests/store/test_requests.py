@@ -92,7 +92,9 @@ def test_a_tile_is_written_without_the_metadata_of_each_array(server: ObjectStor
     drop_tile(handle, (0, 0))
     server.forget()
     atlas.run(plane_of(), URL, client=client)
-    results = {f"bucket/plane.zarr/{each.name}/zarr.json" for each in handle.variables if each != handle.regime}
+    results = {
+        f"bucket/plane.zarr/{variable.name}/zarr.json" for variable in handle.variables if variable != handle.regime
+    }
     assert results.isdisjoint(request.key for request in server.requests)
 
 

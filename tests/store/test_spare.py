@@ -107,8 +107,8 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
     do, said = DAMAGES[damage]
     do(whole)
     found = [str(fault) for fault in verify(whole, sample=0).faults]
-    assert any(each.startswith(said) for each in found), found
-    assert all(each.endswith(f": atlas verify --repair {whole} writes them again") for each in found)
+    assert any(line.startswith(said) for line in found), found
+    assert all(line.endswith(f": atlas verify --repair {whole} writes them again") for line in found)
     key = said.partition(" ")[0]
     assert f"{key} written again" in verify(whole, sample=0, repair=True).mended
     assert verify(whole, sample=0).fine
@@ -117,7 +117,7 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
     keys = [
         path.relative_to(made) for path in made.rglob("*") if path.is_file() and path.name not in ("zarr.json", "spare")
     ]
-    assert all((whole / each).read_bytes() == (made / each).read_bytes() for each in keys)
+    assert all((whole / key).read_bytes() == (made / key).read_bytes() for key in keys)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"{", b"[]", b'{"attributes": 7}'])

@@ -148,7 +148,7 @@ def test_an_atlas_in_a_zarr_store_is_read_as_from_its_folder(given: Any, solved_
 def test_a_part_of_it_has_the_overviews_of_its_store(tmp_path: Path) -> None:
     handle = complete(tmp_path / "a.zarr")
     given = memory(objects_of(handle.path))
-    parts = [atlas.open(each).isel(omega=slice(3, 40)) for each in (given, handle.path)]
+    parts = [atlas.open(place).isel(omega=slice(3, 40)) for place in (given, handle.path)]
     assert all(find_part(part, ["largest"]) for part in parts)
     coarse, truth = (view(part, ["largest"], pixels=(8, 8)) for part in parts)
     assert coarse.encoding["level"] > 0 and same(coarse, truth)
@@ -268,7 +268,7 @@ def test_a_command_reaches_a_url_by_its_storage_options_and_only_that_command(
 
 @pytest.mark.parametrize(("given", "says"), [("anon", "must be NAME=VALUE"), ("anon=1 anon=0", "given twice")])
 def test_a_storage_option_that_makes_no_sense_is_one_line(given: str, says: str) -> None:
-    words = [word for each in given.split() for word in ("--storage-option", each)]
+    words = [word for option in given.split() for word in ("--storage-option", option)]
     ended = CliRunner().invoke(main, ["status", "s3://public/plane.zarr", *words])
     assert (ended.exit_code, says in ended.output) == (2, True)
 
@@ -303,7 +303,7 @@ def test_requests_to_a_public_bucket_are_not_signed(word: str, monkeypatch: pyte
     for value, signed in ((False, True), (True, False)):
         with requests() as (endpoint, seen), pytest.raises(InputError, match="no such store"):
             atlas.open("s3://public/plane.zarr", storage_options={"endpoint": endpoint, word: value})
-        assert seen and all((each is not None) == signed for each in seen)
+        assert seen and all((signature is not None) == signed for signature in seen)
 
 
 def test_a_command_reads_a_public_bucket_by_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

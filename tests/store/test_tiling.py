@@ -8,8 +8,8 @@ from atlas.store.tiling import Tiling, chunk_index
 def test_tiles_cover_every_cell_once(tile: tuple[int, int]) -> None:
     tiling = Tiling((5, 7), tile)
     hits = np.zeros(tiling.shape, dtype=int)
-    for each in tiling.tiles():
-        hits[each.slices] += 1
+    for piece in tiling.tiles():
+        hits[piece.slices] += 1
     assert (hits == 1).all()
     assert len(list(tiling.tiles())) == tiling.count
     assert tiling.cells == 35
@@ -20,7 +20,7 @@ def test_the_sizes_of_all_tiles_are_those_of_each(shape: tuple[int, ...], tile: 
     tiling = Tiling(shape, tile)
     sizes = tiling.sizes()
     assert sizes.shape == tiling.grid
-    assert {each.index: each.size for each in tiling.tiles()} == {i: sizes[i] for i in np.ndindex(sizes.shape)}
+    assert {tile.index: tile.size for tile in tiling.tiles()} == {i: sizes[i] for i in np.ndindex(sizes.shape)}
 
 
 @pytest.mark.parametrize("name", ["03/1", "3", "3/1/0", "4/0", "3/-1", "3/1.partial", "٣/1", ""])

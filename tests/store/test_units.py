@@ -58,7 +58,9 @@ def handle(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
     counts, ends = np.zeros(2, dtype=np.int64), ("edge", "edge")
     curve = Curve("fold", 1, counts, counts, False, np.zeros((2, 2)), counts, ends, (Corner("cusp", 0.0, 0.0, 0),))
     write_curves(made, Curves(("omega", "b"), (curve,)))
-    write_measures(made, Stored({name: np.zeros(made.spec.shape, each.dtype) for name, each in MEASURES.items()}, {}))
+    write_measures(
+        made, Stored({name: np.zeros(made.spec.shape, measure.dtype) for name, measure in MEASURES.items()}, {})
+    )
     return made
 
 
@@ -88,4 +90,4 @@ def test_so_have_the_parameters_and_the_results_of_each_packaged_machine(name: s
         of_cells = result_variables(settings, own=record.own_variables)
         of_all, of_basins = (result_variables(settings, **{kind: True}) for kind in ("attractors", "basins"))
         every = (*of_cells, *of_all, *of_basins, *level_variables(of_cells), *ALLOWANCES)
-        assert not [each for each in every if each.units not in UNITS or not each.long_name]
+        assert not [variable for variable in every if variable.units not in UNITS or not variable.long_name]

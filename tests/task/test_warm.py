@@ -202,7 +202,7 @@ def test_who_waits_for_a_compilation_hears_of_it_every_tick(
     assert warm.warm_up_in_child((warm.CELLS, warm.ATTRACTORS, warm.ORBITS), heard.append)
     assert asked == [[[warm.CELLS, warm.ATTRACTORS, warm.ORBITS]]]
     of = sum(warm.FUNCTIONS[part] for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS))
-    assert [(each.done, each.of) for each in heard] == [(1, of), (2, of), (3, of)]
+    assert [(step.done, step.of) for step in heard] == [(1, of), (2, of), (3, of)]
 
 
 @pytest.mark.parametrize("cells", [warm.CELLS, warm.MODES])
@@ -213,7 +213,7 @@ def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
     heard: list[warm.Compilation] = []
     assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
     assert asked == [[[warm.APART, cells]], [[warm.BATCH, cells], [warm.SETTLE, cells]], [[cells, warm.ORBITS]]]
-    assert [each.done for each in heard] == list(range(1, 9))
+    assert [step.done for step in heard] == list(range(1, 9))
 
 
 def test_what_does_not_take_the_kernels_of_cells_is_compiled_by_one_process(
@@ -254,7 +254,7 @@ def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> N
     warm.compile_once(report=heard.append)
     first.join()
     assert compiled == ["cells"]
-    assert heard and {(each.done, each.of) for each in heard} == {(0, 0)}
+    assert heard and {(step.done, step.of) for step in heard} == {(0, 0)}
 
 
 def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(

@@ -21,7 +21,7 @@ from workers.attractors.waves import Coexistence
 from workers.cell.cells import Results
 from workers.cell.stretch import begin, sections_from
 from workers.model.clock import set_period
-from workers.model.oscillator import Array, taken
+from workers.model.oscillator import Array, at_rows
 from workers.model.system import System, find_system
 from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL
 from workers.settings import Settings
@@ -135,7 +135,7 @@ def section_points(table: AttractorTable, count: int) -> Array:
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)
     contact = np.array([attractor.contact for attractor in table.attractors], dtype=np.int64)
-    oscillators = taken(table.oscillators, np.zeros(N, dtype=np.int64))
+    oscillators = at_rows(table.oscillators, np.zeros(N, dtype=np.int64))
     lengths = np.array([attractor.cycle.period if attractor.cycle else np.nan for attractor in table.attractors])
     cycles = np.flatnonzero(~np.isnan(lengths))
     if len(cycles):

@@ -22,7 +22,7 @@ from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
 from workers.model.clock import set_period
-from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, many_of, map_fields, one_of, taken
+from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, at_rows, many_of, map_fields, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
 from workers.orbit.section import motion_after
@@ -131,7 +131,7 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
 
 def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, contact: int) -> Array:
     """Block states (ALONG, n, 2) of a cycle without a force from a physical state on it, evenly in time."""
-    own = taken(oscillator, np.zeros(1, dtype=np.int64))
+    own = at_rows(oscillator, np.zeros(1, dtype=np.int64))
     set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
     motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([contact]))
     batch = batch_of(own, motions, ALONG)

@@ -21,7 +21,7 @@ from workers.attractors.same import mirrored, nearest
 from workers.attractors.search import Known, Search, motions_at_once
 from workers.attractors.starts import Starts, initial_states, unseen_share, wilson
 from workers.cell.cells import Results
-from workers.model.oscillator import Array, Rows, taken
+from workers.model.oscillator import Array, Rows, at_rows
 from workers.model.system import System, find_system
 from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON
 from workers.settings import Settings
@@ -76,7 +76,7 @@ class Coexistence:
         self.settings, self.starts = settings, starts
         with np.errstate(all="ignore"):
             self.states = initial_states(starts, self.oscillators, record, initial_state(record, params))
-        self.cells = [CellAttractors(taken(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
+        self.cells = [CellAttractors(at_rows(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
         self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
 
     def solve(self) -> None:
@@ -98,7 +98,7 @@ class Coexistence:
         contact (N,) are the contacts of motions that continue earlier ones.
         """
         known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
-        oscillators, reasons = taken(self.oscillators, owner), self.reasons[owner]
+        oscillators, reasons = at_rows(self.oscillators, owner), self.reasons[owner]
         params = {name: values[owner] for name, values in self.params.items()}
         return Search(self.record, params, oscillators, reasons, states, self.settings, known, owner, contact)
 
@@ -179,7 +179,7 @@ class Coexistence:
         if not alone:
             return
         owner = np.array([c for c, _ in alone])
-        images = mirrored(taken(self.oscillators, owner), *_stacked([attractor.last[0] for _, attractor in alone]))
+        images = mirrored(at_rows(self.oscillators, owner), *_stacked([attractor.last[0] for _, attractor in alone]))
         search = self.search(owner, *images, ())
         going, means = search.sample(search.cells.ready)
         np.add.at(self.used, owner, search.cells.used)

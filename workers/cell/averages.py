@@ -7,7 +7,7 @@ from workers.cell.exponents import impact_count
 from workers.kernel.averages import COUNT, MEAN
 from workers.kernel.cells import reset_frames, standard_errors
 from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, slanted
-from workers.model.oscillator import Array, Mask, Rows, taken
+from workers.model.oscillator import Array, Mask, Rows, at_rows
 
 CLEAR = 4.0
 """Standard errors above zero from which on an exponent counts as positive."""
@@ -74,7 +74,7 @@ def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
     The error is at least the standard error from the difference of the two averages: far apart in time, each may be too
     short to show slow changes of the motion. The second result is the error without it, as for stationary motion.
     """
-    now, e = under_way(cells, rows), taken(cells.earlier, rows)
+    now, e = under_way(cells, rows), at_rows(cells.earlier, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # else too short to have an error
     mean, error, count, growth, impacts = (np.where(counts, field.T, 0.0).T for field in now)
     total = e.periods + count
@@ -93,7 +93,7 @@ def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
 
 def has_changed(cells: Cells, rows: Rows) -> Mask:
     """Mask of cells whose earlier and current average differ."""
-    now, e = under_way(cells, rows), taken(cells.earlier, rows)
+    now, e = under_way(cells, rows), at_rows(cells.earlier, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from workers.cell.stretch import batch_of, begin, ended, run
 from workers.kernel.motion import LOST, NOTHING_COUNTED, WORK
-from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows, at_rows
 from workers.orbit.newton import no_orbits
 from workers.results import INVALID, NO_REASON
 from workers.settings import Settings
@@ -155,7 +155,7 @@ class Cells:
         self.orbits = no_orbits(N, n)
         self.far = np.full(N, np.inf)
         grows = np.flatnonzero(oscillators.growth > 0.0)
-        self.far[grows] = FAR * sizes(taken(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
+        self.far[grows] = FAR * sizes(at_rows(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
         self.earlier = Average(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 

@@ -29,7 +29,7 @@ from workers.kernel.motion import RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.clock import set_period
 from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
 from workers.model.hybrid import FIRST_NUMBER
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.passed import legs_of_periods, passed_by
 from workers.results import (
     APERIODIC,
@@ -150,7 +150,7 @@ class CycleCourse(Course):
     def trails(self, r: int) -> Iterator[Trail]:
         """Trails of one motion from its present state, each a natural period longer, until it cannot be followed."""
         cells, one = self.cells, np.array([r])
-        machine, size = taken(cells.oscillators, one), cells.directions
+        machine, size = at_rows(cells.oscillators, one), cells.directions
         state = physical_states(cells.oscillators, cells.batch.motions, one)[0]
         number = int(cells.batch.motions.contact[r, 0]) - FIRST_NUMBER
         legs, most, trail = list[Array](), max(LEAST_LOOK, int(cells.flown[r])), None
@@ -175,7 +175,7 @@ class CycleCourse(Course):
                 if m in tried:
                     continue
                 tried.add(m)
-                cycle = cycle_of(taken(self.cells.oscillators, np.array([r])), trail, m)
+                cycle = cycle_of(at_rows(self.cells.oscillators, np.array([r])), trail, m)
                 if cycle is not None:
                     return cycle, False
             if len(trail.keys) and np.max(np.bincount(trail.keys)) > most:
@@ -264,7 +264,7 @@ def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
     periods = np.array([cycle.period for cycle in cycles])
     natural = cells.oscillators.period[rows].copy()
     set_period(cells.oscillators, rows, periods)
-    own, codes = taken(cells.oscillators, rows), [cycle.motion.plan.legs[1][0].code for cycle in cycles]
+    own, codes = at_rows(cells.oscillators, rows), [cycle.motion.plan.legs[1][0].code for cycle in cycles]
     segments = own.table.machines.segments
     contact = np.array([code.number_of(*segments) for code in codes]) + FIRST_NUMBER
     states = np.stack([cycle.motion.turn.states[0, 1] for cycle in cycles])
@@ -334,7 +334,7 @@ def passages(cells: Cells, r: int, count: int) -> Array:
     NaN from the event on at which it cannot be followed.
     """
     size, states = cells.directions, list[Array]()
-    machine, number = taken(cells.oscillators, np.array([r])), int(cells.contact[r]) - FIRST_NUMBER
+    machine, number = at_rows(cells.oscillators, np.array([r])), int(cells.contact[r]) - FIRST_NUMBER
     key = None
     with suppress(ValueError):
         for rows in islice(legs_of_periods(machine, cells.results["state"][r], number), LEAST_LOOK + 4 * count):

@@ -19,7 +19,7 @@ from workers.model.definition import Definition
 from workers.model.hybrid import FIRST_NUMBER, build_hybrid
 from workers.model.hybrid_machines import HybridMachines, mirrors
 from workers.model.hybrid_modes import Code
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
 WINDOW = 256
@@ -67,7 +67,9 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
 
 def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
     """The machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
-    return taken(cells.oscillators, rows) if cells.oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
+    return (
+        at_rows(cells.oscillators, rows) if cells.oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
+    )
 
 
 def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:

@@ -7,7 +7,7 @@ import numpy as np
 from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
 from workers.cell.stretch import batch_of, run
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
@@ -61,8 +61,8 @@ def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
 def _prove_long(cells: Cells, rows: Rows) -> Mask:
     """Prove long orbits; motions that rest are compared after a rest, where rounding has grown least."""
     every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
-    batch = batch_of(taken(cells.oscillators, rows), taken(cells.bare.motions, rows), length)
-    orbits, spent, proved = taken(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
+    batch = batch_of(at_rows(cells.oscillators, rows), at_rows(cells.bare.motions, rows), length)
+    orbits, spent, proved = at_rows(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
     batch.periods[:] = length
     resting = cells.at_rest(rows)
     run(batch, every[~resting])
@@ -88,7 +88,7 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     """
     if cells.oscillators.has_modes:
         return np.asarray(cells.orbits.near[rows])
-    osc = taken(cells.oscillators, rows)
+    osc = at_rows(cells.oscillators, rows)
     damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1) & (osc.growth == 0.0)
     stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)
     upper = np.isfinite(osc.b_upper) & (osc.held.mode.amplitude + osc.held.push[:, 0] > 0.0)

@@ -24,7 +24,7 @@ from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
 from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
 from workers.kernel.cells import impact_free, physical_states, reset_frames
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.escape import escaping
 from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
 from workers.orbit.newton import Orbits, no_orbits
@@ -102,7 +102,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     """Write the results of cells that move without impact, from block states h on."""
     if not len(rows):
         return
-    oscillators = taken(cells.oscillators, rows)
+    oscillators = at_rows(cells.oscillators, rows)
     steady, exponents = steady_state(oscillators, h), free_exponents(oscillators)
     tally, error = np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), np.abs(exponents[:, 0]) * 1e-15
     orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
@@ -118,7 +118,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is too small.
     Exponents of minus infinity are exact.
     """
-    orbits = taken(cells.orbits, rows)
+    orbits = at_rows(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
     cells.used[rows] += orbits.period
     sticks = orbits.tally[:, motion.STUCK] > 0.0
@@ -135,11 +135,11 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     else:
         if free.any():
             put_impact_free(cells, rows[free], orbits.h[free])
-            rows, sticks, orbits = rows[~free], sticks[~free], taken(orbits, np.flatnonzero(~free))
+            rows, sticks, orbits = rows[~free], sticks[~free], at_rows(orbits, np.flatnonzero(~free))
         regime = np.full(len(rows), results.PERIODIC)
     if not len(rows):
         return
-    oscillators, tally, largest = taken(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
+    oscillators, tally, largest = at_rows(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
     total = np.sum(orbits.exponents, axis=1)
     if oscillators.has_modes:
         whole = tally[:, motion.LOST] == cells.drifts
@@ -186,16 +186,16 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     reset_frames(cells.oscillators.gap.blocks, motions, rows[cells.averaging[rows]])
     average, _ = whole_average(cells, rows)
     counted = np.flatnonzero(average.periods > 0.0)
-    some, average = rows[counted], taken(average, counted)
+    some, average = rows[counted], at_rows(average, counted)
     tally, periods = counts(cells, some)
-    oscillators, followed = taken(cells.oscillators, some), np.full(len(some), FOLLOWED)
+    oscillators, followed = at_rows(cells.oscillators, some), np.full(len(some), FOLLOWED)
     if cells.vectors:
         put_growth(cells, some, tally, average)
     reach = impact_range(oscillators, tally, motions.h[some], motions.contact[some], followed)
     put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
-    put_states(cells, rows, taken(cells.oscillators, rows), motions.h[rows], motions.contact[rows], 0 * rows)
+    put_states(cells, rows, at_rows(cells.oscillators, rows), motions.h[rows], motions.contact[rows], 0 * rows)
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
@@ -232,7 +232,7 @@ def put_growth(cells: Cells, rows: Rows, tally: Array, average: Average) -> None
     put(cells, rows, largest=average.mean, error=average.error, average=spectrum if whole else average.mean)
     if whole:
         total, hits = np.sum(average.growth, axis=1) / average.periods, average.impacts / average.periods
-        defect = _defect(taken(cells.oscillators, rows), total, tally, hits)
+        defect = _defect(at_rows(cells.oscillators, rows), total, tally, hits)
         put(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum), sum_law_defect=defect)
 
 

@@ -23,10 +23,10 @@ VERTEX = "vertex"
 """Kind of the event at which a motion touches a vertex of a law in segments."""
 
 AT_ONCE = 1e-6
-"""Share of a period by which a certified event may be off that of the orbit and be the same; a leg as short is none."""
+"""Share of a period by which a certified event may differ from the event of the orbit; a shorter leg has no length."""
 
 HOPS = 1e-3
-"""Change of the load during a chatter that is left out, as a share of it."""
+"""Largest change of the load during a chatter that is replaced by rest, as a share of the load."""
 
 NEAR_TOUCH = 1e-3
 """Share of a period about a graze in which its signal is known to turn back there."""
@@ -54,7 +54,7 @@ class Touch(NamedTuple):
 
 
 def first_fault(motion: OrbitMotion, touches: Sequence[Touch] = (), lost: int = -1) -> Fault | None:
-    """The first reason, in time, why one orbit (all records of one) is not admissible; None if it is.
+    """The first fault, in time, of one orbit (all records of one); None if it is admissible.
 
     ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate: an
     impact counts as a graze.

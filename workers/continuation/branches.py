@@ -39,10 +39,10 @@ EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
 converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
 
 RESOLUTION, MOST_POINTS = 0.02, 2000
-"""The longest step as a share of the window; points of either direction after which it ends and says so."""
+"""The longest step as a share of the window; most points of either direction, BUDGET if these are spent."""
 
 MOST_BACK = 200
-"""Points after which an orbit found beyond a change of itinerary is given up that does not come back to it."""
+"""Most points for which an orbit beyond a change of itinerary is followed back to the change."""
 
 SHORTEST = 1e-3
 """Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
@@ -58,7 +58,7 @@ OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
 class BranchRun(NamedTuple):
     """Points in order, events included; events in order; how each end ends; number of Newton steps.
 
-    The itinerary of points is another one beyond an event at which the orbit goes on with other contacts or slides.
+    Points beyond an event at which the orbit continues with other contacts or slides have another itinerary.
     """
 
     points: list[Point]
@@ -100,7 +100,7 @@ def branch(
 
     Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
     Neimark-Sacker points, and where the orbit of one itinerary ceases to exist: grazes, lost impacts, changes of stick.
-    The branch goes on with another itinerary where that is continuous, and ends there else.
+    There the branch continues with another itinerary if that is continuous, or ends.
     Each direction ends at the first event for which ``until`` is true.
     Raises ValueError, in one line, for R = 0, and for a start that has no orbit nearby, is not admissible, or is a
     shorter or symmetric orbit repeated.
@@ -171,8 +171,8 @@ def follow(
 
 
 class _Passage(NamedTuple):
-    """The result of a step: events, points with events included, how the direction ends there, if it does, and
-    the test functions at the last point.
+    """The result of a step: events, points with events included, the end of the direction, if it ends there, and the
+    test functions at the last point.
     """
 
     end: str
@@ -225,7 +225,7 @@ class _Beyond(NamedTuple):
 
 
 def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | None:
-    """The branch or curve that goes on from an event at which another one ends; None where none is found.
+    """The branch or curve that continues from an event at which another one ends; None if none is found.
 
     Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameters.
     """
@@ -252,7 +252,7 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | Non
 
 
 def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:
-    """What the next step brings; None where it went too far, or slid onto another orbit, and a shorter one is left."""
+    """The result of the next step; None if it went too far, or slid onto another orbit, and can be shorter."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
         return _meeting(Step(eq, here, here)) or _corner(Step(eq, here, here))

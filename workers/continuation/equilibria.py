@@ -4,8 +4,8 @@ In its mode the flow is linear, x'' = A x + B x' + a, and what rigid contacts ho
 
     [A; G] x = [-a; s],  x' = 0;    exponents: the eigenvalues of [[0, 1], [A, B]] where G x = G x' = 0
 
-The sliding velocity of friction tells the segment of its law there, and depths those of springs and soft contacts: an
-equilibrium goes on from segment to segment, where its exponents jump.
+The sliding velocity decides the segment of a friction law, the depth the segment of a spring or soft contact: an
+equilibrium continues from segment to segment, and its exponents jump there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -26,8 +26,8 @@ from workers.model.system import System
 from workers.orbit.passed import shown_code
 
 HOPF, FOLD, BORDER = "hopf", "fold", "border"
-"""Kinds of events: a pair of exponents crosses the imaginary axis; one crosses 0; the equilibrium ends, where a contact
-or friction lets it go on in no mode."""
+"""Kinds of events: a pair of exponents crosses the imaginary axis; one exponent crosses 0; the equilibrium ends, since
+contacts or friction have no mode in which it continues."""
 
 OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
@@ -41,8 +41,8 @@ HALVINGS = 60
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium at parameters (free,): its mode, its state (2n,), its exponents per unit of time, those that grow
-    fastest first, and the frequency of the machine's natural period."""
+    """An equilibrium at parameters (free,): its mode, its state (2n,), its exponents per unit of time, fastest growth
+    first, and the frequency of the machine's natural period."""
 
     values: Array
     code: Code
@@ -56,7 +56,7 @@ class Equilibrium(NamedTuple):
         return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> Point:
-        """It as a point of a branch: an orbit without events, with its multipliers over a natural period."""
+        """The equilibrium as a point of a branch: an orbit without events, with multipliers over a natural period."""
         lost = np.zeros(len(self.state) - len(self.exponents))
         multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
         return Point(self.values, _orbit(self.code), np.zeros(0), multipliers, unstable)
@@ -127,8 +127,8 @@ def equilibrium_near(family: Family, values: Array, code: Code) -> Equilibrium |
 
 
 def _mode_at(code: Code, shown: Code, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> Code:
-    """The mode that an equilibrium of a mode is in: where its law tells; a rigid contact is held where it is beyond its
-    stop, and let go where it would have to pull."""
+    """The mode of an equilibrium that was solved in one mode: laws decide; a rigid contact is held if beyond its stop,
+    and released if it would have to pull."""
     contacts = list(shown.contacts)
     for c in np.flatnonzero(rigid).tolist():
         value, (low, high), held = signals[SIGNALS * c], ends[SIGNALS * c], code.contacts[c]

@@ -61,8 +61,8 @@ class Point(NamedTuple):
     """One orbit of a branch or curve, at parameters (free,).
 
     contacts (G,)      times of its grazes
-    multipliers (2n,)  of a turn, which is half the orbit where it is symmetric; unstable: number with modulus above 1,
-                       not counting those that the event fixes
+    multipliers (2n,)  of a turn, half of a symmetric orbit; unstable: how many have a modulus above 1, without the
+                       multipliers that the event fixes
     """
 
     values: Array
@@ -90,7 +90,7 @@ class TestFunctions(NamedTuple):
 
 
 def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
-    """The point of unknowns X (N,), and its finite multipliers except those that the conditions fix."""
+    """The point of unknowns X (N,), and its finite multipliers without the multipliers that the conditions fix."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
@@ -250,7 +250,8 @@ def origin(step: Step, to: Itinerary) -> Event | None:
 
 def halves_met(step: Step) -> Itinerary | None:
     """The itinerary of the orbit of half the turn that is passed on a step: both halves exchange their parts there.
-    Where no step converged, ``here`` and ``there`` being one, that which it nearly is.
+
+    Where no step converged, so that ``here`` is ``there``, the itinerary of the orbit that is nearest.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:

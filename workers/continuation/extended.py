@@ -44,7 +44,7 @@ UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS = (
 )  # fmt: skip
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
 time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
-hold friction where it turns round is its static level, or that which holds it where it begins to stick."""
+hold friction where it turns round, or the force that holds it where it begins to stick, is its static level."""
 
 
 class Condition(NamedTuple):
@@ -79,8 +79,8 @@ def conditions_on(
 
 
 def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
-    """What times of a former orbit have to be increased by in one with other events too: times of cycles count from
-    the first event, whichever that is. The shift that brings the events of both nearest to each other.
+    """The shift of the times of a former orbit in an orbit with other events too: it brings their events nearest to
+    each other. Times of cycles count from their first event.
     """
     if not (orbit.itinerary.is_cycle and former.itinerary.is_cycle):
         return 0.0
@@ -156,7 +156,7 @@ class Extended:
 
     def orbit(self, X: Array) -> Orbit:
         """The orbit of unknowns (N,)."""
-        return self.motion(X).orbits.taken(0)
+        return self.motion(X).orbits.at_rows(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
         """All equations (1, equations) at unknowns (1, N), exact."""
@@ -174,7 +174,7 @@ class Extended:
         if len(columns) > self.free:
             which = np.zeros(len(rows), dtype=np.int64)
             which[places] = np.arange(1, 1 + len(places))
-            lin = lin.taken(which)
+            lin = lin.at_rows(which)
         motion = motion_of_unknowns(lin, self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
@@ -185,8 +185,8 @@ class Extended:
         return base, J[None]
 
     def at(self, X: Array) -> "Extended":
-        """The same equations, bordered with null vectors at X, in the directions of the former ones; and the pair asked
-        for is the one found there.
+        """The same equations, bordered with null vectors at X in the directions of the former ones, with the pair of a
+        condition at X.
         """
         renewed, motion = copy(self), self.motion(X)
         renewed.borders, renewed.totals = list(self.borders), list(self.totals)
@@ -223,8 +223,8 @@ class Extended:
     def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
         """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
 
-        J_z has no poles where an impact has no speed. Where a soft contact is hardly touched it is nearly singular
-        whatever the multipliers are, and DP is not; but of a cycle DP has the multiplier 1 always, and J_1 has not.
+        J_z has no poles where an impact has no speed. Where a soft contact is hardly touched, J_z is nearly singular
+        for any multipliers, and DP is not; but DP of a cycle always has the multiplier 1, and J_1 has not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
         if motion.plan.impacts or motion.itinerary.is_cycle:

@@ -144,7 +144,7 @@ class Orbit(NamedTuple):
     speeds: Array
     length: Array = np.array(np.nan)
 
-    def taken(self, rows: Any) -> "Orbit":
+    def at_rows(self, rows: Any) -> "Orbit":
         """These rows of a record of many, in their order; of a number, that one orbit."""
         fields = self.times, self.speeds, np.broadcast_to(self.length, self.times.shape[:1])
         return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in fields))

@@ -18,7 +18,7 @@ from workers.model.hybrid_modes import SIGNALS
 
 MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
 """Of a leg: its mode, by its place; the event at its end, NO_EVENT where the phase changes or the turn ends; the signal
-that reaches an end there, 0 the lower one; and what it does to the velocity."""
+that reaches an end there, 0 the lower one; and the act of the event on the velocity."""
 
 NO_EVENT = -1
 
@@ -26,7 +26,7 @@ AT_ONCE = 4.0 * float(np.finfo(np.float64).eps)
 """Rounding of times, as a share of them: turns are added to them and taken off again."""
 
 NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
-"""What an event does to the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
+"""Acts of an event on the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
 
 
 @kernel
@@ -149,7 +149,7 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
     sign and mirror: what states and the signal are multiplied by from turn to turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
-    found, values = np.empty((N, K, size)), np.empty((4, N, K))
+    moments, values = np.empty((N, K, size)), np.empty((4, N, K))
     h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
     for r, i in np.ndindex(N, K):
         modes = row_in(lend(pieces), r)
@@ -167,13 +167,13 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
         values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)
         low, high = modes.ends[k, signal, 0], modes.ends[k, signal, 1]
         values[2, r, i], values[3, r, i] = low, high
-        found[r, i] = z
+        moments[r, i] = z
         if turn % 2 != 0:
-            found[r, i] *= sign
+            moments[r, i] *= sign
             values[:2, r, i] *= mirror
             if mirror < 0.0:
                 values[2, r, i], values[3, r, i] = -high, -low
-    return found, values
+    return moments, values
 
 
 @kernel

@@ -45,7 +45,7 @@ LEAST = 1e-3
 """The least size of a motion, as a share of what the force alone would move the masses by."""
 
 NO_RATE = 1e-9
-"""Share of its size over one radian below which the rate of a signal is none."""
+"""Rate of a signal, as a share of its size over one radian, that counts as 0."""
 
 PLANS = 256
 """Plans that are kept: itineraries, one for all points of a branch, are few."""
@@ -57,8 +57,8 @@ class TurnPlan(NamedTuple):
     legs     each with the event at its end, NO_EVENT for none; that before event 0 has no length
     turning  events at which friction turns round, each with its signal and the mode in which it would stick
     codes    the modes of the legs, and those in which friction that turns round would stick
-    table    the legs (L, PLAN) as ``turns_of_modes`` takes them; reached (m, PLAN) those that end at events
-    signs    (m,) what the rate of a signal is multiplied by to have the sign of the event's label
+    table    the legs (L, PLAN) as ``turns_of_modes`` takes them; reached (m, PLAN): the legs that end at events
+    signs    (m,) factors on the rates of signals that give them the signs of the events' labels
     impacts  whether all events are rebounds, with a flight from each to the next; slows whether friction begins to
              stick at any
     """
@@ -92,7 +92,7 @@ def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
     for (before, event), (after, _) in pairwise(legs):
         f = after.signal - SIGNALS * len(after.code.contacts)
         if event != NO_EVENT and f >= 0 and before.code.slips[f] == -after.code.slips[f] != 0:
-            slips = tuple(0 if e == f else each for e, each in enumerate(after.code.slips))
+            slips = tuple(0 if e == f else slip for e, slip in enumerate(after.code.slips))
             turning.append((event, after.signal, after.code._replace(slips=slips)))
     codes = list(dict.fromkeys([leg.code for leg, _ in legs] + [stuck for _, _, stuck in turning]))
     table = np.zeros((len(legs), PLAN), dtype=np.int64)
@@ -205,7 +205,7 @@ class OrbitMotion:
 
     @property
     def _least(self) -> Array:
-        """Of each event (N, m) the rate below which it has none: the guard changes as it would in 1 / NO_RATE radians.
+        """Rates (N, m) of signals of events that count as 0: the guard changes as it would in 1 / NO_RATE radians.
 
         Friction that begins to stick so has f+ = R f-; of other events it is not asked.
         """
@@ -220,14 +220,14 @@ class OrbitMotion:
 
     @property
     def _rows(self) -> Array:
-        """What the signals of events weigh states by (N, m, 2n)."""
+        """The weights (N, m, 2n) of states in the signals of events, as moduli."""
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
     def linearised(self, z: complex = 1) -> Table:
         """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
 
-        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i the rate of what each event is reached by, just
+        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i the rate of the signal that reaches event i, just
         before it, v_i of an impact,
 
             det J_z = det(DP - z I) prod_i r'_i:
@@ -236,10 +236,10 @@ class OrbitMotion:
         in place of the time of the first event, and the others are those of the map of its section,
         det J_1 = -det(P - I) prod_i r'_i.
         """
-        found: Table = self.turn.tangents - z * self.turn.shifts
+        jacobian: Table = self.turn.tangents - z * self.turn.shifts
         if z == 1 and self.itinerary.is_cycle:
-            found[:, :, self.start.shape[1]] = -self.turn.shifts[:, :, self.start.shape[1]]
-        return found
+            jacobian[:, :, self.start.shape[1]] = -self.turn.shifts[:, :, self.start.shape[1]]
+        return jacobian
 
     def at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
         """States (N, K, 2n) at times s (N, K); of a signal its value, rate, lower and upper end (4, N, K).
@@ -272,7 +272,7 @@ class OrbitMotion:
     def unknowns_along(self, change: Array) -> Array:
         """How the unknowns (N, 2n + m) of orbits change with the state (N, 2n) at the time of the first event.
 
-        That at the event moves by f- with its time.
+        The state just before the event moves by f- with its time.
         """
         size, turn = change.shape[1], self.turn
         before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]
@@ -284,7 +284,7 @@ class OrbitMotion:
 
     @property
     def lost(self) -> int:
-        """How many multipliers are zero: the dimensions that the mode with the least of them lacks."""
+        """How many multipliers are zero: the most dimensions that a mode of the orbit lacks."""
         return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
 
     @cached_property
@@ -292,12 +292,12 @@ class OrbitMotion:
         """How far (N,) the force alone would move free masses; 1 without a force."""
         own = self.lin.machines
         force = np.hypot(own.force_sin, own.force_cos).max(axis=(1, 2))
-        found = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
-        return np.where(found > 0.0, found, 1.0)
+        reach = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
+        return np.where(reach > 0.0, reach, 1.0)
 
     def scale(self) -> tuple[Array, Array]:
-        """What makes unknowns comparable: of states (N, 2n) the largest displacement and the largest velocity of any
-        coordinate; and of guards (N, m), what such a state amounts to."""
+        """Scales that make unknowns comparable: of states (N, 2n) the largest displacement and the largest velocity of
+        any coordinate; of guards (N, m) the signals of such a state."""
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega
         size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)

@@ -18,15 +18,15 @@ BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
 """Share of its terms' size below which a residual is rounding; steps of ill-conditioned problems are longer then."""
 
 UNCERTAIN = 1e-7
-"""Step from which on a solution is not known, even if what is to vanish is rounding: other orbits may be as near."""
+"""Step from which on a solution is not known, even if residuals are rounding: other orbits may be as near."""
 
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
 
 
 class Solved(NamedTuple):
-    """What Newton's method found: unknowns (N, U), their Jacobians near there (N, E, U), steps taken, and which of the
-    problems converged (N,). Of one problem without the first axis.
+    """Outcomes of Newton's method: unknowns (N, U), Jacobians near them (N, E, U), the number of steps, and a mask of
+    problems that converged (N,). Of one problem without the first axis.
     """
 
     X: Array
@@ -45,12 +45,12 @@ def newton(
 ) -> Solved:
     """Newton's method from X (N, U).
 
-    values, with_jacobian  what is to vanish (B, E) at unknowns (B, U) of problems (B,), and its derivatives (B, E, U)
+    values, with_jacobian  residuals (B, E) at unknowns (B, U) of problems (B,), and their derivatives (B, E, U)
     scale (N, U)           of the unknowns
     row (U,)               a direction in which nothing changes, where there is one unknown more than equations
     farthest               first step from which on no solution is looked for: it would hardly be the one near X
     A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
-    below DONE, or where steps no longer shrink because they or what is to vanish are rounding. It fails where steps do
+    below DONE, or where steps no longer shrink because steps or residuals are rounding. It fails where steps do
     not shrink otherwise or stay UNCERTAIN, and at a singular matrix.
     """
     X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)

@@ -2,8 +2,8 @@
 
 The orbit of the event solves its own equations on both sides of it. Where it is not admissible there, the motion from
 its section state passes the events of the orbit that takes its place, to first order at their times. Newton's method
-then finds that orbit, with the conditions of a curve if it is one, at whichever parameters it has these events as long
-apart, on either side: a contact that is released by its force may turn a branch back. A multiplier changes with the
+then finds that orbit, with the conditions of a curve if it is one, at the parameters at which its events have these
+distances, on either side: a contact that is released by its force may turn a branch back. A multiplier changes with the
 square root of the depth in a soft contact, so that a curve turns into the curve of grazes there.
 """
 
@@ -30,7 +30,7 @@ from workers.model.oscillator import Array
 LIFT_OFF = "lift_off"
 OF_CONTACTS = (GRAZING, CONTACT_LOST, LIFT_OFF)
 CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding", VERTEX)
-"""Kinds of events at which an orbit may go on with other contacts or slides."""
+"""Kinds of events at which an orbit may continue with other contacts or slides."""
 
 OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)
 """Conditions that take the derivative of the motion to be continuous, and not the motion alone."""
@@ -102,8 +102,8 @@ class _Beside(NamedTuple):
 
 
 def orbits_beyond(equations: Extended, event: Event, bounds: Array) -> Iterator[tuple[Extended, Array]]:
-    """The orbits that may go on from an event of a branch or a curve, as equations with their solution; the farthest
-    first.
+    """The orbits that may continue from an event of a branch or a curve, as equations with their solution; the
+    farthest first.
 
     bounds (2, free) of the parameters.
     """
@@ -136,10 +136,10 @@ def _beside_curve(equations: Extended, event: Event, bounds: Array) -> Iterator[
     tangent /= np.linalg.norm(tangent[-2:])
     for share in FARTHER:
         for side in (1.0, -1.0):
-            found = solve(change, X + side * share * tangent * change.scale, row)
-            if not found.converged:
+            solved = solve(change, X + side * share * tangent * change.scale, row)
+            if not solved.converged:
                 continue
-            here, left = change.values(found.X), change.orbit(found.X)
+            here, left = change.values(solved.X), change.orbit(solved.X)
             along = (here - values) / change.width
             depth = DEPTH * share if event.conditions[0].kind in OF_MULTIPLIERS else DEPTH
             across = depth * np.array([-along[1], along[0]]) * change.width
@@ -148,9 +148,9 @@ def _beside_curve(equations: Extended, event: Event, bounds: Array) -> Iterator[
 
 
 def _at_depth(equations: Extended, event: Event, beside: _Beside, bounds: Array) -> Iterator[_Beside]:
-    """As far across the curve of a change that what is asked of the multipliers is so to first order, if anywhere.
+    """The orbit so far across the curve of a change that its multipliers meet the condition to first order, if any.
 
-    They change with the square root of how far that is.
+    Multipliers change with the square root of that distance.
     """
     deep, (condition, *_) = _recorded(equations.family, beside, 1.0, bounds), event.conditions
     same = deep is None or is_same_sequence(deep.itinerary, beside.orbit.itinerary)
@@ -167,34 +167,34 @@ def _at_depth(equations: Extended, event: Event, beside: _Beside, bounds: Array)
 
 def _misses(equations: Extended, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
     """How far the multipliers of an orbit are from a condition on them; NaN where one is infinite."""
-    found = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
-    if not np.all(np.isfinite(found)):
+    of_turn = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
+    if not np.all(np.isfinite(of_turn)):
         return np.nan
     if condition.kind == PAIR:
-        return float(pair_near(found, np.array([2.0 * kappa]))[1][0]) - 1.0
-    return float(np.prod(found[0] - (1.0 if condition.kind == UNIT else -1.0)).real)
+        return float(pair_near(of_turn, np.array([2.0 * kappa]))[1][0]) - 1.0
+    return float(np.prod(of_turn[0] - (1.0 if condition.kind == UNIT else -1.0)).real)
 
 
 def _recorded(family: Family, beside: _Beside, share: float, bounds: Array) -> Orbit | None:
-    """The orbit as a motion passes it from the section state of one beside, this share of the way from it."""
+    """The orbit of a motion from the section state of an orbit beside it, this share of the way from that."""
     orbit, here = beside.orbit, beside.values
     values = here + share * beside.away
     if not is_within(values, bounds):
         return None
     try:
-        moved_on = continued_to(family, many_of([orbit], here[None]), values[None])
-        known, at = (moved_on.orbits, values) if moved_on.found[0] else (many_orbits([orbit]), here)
+        continued = continued_to(family, many_of([orbit], here[None]), values[None])
+        known, at = (continued.orbits, values) if continued.converged[0] else (many_orbits([orbit]), here)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
         machine, cycle = family.model(values[None]), None
         if orbit.itinerary.is_cycle:
             cycle = float(known.length[0]) / orbit.itinerary.turn
-        found = recorded(machine, state, orbit.itinerary.periods, cycle=cycle)
+        passed = recorded(machine, state, orbit.itinerary.periods, cycle=cycle)
     except (ValueError, np.linalg.LinAlgError):
         return None
-    if not found.itinerary.sides and not orbit.itinerary.sides:
+    if not passed.itinerary.sides and not orbit.itinerary.sides:
         return orbit  # which may be symmetric
-    found = halved(machine, found, HALVES) if orbit.itinerary.symmetric else found
-    return found if found.itinerary.symmetric == orbit.itinerary.symmetric else None
+    passed = halved(machine, passed, HALVES) if orbit.itinerary.symmetric else passed
+    return passed if passed.itinerary.symmetric == orbit.itinerary.symmetric else None
 
 
 def is_within(values: Array, bounds: Array) -> bool:
@@ -224,10 +224,10 @@ def _solved(
             row[there.states - there.m : there.states] = changes
         X = there.pack(far, contacts[: there.grazes] + time_shift(far, orbit, span), values)
         there = there.at(X)
-        found = solve(there, X, row / there.scale / np.linalg.norm(row))
+        solved = solve(there, X, row / there.scale / np.linalg.norm(row))
     except (NoOscillatorError, ValueError, np.linalg.LinAlgError):
         return None
-    return (there, found.X) if found.converged else None
+    return (there, solved.X) if solved.converged else None
 
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:

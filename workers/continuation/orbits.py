@@ -26,24 +26,24 @@ FARTHEST = 0.5
 
 
 class Many(NamedTuple):
-    """N orbits of one itinerary at parameters (N, free); where ``found`` is not set Newton's method found none."""
+    """N orbits of one itinerary at parameters (N, free), and a mask of those to which Newton's method ``converged``."""
 
     orbits: Orbit
     values: Array
-    found: Mask
+    converged: Mask
 
     def orbit(self, k: int) -> Orbit:
-        """One of them."""
-        return self.orbits.taken(k)
+        """Orbit k."""
+        return self.orbits.at_rows(k)
 
 
 def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
-    """The places of equal keys, in the order in which they are met; none of None."""
-    found: dict[Hashable, list[int]] = {}
+    """The places of equal keys, in the order in which the keys are met; without places of None."""
+    places_of: dict[Hashable, list[int]] = {}
     for place, key in enumerate(keys):
         if key is not None:
-            found.setdefault(key, []).append(place)
-    return [np.array(places, dtype=np.int64) for places in found.values()]
+            places_of.setdefault(key, []).append(place)
+    return [np.array(places, dtype=np.int64) for places in places_of.values()]
 
 
 def many_of(orbits: list[Orbit], values: Array) -> Many:
@@ -58,11 +58,11 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
     """
     lin, itinerary = family.model(values), orbits.orbits.itinerary
     check_orbits(lin, itinerary)
-    may_be = orbits.found & admit(lin, itinerary)
+    may_be = orbits.converged & admit(lin, itinerary)
     if not itinerary.sides or not may_be.any():
-        return orbits._replace(values=values, found=may_be)
+        return orbits._replace(values=values, converged=may_be)
     known = np.flatnonzero(may_be)
-    own, here = lin.taken(known), orbits.orbits.taken(known)
+    own, here = lin.at_rows(known), orbits.orbits.at_rows(known)
     if not itinerary.is_cycle:
         phases = here.times * family.model(orbits.values[known]).omega[:, None]
         here = here._replace(times=phases / own.omega[:, None])
@@ -70,7 +70,7 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
     scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / start.lin.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> OrbitMotion:
-        return motion_of_unknowns(own.taken(rows), itinerary, X)
+        return motion_of_unknowns(own.at_rows(rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
         there = motion(X, rows)
@@ -79,23 +79,23 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
     solved = newton(
         lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST
     )
-    after, found = orbits.orbits.taken(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
+    after, converged = orbits.orbits.at_rows(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
     fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields
-    found[known] = solved.converged
-    return Many(after, values, found)
+    converged[known] = solved.converged
+    return Many(after, values, converged)
 
 
 def attract(family: Family, orbits: Many) -> Mask:
-    """Which of the orbits found attract: all multipliers inside the unit circle, admissible, and no shorter one."""
-    good = orbits.found.copy()
+    """Mask of orbits that attract: all multipliers inside the unit circle, admissible, no shorter orbit repeated."""
+    good = orbits.converged.copy()
     rows = np.flatnonzero(good)
     if not len(rows):
         return good
-    motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.taken(rows))
+    motion = motion_of(family.model(orbits.values[rows]), orbits.orbits.at_rows(rows))
     good[rows] = np.all(np.abs(multipliers(motion)) < 1.0, axis=1)
     for k in np.flatnonzero(good[rows])[:, None]:
-        one = OrbitMotion(motion.lin.taken(k), motion.itinerary, motion.times[k], motion.start[k])
+        one = OrbitMotion(motion.lin.at_rows(k), motion.itinerary, motion.times[k], motion.start[k])
         good[rows[k]] = is_minimal(one) and not (family.certified and first_fault(one))
     return good
 
@@ -111,7 +111,7 @@ def orbit_from_state(
     """The periodic orbit through (or next to) a physical section state, by Newton's method.
 
     values   parameters by name; those left out have their defaults
-    periods  of the force in the whole orbit; ``cycle``: the period of that of a machine without a force
+    periods  of the force in the whole orbit; ``cycle``: the period of a cycle without a force
     Raises ValueError where the motion from there rests on a rigid stop, where R = 0, or where no orbit is found.
     """
     if periods < 1:
@@ -125,16 +125,16 @@ def orbit_from_state(
 
 def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
-    found = continued_to(family, many_of([orbit], values[None]), values[None])
-    if not found.found[0]:
+    many = continued_to(family, many_of([orbit], values[None]), values[None])
+    if not many.converged[0]:
         raise ValueError("Newton's method finds no orbit there")
-    return found.orbit(0)
+    return many.orbit(0)
 
 
 def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
     """The physical state (2n,) of an orbit at the section, t = 0."""
-    found: Array = section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
-    return found
+    state: Array = section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
+    return state
 
 
 def section_states(
@@ -155,16 +155,16 @@ def section_states(
 def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``.
 
-    Those of cycles are the passages of an event, just after it: that which occurs least often, of several the first by
-    signal, side and mode. With a ``shift`` the passages of that event of the mirror images.
+    Sections of a cycle are the passages of its rarest event, just after it; of several the first by signal, side and
+    mode. With a ``shift`` they are the passages of that event of the mirror images.
     """
     if many.itinerary.is_cycle:
         return _states_after(lin, many, _rarest(lin, many.itinerary, shift > 0.0))
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    found, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
-    return np.asarray(found + lin.rest[:, None])
+    states, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
+    return np.asarray(states + lin.rest[:, None])
 
 
 def known_states(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:

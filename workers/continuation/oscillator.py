@@ -1,6 +1,6 @@
 """Families of machines over free parameters.
 
-Every field of theirs has an axis of machines in front, N of them: a step of Newton's method asks for several at once.
+Each field has an axis of N machines in front: a step of Newton's method asks for several machines at once.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,12 +37,12 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
     machines = machines_over(system, values, free)
 
     def model(rows: Array) -> OrbitMachines:
-        found, reasons = machines(rows)
+        models, reasons = machines(rows)
         if np.any(reasons != NO_REASON):
             bad = int(np.flatnonzero(reasons != NO_REASON)[0])
             where = ", ".join(f"{name} = {rows[bad, i]:g}" for i, name in enumerate(free))
             raise NoOscillatorError(f"no oscillator at {where}: {REASONS[reasons[bad]].text}")
-        return found
+        return models
 
     return Family(free, model)
 

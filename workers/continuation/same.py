@@ -17,8 +17,8 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     """The largest difference between two orbits at the same parameters, of times in radians of the force and of speeds
     relative to the fastest impact; over all phases and both mirror images the smallest. Infinite for other itineraries.
 
-    Cycles may begin at any time, and their times count in radians of their own turn. Mirror images are compared
-    whatever the machine: of one that is not its own, none is an orbit of it.
+    Cycles may begin at any time, and their times count in radians of their own turn. Mirror images are
+    compared for every machine: the image of an orbit is no orbit of a machine that is not symmetric.
     """
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
@@ -28,7 +28,7 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
         doubled(orbit, float(orbit.length) if a.is_cycle else halves) if a.symmetric else orbit
         for orbit in (one, other)
     )
-    if a.is_cycle:  # all that a turn is of it, in radians
+    if a.is_cycle:  # so that a turn is 2 pi
         omega = 2.0 * np.pi / float(one.length)
     sides, others = np.array(one.itinerary.sides), np.array(other.itinerary.sides)
     whole = float(other.length) if a.is_cycle else 2.0 * np.pi * a.periods / omega
@@ -59,7 +59,7 @@ def doubled(orbit: Orbit, span: float) -> Orbit:
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
-    sides, m, found = itinerary.sides, len(itinerary.sides), list[Itinerary]()
+    sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
     halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
@@ -67,13 +67,13 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
             fits = itinerary.is_cycle or length % 2 == (sign < 0)
             if fits and sign**parts == itinerary.sign and itinerary.repeats(k, sign):
                 periods = length if sign < 0 else length // 2
-                found.append(Itinerary(sides[:k], periods, sign < 0, itinerary.legs[:k]))
-    return tuple(found)
+                shorter.append(Itinerary(sides[:k], periods, sign < 0, itinerary.legs[:k]))
+    return tuple(shorter)
 
 
 def difference(motion: OrbitMotion, to: Itinerary) -> Array:
     """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
-    itinerary, t, v, _ = motion.orbits.taken(0)
+    itinerary, t, v, _ = motion.orbits.at_rows(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
     speeds = np.concatenate([v[k:], itinerary.sign * v[:k]])
@@ -81,7 +81,7 @@ def difference(motion: OrbitMotion, to: Itinerary) -> Array:
 
 
 def is_minimal(motion: OrbitMotion) -> bool:
-    """Whether one orbit is none of those repeated that its itinerary allows."""
+    """Whether an orbit is no repetition of a shorter orbit that its itinerary allows."""
     return all(np.max(np.abs(difference(motion, to))) > SAME for to in reductions(motion.itinerary))
 
 

@@ -20,10 +20,12 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
-    """The orbit without an event, and without others at the same time if its mode comes back only then; the leg that
-    began with it, whose signal grazes instead, and its time. None where that is no orbit.
+    """The orbit without an event, and without others at the same time if its mode returns only after them.
+
+    With the leg that began with the event, whose signal grazes instead, and the time of the graze. None if the rest is
+    no orbit.
     """
-    m, found = len(orbit.itinerary.sides), []
+    m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):
         place = int(m > count)  # an event is left before the lost ones
         for first in range(event - count + 1, event + 1):
@@ -32,12 +34,12 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
             legs, times = other.itinerary.legs[lost], other.times[lost]
             kept = _before(other, place)
             if all(len(chain) == 1 for chain in legs[:-1]) and legs[-1][0].code == kept[-1].code:
-                found.append(
+                choices.append(
                     (float(times[-1] - times[0]), _dropped(other, kept, lost), legs[0][0], float(np.mean(times)))
                 )
-    if not found:
+    if not choices:
         return None
-    _, shorter, leg, time = min(found, key=lambda each: each[0])
+    _, shorter, leg, time = min(choices, key=lambda choice: choice[0])
     if shorter.itinerary.is_cycle and shorter.itinerary.sides:  # times count from the first event
         begin = float(shorter.times[0])
         shorter, time = shorter._replace(times=shorter.times - begin), time - begin

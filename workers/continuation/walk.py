@@ -10,7 +10,7 @@ from workers.continuation.newton import Solved
 from workers.model.oscillator import Array
 
 TURN, MOST_TURN = 0.1, 0.35
-"""Angle in radians that the tangent may turn by in a step: wanted, and at most."""
+"""Angle in radians by which the tangent turns in a step: wanted, and at most."""
 
 FEW_STEPS = 3
 """Newton steps up to which a step may grow."""
@@ -36,16 +36,16 @@ class PseudoArclength:
     def advance(self) -> bool:
         """One step on, as long as the last one suggests, shorter where it does not converge or turns too much."""
         while self.length >= LEAST * self.longest:
-            found = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
-            self.newton_steps += found.steps
-            if found.converged:
-                tangent = tangent_at(self.equations, found.jacobian, self.tangent)
+            solved = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
+            self.newton_steps += solved.steps
+            if solved.converged:
+                tangent = tangent_at(self.equations, solved.jacobian, self.tangent)
                 angle = math.acos(min(1.0, float(tangent @ self.tangent)))
                 if angle < MOST_TURN:
                     self.former = (self.X, self.tangent, self.length)
-                    self.X, self.tangent = found.X, tangent
+                    self.X, self.tangent = solved.X, tangent
                     grow = min(2.0, max(0.5, TURN / max(angle, 1e-6)))
-                    grow = grow if found.steps <= FEW_STEPS else min(grow, 0.7)
+                    grow = grow if solved.steps <= FEW_STEPS else min(grow, 0.7)
                     self.length = min(self.length * grow, self.longest)
                     return True
             self.length *= 0.5
@@ -95,11 +95,11 @@ class Step(NamedTuple):
     there: Array
 
     def guess(self, share: float) -> Array:
-        """About the unknowns (N,) this share of the way on."""
+        """The unknowns (N,) at this share of the chord."""
         return self.here + share * (self.there - self.here)
 
     def solution(self, share: float) -> Solved:
-        """The solution this share of the way on, on the plane across the step."""
+        """The solution at this share of the step, on the plane across it."""
         eq = self.equations
         chord = (self.there - self.here) / eq.scale
         return solve(eq, self.guess(share), chord / eq.scale / np.linalg.norm(chord))
@@ -112,21 +112,21 @@ class Step(NamedTuple):
         return solve(eq, guess, np.eye(1, len(guess), place)[0] / eq.scale)
 
     def share_of(self, X: Array) -> float | None:
-        """At which share of the way a solution X of other equations lies, contact times left out; None if not near."""
+        """The share of the step at which a solution X of other equations lies, without contact times; None if far."""
         eq = self.equations
-        here, there, found, scale = (
+        here, there, place, scale = (
             np.concatenate([field[: eq.states], field[len(field) - eq.free :]])
             for field in (self.here, self.there, X, eq.scale)
         )
-        chord, off = (there - here) / scale, (found - here) / scale
+        chord, off = (there - here) / scale, (place - here) / scale
         length = float(np.linalg.norm(chord))
         share = float(off @ chord) / length**2
         near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
         return share if near else None
 
     def is_near(self, guess: Array, values: Array, near: float = 0.0) -> bool:
-        """Whether parameters (free,) of a solution of other equations are as near to a guess as the step is long, or
-        as ``near``."""
+        """Whether parameters (free,) of a solution of other equations lie within the step's length, or ``near``, of a
+        guess."""
         eq = self.equations
         length = float(np.linalg.norm((self.there - self.here) / eq.scale))
         return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, near, 1e-6))

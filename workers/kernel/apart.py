@@ -34,7 +34,7 @@ _loading, _compiles = threading.RLock(), False
 def load(modes: bool = False) -> None:
     """Compile or load the functions that are not yet compiled, in the order of their definition.
 
-    ``modes``: also those that only kernels of machines with modes call.
+    ``modes``: the functions that only kernels of machines with modes call, too.
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):

@@ -41,9 +41,9 @@ from workers.model.oscillator import (
     Mask,
     Oscillator,
     Rows,
+    at_rows,
     growth_of,
     map_fields,
-    taken,
 )  # fmt: skip
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
@@ -152,12 +152,12 @@ def _kinds(machines: Machines) -> tuple[Machines, Kinds]:
     bits = numbers_of([getattr(machines, name) for name in OF_KIND])
     whole = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
     _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
-    return taken(machines, first), kind
+    return at_rows(machines, first), kind
 
 
 def _of_kind(record: Any, kind: Kinds) -> Any:
     """The record of each machine, from the records of kinds."""
-    return record if isinstance(kind, EllipsisType) else taken(record, kind)
+    return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
 def _seen_along(matrix: Array, null: Array) -> Array:

@@ -17,7 +17,7 @@ from workers.model.free import OF_STRUCTURE, Structure, centred, finite, free_mo
 from workers.model.hybrid import Elements, build_hybrid, elements_of
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults
 from workers.model.hybrid_modes import OPEN, Code, Pieces, pieces_of
-from workers.model.oscillator import COLUMN, Array, Machines, Mask, Oscillator, Rows, taken
+from workers.model.oscillator import COLUMN, Array, Machines, Mask, Oscillator, Rows, at_rows
 from workers.model.system import System
 from workers.results import NO_REASON, OUT_OF_DOUBLES
 
@@ -66,12 +66,12 @@ class OrbitMachines:
         """The machines as records for the kernels of cells."""
         return self.build()
 
-    def taken(self, rows: Rows) -> "OrbitMachines":
+    def at_rows(self, rows: Rows) -> "OrbitMachines":
         """These rows, in this order, sharing the modes of the whole."""
         return OrbitMachines(
-            self.omega[rows], self.tau[rows], taken(self.elements, rows), self.rest[rows],
-            lambda code: taken(self.mode(code), rows), lambda: taken(self.machines, rows),
-            lambda: taken(self.oscillators, rows),
+            self.omega[rows], self.tau[rows], at_rows(self.elements, rows), self.rest[rows],
+            lambda code: at_rows(self.mode(code), rows), lambda: at_rows(self.machines, rows),
+            lambda: at_rows(self.oscillators, rows),
         )  # fmt: skip
 
     @property

@@ -248,8 +248,8 @@ def centred(structure: Structure, machines: Machines) -> AtRest:
     rounding = np.where(even, middle - y0, 0.0)
     if np.any(rounding != 0.0):
         d = structure.accelerance / structure.inverse_gap_mass[:, None] * rounding[:, None]
-        moved = rest + (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
-        rest = np.where((rounding != 0.0)[:, None, None], moved, rest)
+        centred = rest + (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+        rest = np.where((rounding != 0.0)[:, None, None], centred, rest)
         y0 = structure.gap(rest)
     load = np.where(even[:, None], 0.0, loading.load)
     half = 0.5 * (upper - lower)

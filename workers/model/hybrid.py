@@ -25,11 +25,11 @@ from workers.model.oscillator import (
     Mode,
     Oscillator,
     Rows,
+    at_rows,
     empty,
     growth_of,
     make_blocks,
     rates_of,
-    taken,
 )
 from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
@@ -112,7 +112,7 @@ class Table(NamedTuple):
         for needed in np.unique(number).tolist():
             some, place = rows[number == needed], used[number == needed]
             code = code_of(needed, *self.machines.sizes[1:], *self.machines.segments)
-            pieces, wrong = pieces_of(taken(self.machines, some), code)
+            pieces, wrong = pieces_of(at_rows(self.machines, some), code)
             self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = needed, wrong, -1
             for field, new in zip(self.pieces, pieces, strict=True):
                 field[some, place] = new
@@ -218,7 +218,7 @@ def _measuring(matrices: Array) -> Array:
 
 
 def _definite(mass: Array) -> Array:
-    """Symmetric matrices (N, n, n), with the identity in place of those that are not positive definite."""
+    """Symmetric matrices (N, n, n), with the identity in place of matrices that are not positive definite."""
     least = np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1)
     return np.where((least <= 0.0)[:, None, None], np.eye(mass.shape[1]), mass)
 
@@ -247,12 +247,12 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
     static = np.max(machines.rub[..., 1], axis=1)
-    moved = (loads + np.sum(np.abs(machines.slide @ modes) * static[..., None], axis=1)) / rate**2
+    reach = (loads + np.sum(np.abs(machines.slide @ modes) * static[..., None], axis=1)) / rate**2
     rooms = np.abs(machines.stops) * np.sqrt(weight)[..., None]
     nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)
     nearest = np.where(np.isfinite(nearest), nearest, 0.0)[:, None]
-    moved = np.where(np.any(moved > 0.0, axis=1)[:, None], moved, nearest)
-    swing = np.stack([moved, rate * moved], axis=-1)
+    reach = np.where(np.any(reach > 0.0, axis=1)[:, None], reach, nearest)
+    swing = np.stack([reach, rate * reach], axis=-1)
     if machines.drifting >= 0:  # the last block holds the drift velocity and the position, which is always reset
         swing[:, -1, 0], swing[:, -1, 1] = swing[:, -1, 1].copy(), 0.0
     return swing
@@ -262,12 +262,12 @@ def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array,
     """undamped_modes; the free motion of a drifting coordinate is the last one, orthogonal to all others."""
     if drifting < 0:
         return undamped_modes(mass, stiffness)
-    moved = mass[:, drifting]
-    null = null_space(moved[:, None])
+    momentum = mass[:, drifting]  # of the velocities
+    null = null_space(momentum[:, None])
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     lam, modes = undamped_modes(across @ mass @ null, across @ stiffness @ null)
     free = np.zeros_like(mass[..., :1])
-    free[:, drifting, 0] = 1.0 / np.sqrt(moved[:, drifting])
+    free[:, drifting, 0] = 1.0 / np.sqrt(momentum[:, drifting])
     return np.pad(lam, ((0, 0), (0, 1))), np.concatenate([null @ modes, free], axis=2)
 
 

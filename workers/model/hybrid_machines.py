@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.modes import stacked, symmetric
-from workers.model.oscillator import Array, Mask, Rows, taken
+from workers.model.oscillator import Array, Mask, Rows, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
@@ -189,7 +189,7 @@ def yields(machines: HybridMachines) -> Mask:
     all_yield = symmetric(machines.mass) & (least > 0.0)
     (others,) = np.nonzero(~all_yield)
     if len(others):
-        all_yield[others] = _yield_along(taken(machines, others))
+        all_yield[others] = _yield_along(at_rows(machines, others))
     return all_yield
 
 

@@ -21,7 +21,7 @@ from workers.model.free import Flow, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
 from workers.model.modes import split, stacked, symmetric
-from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, make_blocks, taken
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
 """States of a contact, with the sign of its side: open; held by a rigid stop or engaged by a soft one; inside a soft
@@ -127,7 +127,7 @@ class Pieces(NamedTuple):
 
 @np.errstate(all="ignore")
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
-    """A mode of machines, and its fault in each of them, 0 for none.
+    """A mode of machines, and its fault by machine, 0 for none.
 
     RESONANT: undamped resonance. NO_FORM: held rows depend on each other, planes cannot be separated, or a load drives
     a free motion that the held coordinates leave. Machines are treated in groups of equal friction that sticks on the
@@ -138,7 +138,7 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.
     if len(resting) == 1:
         return _pieces_alike(machines, code, along, resting[0])
     parts = [np.flatnonzero(kind == i) for i in range(len(resting))]
-    groups = [_pieces_alike(taken(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
+    groups = [_pieces_alike(at_rows(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
     order = np.argsort(np.concatenate(parts), kind="stable")
     return (
         Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in groups), strict=True))),

@@ -51,7 +51,7 @@ class Observable:
 
     contact   index of the contact, -1 for all; ``side`` +1 or -1, 0 for both. A soft contact is reached at touch, at
               its stop
-    of        name of the output, of those that ``outputs_of`` lists
+    of        name of the output, one that ``outputs_of`` lists
     """
 
     kind: str
@@ -73,8 +73,8 @@ class Observable:
             return cls(kind)
         known = outputs_of(definition)
         if len(rest) != 1 or rest[0] not in known:
-            found = f"unknown output {rest[0]!r}" if rest else "no output"
-            raise ValueError(f"{text}: {found}, must be {kind}: and one of {', '.join(known)}")
+            fault = f"unknown output {rest[0]!r}" if rest else "no output"
+            raise ValueError(f"{text}: {fault}, must be {kind}: and one of {', '.join(known)}")
         return cls(kind, rest[0])
 
     @classmethod

@@ -353,7 +353,7 @@ def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
     return None if record is None else act(record)
 
 
-def taken(record: Any, rows: Rows) -> Any:
+def at_rows(record: Any, rows: Rows) -> Any:
     """These rows of a record of many, in this order."""
 
     def take(record: Any) -> Any:

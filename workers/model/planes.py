@@ -34,8 +34,8 @@ def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
     for j, pair in enumerate(_pairs(T)):
         select = np.zeros(2 * n, dtype=np.int32)
         select[list(pair)] = 1
-        moved, vectors = dtrsen(select, T, Q, job="N")[:2]
-        eta[j], lam[j], rows[2 * j : 2 * j + 2] = _coordinates(vectors[:, :2].T, moved[:2, :2].T, grows)
+        sorted_form, vectors = dtrsen(select, T, Q, job="N")[:2]
+        eta[j], lam[j], rows[2 * j : 2 * j + 2] = _coordinates(vectors[:, :2].T, sorted_form[:2, :2].T, grows)
     return _planes_of_vectors(A) if grows and np.isnan(rows).any() else (eta, lam, rows)
 
 

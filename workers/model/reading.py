@@ -181,14 +181,14 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
     return name
 
 
-def _read_let(value: object, known: list[str], taken: Collection[str]) -> tuple[tuple[str, Expression], ...]:
+def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
     """Names for expressions, in the order of their use."""
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
     for name in table:
         check_name(f"system.let.{name}", name)
-        if name in taken:
+        if name in reserved:
             raise DefinitionError(f"system.let.{name}: {name} is a parameter already; choose another name")
     waiting = {name: read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
     ready: list[tuple[str, Expression]] = []

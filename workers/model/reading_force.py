@@ -53,11 +53,11 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
         if order * turns > HIGHEST:
             of = "" if turns == 1 else f" times omega / {turns}, the frequency at which the force repeats"
             raise DefinitionError(f"{where}.order: found {order * turns}{of}, must be at most {HIGHEST}")
-    taken = {orders[where] for where, one in tables.items() if not _is_waveform(one)}
-    if len(taken) > HARMONICS:
+    used = {orders[where] for where, one in tables.items() if not _is_waveform(one)}
+    if len(used) > HARMONICS:
         raise DefinitionError(
-            f"system.harmonics: found {len(taken)} orders, must be at most {HARMONICS}; "
-            f"leave out {len(taken) - HARMONICS}"
+            f"system.harmonics: found {len(used)} orders, must be at most {HARMONICS}; "
+            f"leave out {len(used) - HARMONICS}"
         )
     harmonics, means = list[Harmonic](), list[Row]()
     for where, one in sorted(tables.items(), key=lambda item: _is_waveform(item[1])):
@@ -70,11 +70,11 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
         if not _is_waveform(one):
             harmonics.append(part)
             continue
-        if Fraction(1) not in taken:
+        if Fraction(1) not in used:
             _refuse_phases_of_force(table)
         wave = _read_waveform(where, one)
-        waves = _harmonics_of(where, one, wave, part, turns, HARMONICS - len(taken), known)
-        harmonics, taken = [*harmonics, *waves], taken.union(harmonic.order for harmonic in waves)
+        waves = _harmonics_of(where, one, wave, part, turns, HARMONICS - len(used), known)
+        harmonics, used = [*harmonics, *waves], used.union(harmonic.order for harmonic in waves)
         means += [_times(where, wave.mean, part.force, known)] if wave.mean else []
     return tuple(sorted(harmonics, key=lambda harmonic: harmonic.order)), means
 

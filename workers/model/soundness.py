@@ -120,16 +120,16 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
             kinetic, static, _ = machine.rub[p, f]
             if static < kinetic:
                 where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
-                found = f"found {static:g}, kinetic {kinetic:g} at the defaults"
-                raise DefinitionError(f"{where}: {found}, must not be below kinetic")
+                levels = f"found {static:g}, kinetic {kinetic:g} at the defaults"
+                raise DefinitionError(f"{where}: {levels}, must not be below kinetic")
 
 
 def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
     """table (V, 2): the vertices of an element's law."""
     if not np.isfinite(table).all():
-        found = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
+        given = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
         raise DefinitionError(
-            f"{where}: found {found} at the defaults, must be finite numbers" + OF_EXPRESSION * (found[0] == "n")
+            f"{where}: found {given} at the defaults, must be finite numbers" + OF_EXPRESSION * (given[0] == "n")
         )
     if (n := segments_of(element, table)) > SEGMENTS:
         assert element.within is not None

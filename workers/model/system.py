@@ -307,8 +307,8 @@ def system_names() -> tuple[str, ...]:
 
 def _only_system(tables: Mapping[str, Any]) -> Mapping[str, Any]:
     if "system" not in tables or len(tables) > 1:
-        found = shorten(", ".join(tables) or "none", 60, placeholder=" ...")
-        raise DefinitionError(f"found {found}, must be one table [system]")
+        names = shorten(", ".join(tables) or "none", 60, placeholder=" ...")
+        raise DefinitionError(f"found {names}, must be one table [system]")
     return read_table("system", tables["system"])
 
 

@@ -115,8 +115,8 @@ export function fillKey(key, map, lines, look, change, enlarged) {
 
 /** Have a key show the new look. */
 export function updateKey(key) {
-  for (const each of key.querySelectorAll("*")) {
-    if (each.update) each.update();
-    if (each.paint) each.paint();
+  for (const element of key.querySelectorAll("*")) {
+    if (element.update) element.update();
+    if (element.paint) element.paint();
   }
 }

@@ -15,9 +15,9 @@ export function hearKeys({ heard, plot }) {
       if (event.ctrlKey || event.metaKey || event.altKey || at.closest?.(own)) return
       if (event.key === "Escape") {
           const find = (node) => [...node.querySelectorAll("*")].flatMap(
-              (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])])
-          const large = find(document).filter((each) => each.classList.contains("large"))
-          if (large.length) large.forEach((each) => each.classList.remove("large"))
+              (element) => [element, ...(element.shadowRoot ? find(element.shadowRoot) : [])])
+          const large = find(document).filter((element) => element.classList.contains("large"))
+          if (large.length) large.forEach((element) => element.classList.remove("large"))
           else heard.data = {escape: [(heard.data.escape?.[0] ?? 0) + 1]}
           return
       }

@@ -71,7 +71,7 @@ async function hear() {
   const about = JSON.parse(new TextDecoder().decode(await inflated(bytes.slice(4, body))));
   if (turn !== turns) return;
   const old = held && held.of === about.of ? held : { maps: {}, lines: {}, names: {}, arrays: {} };
-  const arrays = Object.entries(about.arrays).map(([name, { at, size, ...each }]) => [name, { ...each, bytes: bytes.slice(body + at, body + at + size) }]);
+  const arrays = Object.entries(about.arrays).map(([name, { at, size, ...array }]) => [name, { ...array, bytes: bytes.slice(body + at, body + at + size) }]);
   held = { ...about, axes: about.axes.map((axis, along) => drawnAxis({ ...subject.axes[along], ...axis })),
     maps: { ...old.maps, ...Object.fromEntries(about.maps.map((map) => [map.name, map])) },
     lines: { ...old.lines, ...about.lines }, names: { ...old.names, ...about.names },

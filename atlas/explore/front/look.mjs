@@ -16,7 +16,7 @@ export function lookOf(given) {
   const list = (name) => (given.get(name) || "").split(",").filter(Boolean);
   const end = (name) => (Number.isFinite(parseFloat(given.get(name))) ? Number(given.get(name)) : null), ends = [end("vmin"), end("vmax")];
   return { map: given.get("kind") === "scalar" ? NUMBER + given.get("variable") : given.get("kind"), log: given.get("log") === "1",
-    overlays: list("overlay"), hidden: new Set(list("without")), ends: ends.some((each) => each !== null) ? ends : null };
+    overlays: list("overlay"), hidden: new Set(list("without")), ends: ends.some((end) => end !== null) ? ends : null };
 }
 
 /** The query of an address that asks for a look. */
@@ -52,7 +52,7 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
     }
     const over = overlays.map((name) => {
       const box = make("input", { type: "checkbox" });
-      box.onchange = () => change({ overlays: overlays.filter((each) => (each === name ? box.checked : look().overlays.includes(each))) });
+      box.onchange = () => change({ overlays: overlays.filter((overlay) => (overlay === name ? box.checked : look().overlays.includes(overlay))) });
       box.update = () => { box.checked = look().overlays.includes(name); };
       return make("label", {}, box, name);
     });
@@ -63,7 +63,7 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
 
 /** The lines of a look as one; `lines` are the lines of a page by the names of their overlays. */
 export function linesOf(look, lines) {
-  const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((each) => each[name] || []);
+  const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((overlay) => overlay[name] || []);
   return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),
     lines: all("lines"), corners: all("corners"), ends: all("ends"), names: all("names") };
 }

@@ -164,7 +164,7 @@ export function ticks(low, high, most, log) {
     return found.filter((value, k) => value >= low && value <= high && k % every === 0);
   }
   const rough = (high - low) / most, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((each) => each * power >= rough) * power;
+  const step = [1, 2, 5, 10].find((multiple) => multiple * power >= rough) * power;
   const found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++)
     found.push(Number((k * step).toPrecision(12)));

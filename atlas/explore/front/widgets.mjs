@@ -6,20 +6,20 @@ import { scales } from "./live.mjs";
 const SECONDS = 3; // of one forcing period on the screen
 
 const find = (node) => [...node.querySelectorAll("*")].flatMap(
-  (each) => [each, ...(each.shadowRoot ? find(each.shadowRoot) : [])]);
+  (element) => [element, ...(element.shadowRoot ? find(element.shadowRoot) : [])]);
 
 /** Give what can be used the name of the nearest model around it that has one. */
 export function nameAll() {
-  const above = (each) => each.parentNode instanceof ShadowRoot ? each.parentNode.host : each.parentElement
+  const above = (element) => element.parentNode instanceof ShadowRoot ? element.parentNode.host : element.parentElement
   const used = "input, select, [role=slider], .bk-events, .bk-spin-btn"
   const name = () => {
-      for (const each of find(document).filter((each) => each.matches(used))) {
-          if (each.ariaLabel || [...(each.labels ?? [])].some((label) => label.textContent.trim())) continue
-          let from = each
+      for (const element of find(document).filter((element) => element.matches(used))) {
+          if (element.ariaLabel || [...(element.labels ?? [])].some((label) => label.textContent.trim())) continue
+          let from = element
           while (from && !from.ariaLabel) from = above(from)
-          const step = {"bk-spin-btn-up": "more", "bk-spin-btn-down": "fewer"}[each.classList[1]]
-          each.ariaLabel = step ?? from?.ariaLabel ?? (each.matches(".bk-events") ? "diagram" : "")
-          if (each.matches(".bk-events")) each.role = "application"
+          const step = {"bk-spin-btn-up": "more", "bk-spin-btn-down": "fewer"}[element.classList[1]]
+          element.ariaLabel = step ?? from?.ariaLabel ?? (element.matches(".bk-events") ? "diagram" : "")
+          if (element.matches(".bk-events")) element.role = "application"
       }
   }
   name()

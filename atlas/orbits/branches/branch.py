@@ -18,7 +18,7 @@ LONGEST = 64
 
 
 def tree_from(seed: Seed, along: str, window: tuple[float, float], switch: bool = False, most: int = MOST) -> "Tree":
-    """The branch of a cell's orbit in one parameter; ``switch`` adds those that begin on it, at most ``most`` in all.
+    """The branch of a cell's orbit in one parameter; ``switch`` adds branches that begin on it; ``most`` in all.
 
     Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
     rise, is not valid or does not hold the cell, and where the orbit cannot be followed.

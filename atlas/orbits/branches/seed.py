@@ -62,8 +62,8 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
     missing = [name for name in stored if name not in ds and name != REASON.name]
     if missing:
         raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
-    found = {name: row[name].values[()] for name in stored if name in ds}
-    return seed_of(found, record, checked_parameters(record, values_of(ds, record, cell)))
+    results = {name: row[name].values[()] for name in stored if name in ds}
+    return seed_of(results, record, checked_parameters(record, values_of(ds, record, cell)))
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
@@ -76,8 +76,8 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     regime = int(cell[REGIME.name])
     if regime not in (PERIODIC, NO_IMPACT):
         why = in_words(cell).get(REASON.name)
-        found = record.regime.meaning(regime).text + (f" ({why})" if why else "")
-        raise InputError(f"this cell is {found}: a branch starts from a periodic one")
+        regime_text = record.regime.meaning(regime).text + (f" ({why})" if why else "")
+        raise InputError(f"this cell is {regime_text}: a branch starts from a periodic one")
     if bool(cell["sticks"]) and not record.has_modes:
         raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
     unforced = record.definition.unforced

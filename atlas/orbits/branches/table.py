@@ -97,16 +97,16 @@ class Branches:
         import pandas
 
         columns = ["branch", self.along, *self.system.states, "multiplier", "unstable", *self._pattern, "event"]
-        found = pandas.DataFrame(list(self._points()), columns=columns)
+        frame = pandas.DataFrame(list(self._points()), columns=columns)
         if self.observable is None:
-            return found
+            return frame
         observed = [next(self.shown_values(branch)) for branch in self.traced]
         most = max(int(np.max(np.sum(np.isfinite(values), axis=1))) for values in observed)
-        rows = np.full((len(found), most), np.nan)
+        rows = np.full((len(frame), most), np.nan)
         for branch, values in enumerate(observed):
-            rows[found["branch"] == branch, : values.shape[1]] = values[:, :most]
+            rows[frame["branch"] == branch, : values.shape[1]] = values[:, :most]
         names = [f"{self.observable.variable}_{i}" for i in range(1, most + 1)]
-        return pandas.concat([found, pandas.DataFrame(rows, columns=names)], axis=1)
+        return pandas.concat([frame, pandas.DataFrame(rows, columns=names)], axis=1)
 
     @cached_property
     def events(self) -> "pandas.DataFrame":
@@ -154,8 +154,8 @@ class Branches:
         for states in (branch.sections, branch.mirrored):
             if states is not None:
                 first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
-                found = observe_orbits(self.system.definition, given, first, periods, name, MOST_VALUES)
-                yield aligned(found[self.observable.variable], self.observable.turn)
+                observed = observe_orbits(self.system.definition, given, first, periods, name, MOST_VALUES)
+                yield aligned(observed[self.observable.variable], self.observable.turn)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
         """Lines (N, 2) of the plotted values over the parameter, of mirror images too, each after its stability."""
@@ -229,14 +229,14 @@ def aligned(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
 
     They are modulo ``turn`` where that is finite. A row with more or fewer values than the one before it stays.
     """
-    found = values.copy()
-    for k in range(1, len(found)):
-        before, here = (row[np.isfinite(row)] for row in found[k - 1 : k + 1])
+    rolled = values.copy()
+    for k in range(1, len(rolled)):
+        before, here = (row[np.isfinite(row)] for row in rolled[k - 1 : k + 1])
         if len(here) == len(before) > 1:
             away = [np.roll(here, -r) - before for r in range(len(here))]
             away = away if math.isinf(turn) else [np.remainder(shift + 0.5 * turn, turn) - 0.5 * turn for shift in away]
-            found[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(shift)) for shift in away])))
-    return found
+            rolled[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(shift)) for shift in away])))
+    return rolled
 
 
 _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
@@ -263,7 +263,7 @@ def modulus(point: "Point", own: "Itinerary") -> float:
     """The largest modulus of the multipliers of an orbit over a whole one of an itinerary, which may repeat it.
 
     Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
-    Of a cycle without a force the multiplier 1 along it is none of them.
+    The multiplier 1 along a cycle without a force is left out.
     """
     with np.errstate(over="ignore"):
         return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, own))

@@ -151,15 +151,15 @@ class Tree:
         self.twins = has_images(self.system, self.values)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
-        """Follow the branch of an orbit; with ``leaving`` also those that begin on it or that it begins on, and so on.
+        """Follow the branch of an orbit; with ``leaving`` all branches that are connected with it by events, too.
 
         ValueError, in one line, where the orbit itself cannot be followed.
         """
         first = len(self.branches)
         if self.system.definition.unforced and not orbit.itinerary.sides:
-            found = equilibria(self.family, orbit, value, self.window)
-            sections = found.states[:, None]
-            self.branches.append(Branch(found.run, orbit.itinerary, sections, -sections if self.twins else None))
+            still = equilibria(self.family, orbit, value, self.window)
+            sections = still.states[:, None]
+            self.branches.append(Branch(still.run, orbit.itinerary, sections, -sections if self.twins else None))
             return
         self._add(branch(self.family, orbit, value, self.window), orbit.itinerary)
         waiting = deque(self._meetings(first)) if leaving else deque()
@@ -282,11 +282,11 @@ class Tree:
 
     def _sections(self, run: BranchRun, shift: float) -> Array:
         """States (N, n, 2d) of all points of a run; where it ends at a shorter orbit, those repeated."""
-        found = dict[int, Array]()
+        states_of = dict[int, Array]()
         for rows in alike(point.orbit.itinerary for point in run.points):
             given = {name: np.full(len(rows), value) for name, value in self.values.items()}
             given[self.along] = np.array([run.points[k].values[0] for k in rows])
             states = section_states(self.system, given, [run.points[k].orbit for k in rows], shift)
-            found |= dict(zip(rows.tolist(), states, strict=True))
-        n = max(map(len, found.values()))
-        return np.stack([np.resize(found[k], (n, found[k].shape[1])) for k in range(len(run.points))])
+            states_of |= dict(zip(rows.tolist(), states, strict=True))
+        n = max(map(len, states_of.values()))
+        return np.stack([np.resize(states_of[k], (n, states_of[k].shape[1])) for k in range(len(run.points))])

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 def curves_of(ds: "xr.Dataset") -> Curves:
     """The curves that the store of an atlas keeps; InputError where it keeps none."""
     handle = handle_of(ds)
-    found = read_curves(handle)
-    if found is None:
+    curves = read_curves(handle)
+    if curves is None:
         raise InputError(f"{handle.place}: has no curves yet; atlas find curves finds them")
-    return found
+    return curves
 
 
-def frame(found: Curves, kind: str | None = None) -> "pd.DataFrame":
+def frame(curves: Curves, kind: str | None = None) -> "pd.DataFrame":
     """The curves as a table, of one kind or all: a row a point, with the columns of the CSV.
 
     Points of codimension two are rows of their own kind. Its attribute ``report`` says how the curves were found.
@@ -30,9 +30,9 @@ def frame(found: Curves, kind: str | None = None) -> "pd.DataFrame":
 
     if kind is not None:
         check_names("kind of curve", [kind], KINDS)
-    numbers = {number for number, curve in enumerate(found) if kind in (None, curve.kind)}
-    wanted = [row for row in rows(found) if row[0] in numbers]
-    made = pd.DataFrame(wanted, columns=columns(found.axes))
+    numbers = {number for number, curve in enumerate(curves) if kind in (None, curve.kind)}
+    wanted = [row for row in rows(curves) if row[0] in numbers]
+    made = pd.DataFrame(wanted, columns=columns(curves.axes))
     made["symmetric"] = made["symmetric"] == "true"
-    made.attrs["report"] = dict(found.report)
+    made.attrs["report"] = dict(curves.report)
     return made

@@ -26,8 +26,8 @@ class CellOrbits(StoredOrbits):
 
     def _stands(self, orbit: Orbit, cell: int) -> int:
         """The fate of an equilibrium at a cell's parameters."""
-        found = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
-        if found is None or found.unstable:
+        equilibrium = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
+        if equilibrium is None or equilibrium.unstable:
             return CEASES
         return IS if self.are_still(np.array([cell]))[0] else PERSISTS
 
@@ -41,19 +41,25 @@ class CellOrbits(StoredOrbits):
 
         By Newton's method from one to the other, half way first; admissible by certified crossings.
         """
-        found = np.full(len(pairs), CEASES)
+        verdicts = np.full(len(pairs), CEASES)
         regions = self.plane.regions[pairs]
         for rows, orbits in self.alike(pairs[:, 0]):
             if self.are_still(pairs[rows[0], :1])[0]:
-                found[rows] = [self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)]
+                verdicts[rows] = [
+                    self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)
+                ]
                 continue
             here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
-            taken = self.follow(orbits, here, there, steps=2, attracting=True)
-            found[rows[taken.found]] = PERSISTS
+            reached = self.follow(orbits, here, there, steps=2, attracting=True)
+            verdicts[rows[reached.converged]] = PERSISTS
             for k, row in enumerate(rows):
-                if taken.found[k] and regions[row, 0] == regions[row, 1] and self._is_of(pairs[row, 1], taken.orbit(k)):
-                    found[row] = IS
-        return found
+                if (
+                    reached.converged[k]
+                    and regions[row, 0] == regions[row, 1]
+                    and self._is_of(pairs[row, 1], reached.orbit(k))
+                ):
+                    verdicts[row] = IS
+        return verdicts
 
     def becomes(self, orbit: Orbit, values: Array, cell: int) -> int:
         """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
@@ -61,10 +67,10 @@ class CellOrbits(StoredOrbits):
         """
         if is_equilibrium(orbit, self.plane.system):
             return self._stands(orbit, cell)
-        taken = self.follow([orbit], values[None], self.plane.values(np.array([cell])), attracting=True)
-        if not taken.found[0]:
+        reached = self.follow([orbit], values[None], self.plane.values(np.array([cell])), attracting=True)
+        if not reached.converged[0]:
             return CEASES
-        return IS if self._is_of(cell, taken.orbit(0)) else PERSISTS
+        return IS if self._is_of(cell, reached.orbit(0)) else PERSISTS
 
     def _is_of(self, cell: int, orbit: Orbit) -> bool:
         own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
@@ -72,16 +78,16 @@ class CellOrbits(StoredOrbits):
 
     def belong(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
         """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
-        found = np.zeros(len(cells), dtype=bool)
+        belongs = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
         for rows in alike(orbit.itinerary for orbit in points):
             if is_equilibrium(points[rows[0]], self.plane.system):
-                found[rows] = self.are_still(cells[rows])
+                belongs[rows] = self.are_still(cells[rows])
                 continue
             own = [points[row] for row in rows]
-            taken = self.follow(own, values[rows], self.plane.values(cells[rows]))
-            self.find(cells[rows[taken.found]])
+            reached = self.follow(own, values[rows], self.plane.values(cells[rows]))
+            self.find(cells[rows[reached.converged]])
             for k, row in enumerate(rows):
-                of_cell = self.of(int(cells[row])) if taken.found[k] else None
-                found[row] = of_cell is not None and same_orbit(of_cell, taken.orbit(k), omega[row])
-        return found
+                of_cell = self.of(int(cells[row])) if reached.converged[k] else None
+                belongs[row] = of_cell is not None and same_orbit(of_cell, reached.orbit(k), omega[row])
+        return belongs

@@ -47,14 +47,14 @@ def chords_of(curves: Iterable[tuple[Array, NDArray[np.bool_]]]) -> Chords:
 
     A point that counts between two that do not is a chord of length 0.
     """
-    found = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0))]
+    pieces = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0))]
     for number, (points, counts) in enumerate(curves):
         both = np.flatnonzero(counts[:-1] & counts[1:])
         alone = np.setdiff1d(np.flatnonzero(counts), np.append(both, both + 1))
         begins, ends = np.append(both, alone), np.append(both + 1, alone)
         away = np.append(sagittas(points)[both], np.zeros(len(alone)))
-        found.append((points[begins], points[ends], np.full(len(begins), number), away))
-    return Chords(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        pieces.append((points[begins], points[ends], np.full(len(begins), number), away))
+    return Chords(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
 def sagittas(points: Array) -> Array:

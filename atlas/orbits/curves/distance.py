@@ -29,16 +29,16 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
 
     Keys: ``axis``; ``kind``; ``value`` of the axis at the event; ``distance`` to it, signed, in the axis's unit, and
     ``share`` of the plane's width. An impact that is lost is a graze. Events are those where the orbit loses or gains
-    stability or ends; none is listed where it goes on to the plane's edge.
-    Raises InputError where the cell has no proven periodic orbit, or that does not attract at the point.
+    stability or ends; none is listed if it continues to the plane's edge.
+    Raises InputError if the cell has no proven periodic orbit, or if the orbit does not attract at the point.
     """
     if kind is not None:
         check_names("kind of event", [kind], KINDS)
         kind = GRAZING if kind in LOST else kind
     plane = plane_of(handle_of(ds))
-    found = at(ds, point)
+    results = at(ds, point)
     orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
-    orbit = _orbit_at(orbits, plane, found, here)
+    orbit = _orbit_at(orbits, plane, results, here)
     entries = [
         _entry(plane, axis, here, event)
         for axis in (0, 1)
@@ -56,10 +56,10 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
     own = orbits.of(number)
     if own is None:
         raise InputError(f"the cell at {where} is {cell['regime']}: only a proven periodic orbit has events")
-    taken = orbits.follow([own], plane.values(np.array([number])), here[None], attracting=True)
-    if not taken.found[0]:
+    reached = orbits.follow([own], plane.values(np.array([number])), here[None], attracting=True)
+    if not reached.converged[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")
-    return taken.orbit(0)
+    return reached.orbit(0)
 
 
 def _first(

@@ -13,7 +13,7 @@ from atlas.query.export import check_writable, written_whole
 FORMATS = (".csv", ".json")
 
 
-def export(found: Curves, path: str | Path) -> None:
+def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file; it appears whole or not at all.
 
     CSV: one row a point, curve by curve, numbers in their shortest exact form: the columns of ``columns``; a point of
@@ -25,10 +25,10 @@ def export(found: Curves, path: str | Path) -> None:
     with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         if suffix == ".csv":
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns(found.axes))
-            writer.writerows(rows(found))
+            writer.writerow(columns(curves.axes))
+            writer.writerows(rows(curves))
         else:
-            json.dump(as_json(found), file, allow_nan=False)
+            json.dump(as_json(curves), file, allow_nan=False)
             file.write("\n")
 
 
@@ -44,9 +44,9 @@ def columns(axes: tuple[str, str]) -> list[str]:
     return ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *axes, "unstable"]
 
 
-def rows(found: Curves) -> Iterator[tuple[Any, ...]]:
+def rows(curves: Curves) -> Iterator[tuple[Any, ...]]:
     """The rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
-    for number, curve in enumerate(found):
+    for number, curve in enumerate(curves):
         corners, symmetric = _placed(curve), str(curve.symmetric).lower()
         counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
         for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
@@ -56,10 +56,10 @@ def rows(found: Curves) -> Iterator[tuple[Any, ...]]:
                 yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
 
 
-def as_json(found: Curves) -> dict[str, Any]:
+def as_json(curves: Curves) -> dict[str, Any]:
     """The curves as plain values: ``axes``, ``curves`` with their fields by name, and ``report``."""
     return {
-        "axes": list(found.axes),
+        "axes": list(curves.axes),
         "curves": [
             {
                 "kind": curve.kind,
@@ -72,15 +72,15 @@ def as_json(found: Curves) -> dict[str, Any]:
                 "unstable": curve.unstable.tolist(),
                 "corners": [{"kind": corner.kind, "position": [corner.x, corner.y]} for corner in curve.corners],
             }
-            for curve in found
+            for curve in curves
         ],
-        "report": dict(found.report),
+        "report": dict(curves.report),
     }
 
 
 def _placed(curve: Curve) -> dict[int, list[Any]]:
     """The points of codimension two by the point of the curve that they follow."""
-    found: dict[int, list[Any]] = {}
+    corners_after: dict[int, list[Any]] = {}
     for corner in curve.corners:
-        found.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
-    return found
+        corners_after.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
+    return corners_after

@@ -53,17 +53,17 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
     }
 
 
-def as_curve(found: Followed) -> Curve:
+def as_curve(followed: Followed) -> Curve:
     """A curve as it is kept: from the end with the lesser x, or y where that is the same."""
-    itinerary = found.of.orbit.itinerary
-    hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in found.orbits], dtype=np.int64)
+    itinerary = followed.of.orbit.itinerary
+    hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
     if np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
         hits = hits[:, ::-1]
-    points, unstable, ends, corners = found.values, found.unstable, found.ends, found.corners
+    points, unstable, ends, corners = followed.values, followed.unstable, followed.ends, followed.corners
     if tuple(points[-1]) < tuple(points[0]):
         points, unstable, ends, corners, hits = points[::-1], unstable[::-1], ends[::-1], corners[::-1], hits[::-1]
     return Curve(
-        kind=found.of.kind,
+        kind=followed.of.kind,
         period=itinerary.sections,
         impacts_upper=hits[:, 0].copy(),
         impacts_lower=hits[:, 1].copy(),
@@ -81,7 +81,7 @@ def edge_share(counts: dict[str, int]) -> float:
 
 
 def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
-    plane, found = search.plane, list[dict[str, Any]]()
+    plane, entries = search.plane, list[dict[str, Any]]()
     for edges in search.groups.edges:
         reasons = dict[str, list[int]]()
         for edge in edges[search.verdicts[edges] == TRIED].tolist():
@@ -89,8 +89,8 @@ def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
         for why, own in reasons.items():
             middle = plane.values(search.edges[own[0]]).mean(axis=0)
             at = dict(zip(plane.axes, middle.tolist(), strict=True))
-            found.append({"edges": len(own), "at": at, "why": why})
-    return found
+            entries.append({"edges": len(own), "at": at, "why": why})
+    return entries
 
 
 def _goes_on(search: CurveSearch, k: int) -> bool:
@@ -128,11 +128,11 @@ def _order(curve: Curve) -> tuple[Any, ...]:
 
 def _counts(verdicts: NDArray[np.int64]) -> dict[str, int]:
     verdicts = verdicts[verdicts != NONE]
-    found = {name: int(np.sum(verdicts == code)) for name, code in (("curve", CURVE), ("basins", BASIN))}
+    counts = {name: int(np.sum(verdicts == code)) for name, code in (("curve", CURVE), ("basins", BASIN))}
     open_ones = int(np.sum(verdicts == OPEN))
     return {
         "all": len(verdicts),
-        **found,
-        "unexplained": len(verdicts) - sum(found.values()) - open_ones,
+        **counts,
+        "unexplained": len(verdicts) - sum(counts.values()) - open_ones,
         "not_tried": open_ones,
     }

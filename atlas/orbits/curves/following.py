@@ -124,13 +124,13 @@ def _towards(
         run = equilibria(family, orbit, value, window, resolution=resolution).run
     else:
         run = branch(family, orbit, value, window, resolution=resolution, until=until)
-    found = []
+    events = []
     for event in run.events if behind < end else run.events[::-1]:
         if bounds_stability(event):
             values = here.copy()
             values[axis] = event.point.values[0]
-            found.append(_located(event, values))
-    return run, found
+            events.append(_located(event, values))
+    return run, events
 
 
 def bounds_stability(event: Event) -> bool:
@@ -198,18 +198,18 @@ def _length(itinerary: Itinerary) -> tuple[int, bool]:
 def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list[Condition] | None:
     """The condition of an event on the orbit of each point, from that with the event's own itinerary to both ends."""
     start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
-    found = {start: event.condition}
+    conditions = {start: event.condition}
     for way, last in ((1, len(points)), (-1, -1)):
         for k in range(start + way, last, way):
             here, former = points[k], points[k - way]
-            found[k] = found[k - way]
+            conditions[k] = conditions[k - way]
             if here.orbit.itinerary != former.orbit.itinerary:
                 span = former.orbit.span(orbits.family.model(former.values[None]))
-                carried = conditions_on(here.orbit, (found[k - way],), former.orbit, span)
+                carried = conditions_on(here.orbit, (conditions[k - way],), former.orbit, span)
                 if carried is None:
                     return None
-                (found[k],) = carried
-    return [found[k] for k in range(len(points))]
+                (conditions[k],) = carried
+    return [conditions[k] for k in range(len(points))]
 
 
 def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
@@ -223,10 +223,10 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
     for place, share in passes(known.values / width, event.values / width, NEAR):
         if event.condition.kind in OF_EQUILIBRIA:
             return True  # a machine has one that this one is continued to
-        found = _solved_at(orbits.family, event, known, place, share, width)
-        if found is None:
+        solution = _solved_at(orbits.family, event, known, place, share, width)
+        if solution is None:
             continue
-        values, orbit = found
+        values, orbit = solution
         omega = float(orbits.omega(values[None])[0])
         near = float(np.max(np.abs(values - event.values) / width)) < APART
         if near and same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
@@ -261,7 +261,7 @@ def _solved_at(
     row /= np.linalg.norm(row * equations.scale)
     try:
         equations = equations.at(guess)
-        found = solve(equations, guess, row)
+        solved = solve(equations, guess, row)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    return (equations.values(found.X), equations.orbit(found.X)) if found.converged else None
+    return (equations.values(solved.X), equations.orbit(solved.X)) if solved.converged else None

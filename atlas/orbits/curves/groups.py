@@ -47,16 +47,16 @@ class Groups:
 
         Of a border without an open edge, where basins end, one in all.
         """
-        found = []
+        choices = []
         for k, edges in enumerate(self.edges):
             rank, wanted = int(self.rank[k]), edges[verdicts[edges] == OPEN]
             if not len(wanted) and not self.looked[k]:
                 rank, wanted = BASINS, edges[verdicts[edges] == BASIN]
             if len(wanted) and (rank == BETWEEN or self._promising(k)):
-                found.append((rank, -len(wanted), k, wanted))
-        first = min((rank for rank, *_ in found), default=0)
+                choices.append((rank, -len(wanted), k, wanted))
+        first = min((rank for rank, *_ in choices), default=0)
         chosen: list[int] = []
-        for rank, _, k, wanted in sorted(found, key=lambda entry: entry[:3]):
+        for rank, _, k, wanted in sorted(choices, key=lambda entry: entry[:3]):
             if rank == first:
                 count = min(len(wanted), AGAIN if self.looked[k] else 1)
                 chosen += wanted[(2 * np.arange(count) + 1) * len(wanted) // (2 * count)].tolist()

@@ -40,18 +40,18 @@ def do_and_keep(job: CurveJob) -> PartReceipt:
     begin = time.thread_time()
     orbits = _orbits(job.site, job.digest, job.settings)
     try:
-        found = do(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
+        result = do(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
-        found = {"trouble": f"{type(error).__name__}: {error}"}
-    job.site.keep(handle, CURVES, job.name, json.dumps(found).encode())
+        result = {"trouble": f"{type(error).__name__}: {error}"}
+    job.site.keep(handle, CURVES, job.name, json.dumps(result).encode())
     return PartReceipt(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(handle: Atlas, name: str) -> dict[str, Any]:
     """The result that a part holds; RefusedError if there is none."""
-    found: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
-    return found
+    part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
+    return part
 
 
 @lru_cache(maxsize=64)  # one curve passes many edges

@@ -59,14 +59,14 @@ def orbits_beside(passings: list[Passing]) -> tuple[list[Orbit], Array]:
     the nearer one where their events differ.
     """
     orbits, values = [], []
-    for found, chord, share in passings:
-        first, last = found.orbits[chord], found.orbits[chord + 1]
+    for curve, chord, share in passings:
+        first, last = curve.orbits[chord], curve.orbits[chord + 1]
         if first.itinerary != last.itinerary:
             nearer = chord + (share > 0.5)
-            orbits.append(found.orbits[nearer])
-            values.append(found.values[nearer])
+            orbits.append(curve.orbits[nearer])
+            values.append(curve.values[nearer])
             continue
         fields = ((1.0 - share) * a + share * b for a, b in zip(first[1:], last[1:], strict=True))
         orbits.append(Orbit(first.itinerary, *fields))
-        values.append((1.0 - share) * found.values[chord] + share * found.values[chord + 1])
+        values.append((1.0 - share) * curve.values[chord] + share * curve.values[chord + 1])
     return orbits, np.array(values).reshape(-1, 2)

@@ -71,15 +71,15 @@ class CurvePlane(OrbitRows):
         """From the first to the last edge of the cells along either axis; to the last point where the system does not
         admit what lies beyond.
         """
-        found = {}
+        bounds = {}
         for name, points, log in zip(self.axes, (self.x, self.y), self.log, strict=True):
             parameter, edges = self.system.parameter(name), edges_of(np.sort(points), log)
             low, high = float(edges[0]), float(edges[-1])
-            found[name] = (
+            bounds[name] = (
                 low if parameter.admits(low) else float(points.min()),
                 high if parameter.admits(high) else float(points.max()),
             )
-        return found
+        return bounds
 
     @cached_property
     def width(self) -> Array:
@@ -88,15 +88,15 @@ class CurvePlane(OrbitRows):
 
     def places(self, values: Array) -> Array:
         """Points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
-        found = np.empty_like(values)
+        places = np.empty_like(values)
         for k, (points, log) in enumerate(zip((self.x, self.y), self.log, strict=True)):
             given = np.log(values[:, k]) if log else values[:, k]
             own = np.log(points) if log else points
             steps = np.diff(own)
             inner = np.interp(given, own, np.arange(len(own), dtype=float))
             inner = np.where(given < own[0], (given - own[0]) / steps[0], inner)
-            found[:, k] = np.where(given > own[-1], len(own) - 1 + (given - own[-1]) / steps[-1], inner)
-        return found
+            places[:, k] = np.where(given > own[-1], len(own) - 1 + (given - own[-1]) / steps[-1], inner)
+        return places
 
     @cached_property
     def regions(self) -> Cells:
@@ -124,11 +124,11 @@ class CurvePlane(OrbitRows):
         """
         number = np.arange(len(self.regime)).reshape(self.shape)
         pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
-        found = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
-        region = self.regions[found]
+        neighbours = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs])
+        region = self.regions[neighbours]
         jumps = np.concatenate([self._jumps(1), self._jumps(0)])
         differ = (region[:, 0] != region[:, 1]) | jumps
-        return np.asarray(found[differ & self.valid[found].all(axis=1)])
+        return np.asarray(neighbours[differ & self.valid[neighbours].all(axis=1)])
 
     def _jumps(self, axis: int) -> NDArray[np.bool_]:
         """Of all pairs of neighbours along an axis of the array, whether their orbit may be another one although of the
@@ -145,11 +145,11 @@ class CurvePlane(OrbitRows):
     @cached_property
     def digest(self) -> str:
         """Of all that curves depend on: cells, axes, system and fixed parameters."""
-        found = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
+        digest = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
         names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
-            found.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        return found.hexdigest()
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
 
 
 def plane_of(handle: Atlas) -> CurvePlane:
@@ -159,8 +159,8 @@ def plane_of(handle: Atlas) -> CurvePlane:
     """
     spec = handle.spec
     if spec.points or len(spec.axes) != 2:
-        found = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
-        raise InputError(f"{handle.place}: found {found}; curves need a plane with two axes")
+        shape = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
+        raise InputError(f"{handle.place}: found {shape}; curves need a plane with two axes")
     system = spec.record
     must_offer(system, "curves", unforced=True)
     for axis in spec.axes:

@@ -34,22 +34,22 @@ def event_from_json(given: dict[str, Any]) -> Located:
     )
 
 
-def curve_as_json(found: Followed) -> dict[str, Any]:
+def curve_as_json(followed: Followed) -> dict[str, Any]:
     """A curve as plain values; orbits share their itineraries, each with the condition on them."""
-    own = [(orbit.itinerary, condition) for orbit, condition in zip(found.orbits, found.conditions, strict=True)]
+    own = [(orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)]
     shared = list(dict.fromkeys(own))
     return {
-        "of": event_as_json(found.of),
+        "of": event_as_json(followed.of),
         "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
         "which": [shared.index(pair) for pair in own],
-        "values": found.values.tolist(),
-        "times": [orbit.times.tolist() for orbit in found.orbits],
-        "speeds": [orbit.speeds.tolist() for orbit in found.orbits],
-        "lengths": [_as_length(orbit) for orbit in found.orbits],
-        "contacts": found.contacts.tolist(),
-        "unstable": found.unstable.tolist(),
-        "corners": [[kind, place.tolist()] for kind, place in found.corners],
-        "ends": list(found.ends),
+        "values": followed.values.tolist(),
+        "times": [orbit.times.tolist() for orbit in followed.orbits],
+        "speeds": [orbit.speeds.tolist() for orbit in followed.orbits],
+        "lengths": [_as_length(orbit) for orbit in followed.orbits],
+        "contacts": followed.contacts.tolist(),
+        "unstable": followed.unstable.tolist(),
+        "corners": [[kind, place.tolist()] for kind, place in followed.corners],
+        "ends": list(followed.ends),
     }
 
 

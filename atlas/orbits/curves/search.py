@@ -83,9 +83,9 @@ class CurveSearch:
 
     def tasks(self) -> dict[str, Task]:
         """The tasks of the next stage by name; empty at the end."""
-        for found in self._stages:
-            if found:
-                made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(found)}
+        for tasks in self._stages:
+            if tasks:
+                made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(tasks)}
                 self.stage += 1
                 self._names = list(made)
                 return made
@@ -150,14 +150,14 @@ class CurveSearch:
     def _follow(self) -> Iterator[list[Any]]:
         """Drop the events that lie on known curves, and follow the first one of each signature."""
         self.doing = "following curves"
-        left, chosen, taken = [], list[_Event](), set[Any]()
+        left, chosen, signatures = [], list[_Event](), set[Any]()
         for met in self._pending:
             if any(lies_on(self.orbits, met.event, curve) for curve in self.curves):
                 self._explained(met)
-            elif met.event.signature in taken:
+            elif met.event.signature in signatures:
                 left.append(met)
             else:
-                taken.add(met.event.signature)
+                signatures.add(met.event.signature)
                 chosen.append(met)
         self._pending = left
         room = max(0, self.settings.curves - len(self.curves))
@@ -174,10 +174,10 @@ class CurveSearch:
         for met, name, result in zip(chosen, self._names, self._results, strict=True):
             self._note(result)
             if "curve" in result:
-                found = curve_from_json(result["curve"])
-                self.curves.append(found)
+                new_curve = curve_from_json(result["curve"])
+                self.curves.append(new_curve)
                 self.curve_names.append(name)
-                self.points += len(found.values)
+                self.points += len(new_curve.values)
                 self._explained(met)
             elif met.edge >= 0:
                 self.why[met.edge] = f"no curve of its {met.event.kind.replace('_', ' ')}: {result.get('trouble')}"

@@ -123,10 +123,10 @@ class Curves:
         return tuple(curve for curve in self.curves if kind in (None, curve.kind))
 
 
-def write_curves(handle: Atlas, found: Curves) -> None:
+def write_curves(handle: Atlas, curves: Curves) -> None:
     """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
-    own = {"version": VERSION, "axes": list(found.axes), "report": dict(found.report)}
-    write_group(handle, CURVES, as_arrays(found), own)
+    own = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
+    write_group(handle, CURVES, as_arrays(curves), own)
 
 
 def read_curves(handle: Atlas) -> Curves | None:
@@ -140,9 +140,9 @@ def read_curves(handle: Atlas) -> Curves | None:
         raise ChunkError(handle.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
 
 
-def as_arrays(found: Curves) -> dict[str, StoredArray]:
+def as_arrays(table: Curves) -> dict[str, StoredArray]:
     """The curves as arrays along ``curve``, ``point`` and ``corner``: ragged ones end to end (CF's row_size)."""
-    curves = found.curves
+    curves = table.curves
     corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
 
     def words(values: list[str], dim: str, meaning: str) -> StoredArray:
@@ -179,7 +179,7 @@ def as_arrays(found: Curves) -> dict[str, StoredArray]:
         "corner_position": places(
             [[(corner.x, corner.y)] for _, corner in corners], "corner", "points of codimension two"
         ),
-        "axis": words(list(found.axes), "axis", "axis of the plane"),
+        "axis": words(list(table.axes), "axis", "axis of the plane"),
     }
 
 

@@ -62,8 +62,8 @@ def do(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], F
         return _looked(task, orbits)
     if isinstance(task, Follow):
         event = event_from_json(known(task.part)["events"][task.event])
-        found = follow_event(orbits, event, RESOLUTION, task.budget)
-        return {"trouble": found} if isinstance(found, str) else {"curve": curve_as_json(found)}
+        followed = follow_event(orbits, event, RESOLUTION, task.budget)
+        return {"trouble": followed} if isinstance(followed, str) else {"curve": curve_as_json(followed)}
     passings = [Passing(curve_of(name), chord, share) for name, chord, share, _ in task.passings]
     points, values = orbits_beside(passings)
     cells: NDArray[np.int64] = np.array([cell for *_, cell in task.passings], dtype=np.int64)

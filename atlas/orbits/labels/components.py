@@ -51,5 +51,5 @@ def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, i
         for roots in joined:
             if len(roots) > 1:
                 join(roots)
-    _, first, found = np.unique([root(k) for k in range(count)], return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[found.ravel()], cut
+    _, first, part = np.unique([root(k) for k in range(count)], return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[part.ravel()], cut

@@ -77,8 +77,8 @@ def followed(attractors: Attractors) -> Links:
             wanted = wanted[_apart(wanted, pairs, len(cell))]
         there, size = follower.reach(wanted, away)
         back, _ = follower.reach(wanted[:, ::-1], away)
-        found = there & back
-        pairs, change = np.concatenate([pairs, wanted[found]]), np.concatenate([change, size[found]])
+        both_ways = there & back
+        pairs, change = np.concatenate([pairs, wanted[both_ways]]), np.concatenate([change, size[both_ways]])
         pairs, change = _mirrored(pairs, change, image)
         one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
     if attractors.system.has_modes:
@@ -94,10 +94,10 @@ def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
     images = image[pairs]
     there = (images >= 0).all(axis=1)
     every = np.sort(np.concatenate([pairs, images[there]]), axis=1)
-    found, place = np.unique(every, axis=0, return_inverse=True)
-    least = np.full(len(found), np.inf)
+    pairs_once, place = np.unique(every, axis=0, return_inverse=True)
+    least = np.full(len(pairs_once), np.inf)
     np.minimum.at(least, place.ravel(), np.concatenate([change, change[there]]))
-    return found, least
+    return pairs_once, least
 
 
 def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
@@ -141,15 +141,15 @@ class AttractorOrbits(StoredOrbits):
         own = self.attractors
         here, there = (own.values(pairs[:, k]) for k in (0, 1))
         arrived = self.follow(orbits, here, there, STEPS[0] * away)
-        arrived = arrived._replace(orbits=arrived.orbits.taken(np.arange(len(orbits))))  # a copy, which is changed
+        arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, which is changed
         for steps in STEPS[1:]:
-            again = np.flatnonzero(~arrived.found)
+            again = np.flatnonzero(~arrived.converged)
             if len(again):
                 more = self.follow([orbits[r] for r in again], here[again], there[again], steps * away)
                 for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
                     field[again] = better
-                arrived.found[again] = more.found
-        reached = arrived.found.copy()
+                arrived.converged[again] = more.converged
+        reached = arrived.converged.copy()
         rows = np.flatnonzero(reached)
         if len(rows):
             values = dict(zip(own.axes, there[rows].T, strict=True))
@@ -164,7 +164,7 @@ class AttractorOrbits(StoredOrbits):
 
         A branch that turns back on the way joins none.
         """
-        own, found, change = self.attractors, list[list[int]](), list[float]()
+        own, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
         reached = dict[tuple[int, int], Array | None]()
         for one, other in pairs.tolist():
             cell = int(own.cell[other])
@@ -175,9 +175,9 @@ class AttractorOrbits(StoredOrbits):
                 continue
             size = float(np.abs(states).max())
             if np.abs(states - own.state[other]).max(axis=1).min() <= SAME * size:
-                found.append([one, other])
+                pairs_on_branches.append([one, other])
                 change.append(float(np.abs(own.state[other] - own.state[one]).max()) / size)
-        return np.array(found, dtype=np.int64).reshape(-1, 2), np.array(change)
+        return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
         """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""

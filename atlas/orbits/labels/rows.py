@@ -17,7 +17,7 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Attractors(OrbitRows):
-    """The orbits among the attractors of a finished atlas, A rows: those that can be followed to other parameters.
+    """The orbits among the attractors of a finished atlas, A rows: only orbits can be followed to other parameters.
 
     axes             names of the axes, those of the dimensions of ``shape``
     shape, keep      cells along each dimension; places of a cell's attractors
@@ -50,9 +50,9 @@ class Attractors(OrbitRows):
     @cached_property
     def row(self) -> Rows:
         """The orbit (C, keep) of each cell and place, -1 where there is none."""
-        found = np.full((len(self.points), self.keep), -1)
-        found[self.cell, self.place] = np.arange(len(self))
-        return found
+        row = np.full((len(self.points), self.keep), -1)
+        row[self.cell, self.place] = np.arange(len(self))
+        return row
 
     def beside(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
@@ -62,13 +62,13 @@ class Attractors(OrbitRows):
     def of_neighbours(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits in cells ``away`` places from each other along a dimension."""
         number = np.arange(len(self.points)).reshape(self.shape)
-        found = [np.zeros((0, 2), dtype=np.int64)]
+        parts = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
             along = np.moveaxis(number, dim, 0)
             before, after = self.row[along[:-away].ravel()], self.row[along[away:].ravel()]
             pairs = np.stack(np.broadcast_arrays(before[:, :, None], after[:, None, :]), axis=-1).reshape(-1, 2)
-            found.append(pairs[(pairs >= 0).all(axis=1)])
-        return np.concatenate(found)
+            parts.append(pairs[(pairs >= 0).all(axis=1)])
+        return np.concatenate(parts)
 
 
 def with_images(attractors: Attractors) -> tuple[Rows, Rows]:
@@ -106,7 +106,7 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
     row[cell, place] = np.arange(len(cell))
     image = columns.pop("mirror")[known]
     axes = tuple(axis.name for axis in reversed(spec.axes))
-    found = Attractors(
+    attractors = Attractors(
         system=spec.record,
         axes=axes,
         fixed={name: float(value) for name, value in spec.parameters.items()},
@@ -118,4 +118,4 @@ def attractors_of(handle: Atlas) -> tuple[Attractors, int]:
         **{name: values[known] for name, values in columns.items()},
         twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
     )
-    return found, int(np.sum(np.isin(regime, ON_ATTRACTOR)))
+    return attractors, int(np.sum(np.isin(regime, ON_ATTRACTOR)))

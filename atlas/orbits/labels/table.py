@@ -134,16 +134,16 @@ def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
     return np.where(image[first] >= 0, label[branch[image[first]]], -1)
 
 
-def write_labels(handle: Atlas, found: Labels) -> None:
+def write_labels(handle: Atlas, labels: Labels) -> None:
     """Keep labels in the store, in the place of any before."""
-    rows = {"cells": found.cells, "total_share": found.total, "mirror": found.mirror} | dict(found.kinds)
-    label = StoredArray(found.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
+    rows = {"cells": labels.cells, "total_share": labels.total, "mirror": labels.mirror} | dict(labels.kinds)
+    label = StoredArray(labels.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
     about = {
         variable.name: StoredArray(rows[variable.name].astype(variable.dtype), (BRANCH,), variable_attributes(variable))
         for variable in OF_BRANCHES
     }
     own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(found.count)})
+    write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(labels.count)})
 
 
 def stored_count(handle: Atlas) -> Count | None:

@@ -21,7 +21,7 @@ from workers.kernel.period import propagate
 
 pytestmark = pytest.mark.slow
 
-BREAKING, DOUBLING, _, _ = (each.omega for each in KNOWN[:4])
+BREAKING, DOUBLING, _, _ = (bifurcation.omega for bifurcation in KNOWN[:4])
 QUICK = Settings(max_periods=2000, survival=0)
 
 
@@ -88,7 +88,7 @@ def test_a_spent_budget_is_told() -> None:
     cut = atlas.branch(
         {"omega": 3.02}, along="omega", window=(2.99, 3.03), settings=QUICK, switch_branches=True, budget=1
     )
-    assert [(each.branch, each.event.kind, each.why) for each in cut.untried] == [
+    assert [(start.branch, start.event.kind, start.why) for start in cut.untried] == [
         (0, "symmetry_breaking", "1 branches followed")
     ]
 

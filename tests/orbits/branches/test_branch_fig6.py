@@ -49,7 +49,7 @@ def test_events_lie_where_newton_on_the_direct_map_finds_them(trees: list[Tree],
     assert event.point.orbit.itinerary.periods == bifurcation.stable[0]
 
 
-@pytest.mark.parametrize("bifurcation", [each for each in KNOWN if each.kind != "grazing"], ids=str)
+@pytest.mark.parametrize("bifurcation", [known for known in KNOWN if known.kind != "grazing"], ids=str)
 def test_the_direct_map_closes_there_and_has_the_multiplier(trees: list[Tree], bifurcation: Bifurcation) -> None:
     event = nearest(trees, bifurcation)
     osc = oscillator(float(event.point.values[0]))
@@ -116,7 +116,7 @@ def test_the_step_of_the_sweep_at_2_906_is_between_mirror_images_of_one_orbit() 
     below, above = (cell_orbit({"omega": 2.0 + k * CELL}) for k in (452, 453))
     for found in (below, above):
         assert (found.cell["period"], bool(found.cell["symmetric"])) == (1, False)
-    half = [-np.interp(each.period / 2, each.times, each.states[:, 0]) for each in (below, above)]
+    half = [-np.interp(orbit.period / 2, orbit.times, orbit.states[:, 0]) for orbit in (below, above)]
     assert below.section[0, 0] == pytest.approx(0.0350, abs=5e-5)
     assert above.section[0, 0] == pytest.approx(0.0312, abs=5e-5)
     assert half == pytest.approx([above.section[0, 0], below.section[0, 0]], abs=2e-4)

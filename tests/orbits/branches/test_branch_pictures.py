@@ -53,7 +53,7 @@ def drawn_lines(ax: Axes, stable: bool) -> list[np.ndarray]:
         layer for layer in ax.collections if isinstance(layer, LineCollection) and layer.get_zorder() == 4
     ]
     solid = [line for line in kinds if (line.get_linestyle()[0][1] is None) is stable]
-    return [np.asarray(path) for each in solid for path in each.get_segments()]
+    return [np.asarray(path) for collection in solid for path in collection.get_segments()]
 
 
 def test_stable_and_unstable_parts_meet_at_the_event(found: DrawnBranches) -> None:
@@ -63,14 +63,14 @@ def test_stable_and_unstable_parts_meet_at_the_event(found: DrawnBranches) -> No
     assert len(dashed) == 1
     assert dashed[0][:, 0].max() == pytest.approx(BREAKING, abs=1e-9)
     assert dashed[0][:, 0].min() == 2.95
-    ends = [float(np.min(np.abs(each[[0, -1], 0] - BREAKING))) for each in solid]
+    ends = [float(np.min(np.abs(path[[0, -1], 0] - BREAKING))) for path in solid]
     assert len(solid) == 3  # the symmetric orbit, the one that leaves it, and the mirror image of that
     assert max(ends) < 1e-9
 
 
 def test_events_are_marked_where_they_lie(found: DrawnBranches) -> None:
     ax = found.plot().axes[0]
-    (marks,) = [each for each in ax.lines if each.get_marker() == "s"]
+    (marks,) = [line for line in ax.lines if line.get_marker() == "s"]
     assert np.asarray(marks.get_xdata()) == pytest.approx(BREAKING, abs=1e-9)
     assert np.asarray(marks.get_ydata()) == pytest.approx(found.events.x1.iloc[0], abs=1e-8)
     assert labels(ax.figure) == ["stable orbit", "unstable orbit", "symmetry breaking"]  # type: ignore[arg-type]
@@ -86,10 +86,10 @@ def test_a_picture_of_branches_has_axes_with_symbols_and_is_written(found: Drawn
 
 
 def test_branches_pass_through_the_section_values_of_every_cell(swept: xr.Dataset, over: Axes) -> None:
-    lines = [each[np.argsort(each[:, 0])] for each in drawn_lines(over, True)]
+    lines = [line[np.argsort(line[:, 0])] for line in drawn_lines(over, True)]
     gap = swept["section"].values[..., 0]
     for omega, values in zip(OMEGA, gap, strict=True):
-        here = [np.interp(omega, each[:, 0], each[:, 1], left=np.nan, right=np.nan) for each in lines]
+        here = [np.interp(omega, line[:, 0], line[:, 1], left=np.nan, right=np.nan) for line in lines]
         assert np.nanmin(np.abs(np.array(here)[:, None] - values), axis=0) == pytest.approx(0.0, abs=1e-5)
 
 

@@ -24,7 +24,7 @@ from workers.results import CHAOTIC, PERIODIC
 
 def collection(ax: Axes, kind: str) -> LineCollection:
     """What is drawn of a kind of curve."""
-    (found,) = [each for each in ax.collections if each.get_gid() == kind]
+    (found,) = [collection for collection in ax.collections if collection.get_gid() == kind]
     assert isinstance(found, LineCollection)
     return found
 
@@ -122,7 +122,7 @@ def test_points_of_codimension_two_are_named_in_words(kind: str, name: str) -> N
 
 def test_the_kinds_of_curves_that_are_drawn_can_be_chosen() -> None:
     figure = drawn(curves(), curves="fold,graze")
-    assert {each.get_gid() for each in figure.axes[0].collections} >= {"fold", "graze"}
+    assert {collection.get_gid() for collection in figure.axes[0].collections} >= {"fold", "graze"}
     assert labels(figure)[-2:] == ["fold", "graze"]
     assert corners(figure.axes[0]) == []
 
@@ -153,7 +153,7 @@ def test_curves_can_be_drawn_without_names_and_without_a_legend() -> None:
 def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
     with keeping(curves()):
         figure = render.figure(plane(), "regions", curves="fold", names=False)
-    assert {each.get_gid() for each in figure.axes[0].collections} == {"fold"}
+    assert {collection.get_gid() for collection in figure.axes[0].collections} == {"fold"}
     assert not figure.axes[0].texts
 
 
@@ -176,9 +176,9 @@ def test_curves_that_run_beside_each_other_are_thinner_than_one_alone() -> None:
     found = Curves(("omega", "b"), tuple(curve("fold", line) for line in (apart, *beside)))
     ax = drawn(found).axes[0]
     front = collection(ax, "fold")
-    (casing,) = [each for each in ax.collections if each.get_zorder() == 3.1]
-    for each in (front, casing):
-        alone, one, other = each.get_linewidths()
+    (casing,) = [collection for collection in ax.collections if collection.get_zorder() == 3.1]
+    for line in (front, casing):
+        alone, one, other = line.get_linewidths()
         assert one == other < alone
     assert np.all(np.asarray(casing.get_linewidths()) > front.get_linewidths())
 
@@ -196,7 +196,7 @@ def test_an_end_that_no_point_of_codimension_two_explains_is_marked() -> None:
     for ends, marked in ((("cusp", "budget"), [4.5]), (("cusp", "edge"), [])):
         figure = drawn(Curves(("omega", "b"), (replace(given, ends=ends),)))
         found = [line for line in figure.axes[0].lines if line.get_gid() == "end"]
-        assert [float(each.get_xdata()[0]) for each in found] == marked
+        assert [float(line.get_xdata()[0]) for line in found] == marked
         assert ("end of a curve" in labels(figure)) == bool(marked)
 
 
@@ -253,7 +253,7 @@ def test_names_in_a_region_chart_are_crossed_by_no_curve() -> None:
 def test_a_region_chart_has_lines_and_no_coloured_cells() -> None:
     ax = chart().axes[0]
     assert not ax.images
-    assert {each.get_gid() for each in ax.collections} == {"fold", "period_doubling"}
+    assert {collection.get_gid() for collection in ax.collections} == {"fold", "period_doubling"}
 
 
 def test_a_region_chart_tells_symmetric_motions_from_unsymmetric_ones() -> None:

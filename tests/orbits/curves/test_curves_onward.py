@@ -39,7 +39,7 @@ def values_of(system: System, **given: float) -> dict[str, float]:
 def doubling(system: System) -> tuple[Event, np.ndarray]:
     """The doubling of the orbit of two periods and one contact at a = .79."""
     found = atlas.branch({"omega": 0.91, "a": 0.79}, along="omega", window=(0.905, 0.9149), system=system)
-    event = next(each for each in found.traced[0].run.events if each.kind == "period_doubling")
+    event = next(event for event in found.traced[0].run.events if event.kind == "period_doubling")
     return event, np.array([event.point.values[0], 0.79])
 
 
@@ -119,9 +119,9 @@ def folds() -> BranchRun:
     """The curve of folds through a graze_fold on the curve of grazes, from beside it."""
     system, window = forced(), {"omega": (0.7, 0.95), "a": (0.7, 1.0)}
     found = atlas.branch({"omega": 0.85}, along="omega", window=(0.76, 0.9), system=system)
-    event = next(each for each in found.traced[0].run.events if each.kind == "graze")
+    event = next(event for event in found.traced[0].run.events if event.kind == "graze")
     grazes = on(system, event, np.array([event.point.values[0], 0.9]), window)
-    corner = next(each for each in grazes.events if each.kind == "graze_fold")
+    corner = next(event for event in grazes.events if event.kind == "graze_fold")
     fold = Event("fold", (Condition(UNIT),), corner.point._replace(contacts=np.zeros(0)))
     return on(system, fold, corner.point.values + np.array([2e-4, 1.2e-3]), window)
 
@@ -188,9 +188,9 @@ def test_a_curve_of_grazes_goes_on_through_the_graze_of_another_contact(release:
         contacts=[{"name": "stop", "gap": [1.0], "stiffness": 29.0} | stops],
     )  # fmt: skip
     found = atlas.branch({"omega": 0.93}, along="omega", window=(0.9, 1.0), system=system)
-    event = next(each for each in found.traced[0].run.events if each.kind == "graze")
+    event = next(event for event in found.traced[0].run.events if event.kind == "graze")
     run = on(system, event, np.array([event.point.values[0], 1.2]), {"omega": (0.8, 1.0), "u": (0.7, 1.3)})
-    assert [each.kind for each in run.events] == ["double_graze"]
+    assert [event.kind for event in run.events] == ["double_graze"]
     assert run.ends == ("edge", "edge")
     exact = math.sqrt(1.0 - 2e-4 - math.sqrt((1.0 - 2e-4) ** 2 - 0.99))
     for point in run.points:

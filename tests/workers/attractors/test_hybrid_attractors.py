@@ -42,7 +42,10 @@ def test_the_state_of_an_orbit_leads_to_that_orbit(
 ) -> None:
     name, params, result = found
     for c, k in np.argwhere(result["regime"] == PERIODIC).tolist():
-        state = {f"{each}": float(value) for each, value in zip(states_of(name), result["state"][c, k], strict=True)}
+        state = {
+            f"{component}": float(value)
+            for component, value in zip(states_of(name), result["state"][c, k], strict=True)
+        }
         here = {key: values[c] for key, values in params.items()} | state
         alone = solve_tile(name, here, SETTINGS)
         assert alone["regime"] == PERIODIC and alone["period"] == result["period"][c, k]

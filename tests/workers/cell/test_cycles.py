@@ -129,7 +129,7 @@ def test_the_oracle_goes_round_a_cycle_to_where_it_began(c: float, v0: float, s:
     found = solved(belt(), x=1.2, c=c, v0=v0, s=s)
     assert found["regime"] == PERIODIC
     there = belt_of_oracle(v0)
-    friction = tuple(replace(each, slope=s) for each in there.friction)
+    friction = tuple(replace(element, slope=s) for element in there.friction)
     there = replace(there, damping=[[c]], friction=friction)
     run = simulate(there, found["state"].tolist(), span=float(found["cycle_period"]), digits=30)
     assert [float(z) for z in run.sections[-1]] == pytest.approx(found["state"].tolist(), abs=1e-11)

@@ -45,7 +45,7 @@ def cell_of(name: str) -> Results:
 def exponents_in(name: str) -> list[float]:
     record = RECORDS[name]
     moduli = [abs(complex(*pair)) for pair in record["multipliers"]]
-    return [math.log(each) / record["periods"] if each else -math.inf for each in moduli]
+    return [math.log(modulus) / record["periods"] if modulus else -math.inf for modulus in moduli]
 
 
 @each_found

@@ -269,7 +269,7 @@ def test_integrals_over_a_leg_are_exact_to_rounding_from_no_damping_to_stiff(c: 
     })  # fmt: skip
     values = {p.name: p.default for p in machine.parameters} | {"omega": omega, "c": c}
     hybrid, _ = machine.build_many({name: np.array([value]) for name, value in values.items()})
-    states = np.array([[float(each) for each in start]])
+    states = np.array([[float(component) for component in start]])
     readings, told = followed(
         hybrid,
         meters_of(hybrid),
@@ -389,11 +389,11 @@ def test_a_machine_with_measures_keeps_the_bits_of_the_one_without() -> None:
     plain = {key: value for key, value in ONE_MASS.items() if key != "measures"}
     params = {"stop": [0.2, 0.5, 3.0], "omega": 1.9}
     settings = Settings(exponents="spectrum", max_periods=2000, survival=0)
-    measured, bare = (solve_tile(System.from_mapping(each), params, settings) for each in (ONE_MASS, plain))
+    measured, bare = (solve_tile(System.from_mapping(machine), params, settings) for machine in (ONE_MASS, plain))
     for name, values in bare.items():
         np.testing.assert_array_equal(measured[name], values)
     assert set(measured) - set(bare) == {
-        f"{name}_{report}" for name, each in ONE_MASS["measures"].items() for report in each["report"]
+        f"{name}_{report}" for name, measure in ONE_MASS["measures"].items() for report in measure["report"]
     }
 
 

@@ -67,7 +67,9 @@ def test_a_mass_with_one_stop_strikes_at_the_phase_and_speed_of_its_closed_form(
     found = seen(SPRING, numbers, "impact_phase:stop,impact_speed:stop:upper,energy_loss,maximum:x,minimum:x")
     assert (found["regime"], found["period"]) == (PERIODIC, 1)
     (speed,), (phase,) = values_of(found, "impact_speed_stop_upper"), values_of(found, "impact_phase_stop")
-    known = [(float(each.time) * 2.0 + float(machine.tau), float(each.before[1])) for each in one_sided_orbit(machine)]
+    known = [
+        (float(impact.time) * 2.0 + float(machine.tau), float(impact.before[1])) for impact in one_sided_orbit(machine)
+    ]
     phases = [(at - phase + math.pi) % TWO_PI - math.pi for at, _ in known]
     assert min(abs(at) + abs(v - speed) for at, (_, v) in zip(phases, known, strict=True)) < 1e-11
     assert values_of(found, "maximum_x") == pytest.approx([0.0], abs=1e-13)

@@ -57,7 +57,7 @@ def test_many_orbits_are_moved_as_each_one_is(orbit: Orbit) -> None:
     start = np.array([[ASYMMETRIC["omega"], ASYMMETRIC["b"]]])
     values = start + np.array([[0.0, 0.0], [0.01, 0.0], [-0.01, 0.002], [0.005, -0.003]])
     found = continued_to(family, many_of([orbit] * 4, np.repeat(start, 4, axis=0)), values)
-    assert found.found.all()
+    assert found.converged.all()
     for k in range(4):
         alone = refined(family_of(TWO_MASS, dict(zip(("omega", "b"), values[k], strict=True)), ()), orbit, np.zeros(0))
         assert found.orbit(k).times == pytest.approx(alone.times, abs=1e-12)
@@ -82,7 +82,7 @@ def test_an_orbit_is_moved_though_one_moved_with_it_is_none(orbit: Orbit, name: 
         values = np.array([[1.201, 0.0], [1.2, 0.01]])
     both = continued_to(family, many_of([orbit] * 2, np.repeat(start, 2, axis=0)), values)
     alone = continued_to(family, many_of([orbit], start), values[:1])
-    assert both.found.tolist() == [True, False]
+    assert both.converged.tolist() == [True, False]
     assert np.array_equal(both.orbit(0).times, alone.orbit(0).times)
 
 
@@ -93,7 +93,7 @@ def test_an_orbit_that_lost_its_stability_does_not_attract() -> None:
     exact = 1.8443244880291019
     values = np.array([[exact - 1e-3], [exact + 1e-3]])
     found = continued_to(family, many_of([orbit, orbit], np.full((2, 1), exact)), values)
-    assert found.found.all()
+    assert found.converged.all()
     assert sorted(attract(family, found).tolist()) == [False, True]
 
 
@@ -108,4 +108,4 @@ def test_no_orbit_is_told_where_it_has_ceased_to_be() -> None:
         family, many_of([orbit] * 2, np.full((2, 1), exact)), np.array([[exact - 0.01], [exact + 0.01]])
     )
     assert not attract(family, found).all()
-    assert not found.found.all()
+    assert not found.converged.all()

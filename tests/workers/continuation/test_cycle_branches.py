@@ -79,7 +79,7 @@ def test_the_multiplier_of_a_cycle_that_an_impact_holds_is_its_closed_form_all_a
     stop = {"name": "stop", "gap": [1.0], "upper": 1.0, "restitution": "R"}
     driven = machine(damping=[[-0.1]], contacts=[stop], parameters={"R": {"default": 0.8, "low": 0.0}, "x": 0.1})
     run, _ = followed(driven, "R", (0.3, 0.84))
-    R, T, mu = (np.array(each) for each in zip(
+    R, T, mu = (np.array(column) for column in zip(
         *((point.values[0], period_of(point), point.multipliers[0].real) for point in run.points), strict=True
     ))  # fmt: skip
     assert (run.ends, run.events) == (("edge", "edge"), [])
@@ -129,10 +129,10 @@ def test_the_cycle_on_a_belt_with_a_law_in_segments_ends_by_grazing_sliding_wher
     u = 0.75 * window[0] + 0.25 * window[1]
     system = machine(damping=[[0.1]], friction=[chords_of(h)], parameters={"u": u, "x": 0.9, "v": u})
     run, _ = followed(system, "u", window)
-    (event,) = (each for each in run.events if each.kind == "grazing_sliding")
+    (event,) = (event for event in run.events if event.kind == "grazing_sliding")
     assert event.point.values[0] == pytest.approx(end, abs=1e-9)
     assert abs(end - 1.836600972208) < 0.4 * h**2
-    assert {each.kind for each in run.events} <= {"grazing_sliding", "vertex"}
+    assert {event.kind for event in run.events} <= {"grazing_sliding", "vertex"}
     before, after = (run.points[k].unstable for k in (1, -1))
     assert {before, after} == {0, 1}
 

@@ -50,7 +50,7 @@ def test_a_curve_of_folds_passes_the_folds_of_branches_across_it() -> None:
     at = min(found.points, key=lambda point: abs(point.values[1] - 0.52))
     across, _ = followed(system, "P", (1.6, 1.9), d=float(at.values[1]))
     folds = [float(event.point.values[0]) for event in across.events if event.kind == "fold"]
-    assert min(abs(each - at.values[0]) for each in folds) < 1e-9
+    assert min(abs(fold - at.values[0]) for fold in folds) < 1e-9
 
 
 def hopf_of(system: System, along: str, other: str, window: dict[str, tuple[float, float]], **given: float) -> Any:

@@ -47,7 +47,7 @@ def test_doublings_of_a_soft_contact_are_those_of_branches() -> None:
     other = branch(
         family_of(soft(), values, ("omega",)), run.points[3].orbit, float(run.points[3].values[0]), (0.85, 0.98)
     )
-    at = [each.point.values[0] for each in other.events if each.kind == "period_doubling"]
+    at = [event.point.values[0] for event in other.events if event.kind == "period_doubling"]
     assert at == pytest.approx([run.points[3].values[0]], abs=1e-12)
 
 
@@ -61,7 +61,7 @@ def test_the_onset_of_stick_is_that_of_branches_along_its_curve() -> None:
     other = branch(
         family_of(rubbing(), values, ("omega",)), run.points[3].orbit, 1.001 * omega, (0.9 * omega, 1.1 * omega)
     )
-    assert [each.point.values[0] for each in other.events] == pytest.approx([omega], abs=1e-12)
+    assert [event.point.values[0] for event in other.events] == pytest.approx([omega], abs=1e-12)
 
 
 def test_symmetry_breaks_along_a_curve_through_the_oracles_point() -> None:

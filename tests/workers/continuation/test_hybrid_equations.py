@@ -40,7 +40,7 @@ each_forced = pytest.mark.parametrize("name", FORCED)
 
 def always(machines: HybridMachines) -> Family:
     """One machine, whatever is asked for."""
-    return Family((), lambda rows: with_modes(machines).taken(np.zeros(len(rows), dtype=np.int64)))
+    return Family((), lambda rows: with_modes(machines).at_rows(np.zeros(len(rows), dtype=np.int64)))
 
 
 @functools.cache
@@ -99,7 +99,7 @@ def test_tangents_are_the_derivatives_of_the_residuals(name: str) -> None:
     X = motion.unknowns[0] * (1.0 + 1e-3 * np.cos(np.arange(motion.unknowns.shape[1])))
     steps = 1e-6 * np.eye(len(X))
     rows = np.concatenate([X[None], X + steps, X - steps])
-    lin = motion.lin.taken(np.zeros(len(rows), dtype=np.int64))
+    lin = motion.lin.at_rows(np.zeros(len(rows), dtype=np.int64))
     moved = motion_of_unknowns(lin, motion.itinerary, rows)
     ahead, behind = np.split(moved.turn.residuals[1:], 2)
     found = moved.linearised()[0]
@@ -127,7 +127,7 @@ def test_states_between_events_are_those_of_the_motion() -> None:
 
 def without(name: str, count: int, **change: Any) -> Orbit:
     """An orbit with all its events ``count`` places later, and other fields."""
-    orbit = solved(name).orbits.taken(0)
+    orbit = solved(name).orbits.at_rows(0)
     return orbit._replace(times=np.roll(orbit.times, count), **change)
 
 

@@ -41,8 +41,8 @@ def arrays_of(found: Any) -> Iterator[np.ndarray]:
     if isinstance(found, np.ndarray):
         yield found
     elif isinstance(found, tuple):
-        for each in found:
-            yield from arrays_of(each)
+        for array in found:
+            yield from arrays_of(array)
 
 
 def is_borrowed(array: np.ndarray) -> bool:
@@ -64,7 +64,7 @@ def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytes
     def watched(self: jit.Kernel, *given: Any) -> Any:
         found = run(self, *given)
         called.add(self.py_func.__name__)
-        assert not any(is_borrowed(each) for each in arrays_of(found)), self.py_func
+        assert not any(is_borrowed(array) for array in arrays_of(found)), self.py_func
         return found
 
     monkeypatch.setattr(jit.Kernel, "__call__", watched)
@@ -81,9 +81,9 @@ def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytes
 def returned_names(function: ast.FunctionDef) -> set[str]:
     """Names that a function returns, or a part of: x of ``x``, ``x.y`` and ``x[i]``, alone and in tuples."""
     returns = [node.value for node in ast.walk(function) if isinstance(node, ast.Return) and node.value]
-    parts = [each.elts if isinstance(each, ast.Tuple) else [each] for each in returns]
+    parts = [value.elts if isinstance(value, ast.Tuple) else [value] for value in returns]
     found = set()
-    for part in (each for group in parts for each in group):
+    for part in (value for group in parts for value in group):
         while isinstance(part, ast.Attribute | ast.Subscript):
             part = part.value
         if isinstance(part, ast.Name):
@@ -99,7 +99,7 @@ def borrows(function: ast.FunctionDef) -> set[str]:
             found.add("borrowed")
         if isinstance(node, ast.Assign) and any(word in ast.unparse(node.value) for word in BORROWING):
             for target in node.targets:
-                found |= {each.id for each in ast.walk(target) if isinstance(each, ast.Name)}
+                found |= {name.id for name in ast.walk(target) if isinstance(name, ast.Name)}
     return found
 
 

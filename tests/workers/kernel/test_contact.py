@@ -16,7 +16,7 @@ from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
 from workers.kernel.period import propagate
-from workers.model.oscillator import Oscillator, many_of, taken
+from workers.model.oscillator import Oscillator, at_rows, many_of
 from workers.model.system import find_system, system_names
 from workers.results import BEYOND_STOP, INVALID, NO_REASON, InvalidError, empty_results, result_variables
 from workers.sweep import solve_lines
@@ -51,7 +51,7 @@ def own(*gap: float, stop: float = 0.3) -> Oscillator:
         mass=np.diag(np.linspace(1.0, 0.3, n)), damping=0.1 * spring, stiffness=spring, gap_row=gap,
         force=np.ones(n), omega=1.1, tau=0.7, b_upper=stop, b_lower=0.9, R=0.5,
     )  # fmt: skip
-    return taken(many_of(osc), np.zeros(MANY, dtype=np.int64))
+    return at_rows(many_of(osc), np.zeros(MANY, dtype=np.int64))
 
 
 MACHINES = {

@@ -61,7 +61,7 @@ def test_kernels_call_the_c_library_for_lengths_of_pairs_alone() -> None:
     exact = {"sqrt", "floor", "isfinite", "isnan", "copysign", "frexp", "ldexp", "abs"}
     found = set()
     for source in sorted(Path(elementary.__file__).parent.rglob("*.py")):
-        functions = [each for each in ast.parse(source.read_text()).body if isinstance(each, ast.FunctionDef)]
+        functions = [node for node in ast.parse(source.read_text()).body if isinstance(node, ast.FunctionDef)]
         for node in (node for function in functions for node in ast.walk(function)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 module, name = getattr(node.func.value, "id", ""), node.func.attr

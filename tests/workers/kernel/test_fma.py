@@ -30,7 +30,7 @@ def test_a_sum_that_is_zero_has_the_sign_of_the_compiled_one() -> None:
     a, b, c = (grid.ravel() for grid in np.meshgrid(signed, signed, signed))
     out = np.empty(len(a))
     sums(a, b, c, out)
-    in_python = np.array([fma(*each) for each in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
+    in_python = np.array([fma(*numbers) for numbers in zip(a.tolist(), b.tolist(), c.tolist(), strict=True)])
     assert in_python.tobytes() == out.tobytes()
 
 

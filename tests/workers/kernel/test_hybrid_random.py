@@ -54,8 +54,8 @@ def compare(seed: int, periods: int, draw: Draw = drawn) -> int:
         status = found.status
         if status != RUNNING:
             break
-        later = [found.jacobian @ each for each in [*later, np.eye(2 * machine.n)]]
-        growth = max(1.0, *(float(np.linalg.norm(each, 2)) for each in later))
+        later = [found.jacobian @ product for product in [*later, np.eye(2 * machine.n)]]
+        growth = max(1.0, *(float(np.linalg.norm(product, 2)) for product in later))
         if growth > SENSITIVE:
             break
         there = np.array(expected[k], dtype=float)

@@ -15,7 +15,7 @@ VALUES = {"omega": 1.7, "a": 0.3, "b": -2.0, "mu_k": 5.0}
 
 
 def value(text: str, **values: float) -> float:
-    arrays = {name: np.full(3, each) for name, each in (VALUES | values).items()}
+    arrays = {name: np.full(3, number) for name, number in (VALUES | values).items()}
     with np.errstate(all="ignore"):
         return float(parse(text, NAMES)(arrays)[0])
 
@@ -69,7 +69,7 @@ def test_an_element_does_not_depend_on_those_beside_it_to_the_bit(function: str)
     expression = parse(text, NAMES)
     whole = expression(many)
     for begin, end in ((0, 2), (1, 4), (100, 109), (190, 203)):
-        part = expression({name: each[begin:end].copy() for name, each in many.items()})
+        part = expression({name: values[begin:end].copy() for name, values in many.items()})
         assert part.tobytes() == whole[begin:end].tobytes()
 
 

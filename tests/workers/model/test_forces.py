@@ -279,10 +279,10 @@ def test_many_machines_of_high_orders_move_as_simulated(block: int) -> None:
 def test_jacobians_of_machines_of_high_orders_are_those_of_simulated_orbits() -> None:
     """Where they are not so large that the rounding of a state changes their digits."""
     machines = [drawn(seed) for seed in range(16)]
-    found = [each for each in machines if np.abs(solver_jacobian(each, np.asarray(each.start))).max() < 1e3]
+    found = [machine for machine in machines if np.abs(solver_jacobian(machine, np.asarray(machine.start))).max() < 1e3]
     assert len(found) >= 5
-    for each in found:
-        assert_jacobians_agree(each)
+    for orbit in found:
+        assert_jacobians_agree(orbit)
 
 
 def of_many_modes(seed: int) -> Pieces:

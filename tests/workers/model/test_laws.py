@@ -102,8 +102,8 @@ def test_a_contact_of_chords_pushes_as_the_published_digits_say() -> None:
     found, turn = orbit_of(hertz(0.2))
     assert (found["regime"], found["period"], found["impacts_upper"]) == (PERIODIC, 1, 1)
     assert found["state"][0] == pytest.approx(0.8671794308827634, abs=1e-13)
-    left = [each for each in speeds_before(turn, 0) if each[1] < 0.0][-1]
-    reached = next(each for each in speeds_before(turn, 0) if each[0] > left[0])
+    left = [pass_ for pass_ in speeds_before(turn, 0) if pass_[1] < 0.0][-1]
+    reached = next(pass_ for pass_ in speeds_before(turn, 0) if pass_[0] > left[0])
     assert left[0] == pytest.approx(0.9821054229542983, abs=1e-12)
     assert reached == pytest.approx((5.193585240741768, 1.299091952291305), abs=1e-12)
     mu = np.linalg.eigvals(turn.jacobian)
@@ -179,7 +179,7 @@ def drawn(seed: int) -> Drawn:
     start = random_state(base, seed)
     soft = [contact.restitution is None for contact in base.contacts]
     bare = [replace(contact, release="displacement") for contact in base.contacts]
-    bare = [replace(each, stiffness=0.0) if of else each for each, of in zip(bare, soft, strict=True)]
+    bare = [replace(contact, stiffness=0.0) if of else contact for contact, of in zip(bare, soft, strict=True)]
     machine = replace(base, contacts=tuple(bare), phases=tuple(replace(p, contacts=None) for p in base.phases))
     solver, stacked = machines_of([machine]), list(bare)
     tables = [np.zeros((1, 2, 1, 3)) for _ in bare]
@@ -385,7 +385,7 @@ def test_a_block_on_a_belt_whose_friction_falls_sticks_and_slips_as_the_publishe
     found = follow(hybrid_of(belt(h, parameters={"omega": {"default": 2.0 * math.pi / cycle}})), [0.9, 1.0])
     np.testing.assert_allclose(found.state, [0.9, 1.0], atol=1e-12)
     friction = [event for event in found.events if event.element == "friction"]
-    assert [each.t for each in friction[-2:]] == pytest.approx([cycle * (1.0 - stuck), cycle], abs=1e-12)
+    assert [event.t for event in friction[-2:]] == pytest.approx([cycle * (1.0 - stuck), cycle], abs=1e-12)
 
 
 def test_a_smooth_law_takes_the_fewest_segments_and_is_within_its_bound() -> None:
@@ -618,8 +618,10 @@ def of_bounds(system: System, times: float) -> System:
 
     def scaled(elements: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(
-            each if each.within is None else replace(each, within=Expression(f"{times} * ( {each.within.text} )"))
-            for each in elements
+            element
+            if element.within is None
+            else replace(element, within=Expression(f"{times} * ( {element.within.text} )"))
+            for element in elements
         )
 
     own = system.definition
@@ -646,10 +648,10 @@ def test_orbits_of_the_packaged_machines_tend_to_those_of_their_smooth_laws(
     system = find_system(name)
     coarse, fine = of_bounds(system, 4.0), of_bounds(system, 0.25)
     mass = SMOOTH[name]({p.name: p.default for p in system.parameters} | given)
-    cells = [solve_tile(each, given, Settings(exponents="none")) for each in (coarse, system, fine)]
+    cells = [solve_tile(machine, given, Settings(exponents="none")) for machine in (coarse, system, fine)]
     periods = int(cells[1]["period"])
     state, _, happened = smooth_orbit(mass, cells[-1]["state"], periods)
-    assert {each for _, each, _ in happened} == set(kinds.split())
+    assert {kind for _, kind, _ in happened} == set(kinds.split())
     assert [int(cell["period"]) for cell in cells] == [periods] * 3
     far, own, close = (float(np.max(np.abs(cell["state"] - state))) for cell in cells)
     assert own < 0.02

@@ -12,6 +12,7 @@ from tests.workers.orbit.test_attraction import naive_norm
 from tests.workers.orbit.test_stroboscopic import KINDS
 from workers.attractors.same import KnownOrbits, orbits_reached
 from workers.cell.stretch import run_periods
+from workers.kernel.cells import scale_of
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import EVALUATIONS, FREE, motion_at, motions_at
 from workers.model.hybrid import FIRST_NUMBER
@@ -24,6 +25,7 @@ from workers.orbit.newton import (
     Orbits,
     far_from_closing,
     is_hopeless,
+    newton,
     no_orbits,
     recurrence,
     settle_cells,
@@ -140,7 +142,7 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
             if worst > 0.6 or nearer:
                 return worst
             coming = [w * (np.linalg.matrix_power(J, k) @ (image - h).ravel()) for k in range(256)]
-            nearer = max(np.linalg.norm(each) for each in coming) < begun
+            nearer = max(np.linalg.norm(deviation) for deviation in coming) < begun
             at = image
 
     low, high = 0.003, 0.3
@@ -194,6 +196,25 @@ def test_nothing_is_shown_to_fall_into_an_orbit_that_it_leaves() -> None:
     assert sum(falls for falls, _, _ in seen) < len(seen) - 10
     assert sum(shown for _, shown, _ in seen) > 100
     assert sum(known for _, _, known in seen) > 100
+
+
+def test_newton_stops_where_the_residual_no_longer_falls() -> None:
+    """On an unstable orbit of two periods of the chaos of Fig. 5, whose multiplier of 13.6 keeps residuals above 1e-15
+    of the motion: from 1e-8 beside it two steps reach rounding, and a few more show that it is."""
+    osc = naive.two_mass(**naive.FIGURES[5])[0]
+    there = osc._replace(tau=osc.tau + 2.0 * math.pi * SHIFT)
+    start = motion_after(osc, attractor(osc), FREE, SHIFT).h
+    scale, rng = float(scale_of(osc.gap.blocks, start)), np.random.default_rng(1)
+    h, whole = start, np.bool_(False)
+    for _ in range(40):
+        orbit, _ = newton(there, h, FREE, 2, whole, scale, 12)
+        if 13.0 < np.abs(np.linalg.eigvals(orbit.jacobian)).max() < 14.0:
+            break
+        h = after(there, h, 1)
+    assert orbit.residual < 1e-13 * scale
+    starts = orbit.h + 1e-8 * scale * rng.normal(size=(16, *start.shape))
+    spent = [newton(there, one, FREE, 2, whole, scale, 12)[1] for one in starts]
+    assert 3 <= max(spent) <= 7
 
 
 # Which orbit it is

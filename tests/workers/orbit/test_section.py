@@ -216,9 +216,9 @@ def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attr
         solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts)
         for late in (0.0, 1e-14, 0.5)
     ]
-    assert [int(each["attractors"]) for each in found] == [2, 2, 2]
-    assert all(each["regime"][:2].tolist() == [PERIODIC, PERIODIC] for each in found)
-    assert all(each["sticks"][:2].tolist() == [True, False] for each in found)
+    assert [int(cell["attractors"]) for cell in found] == [2, 2, 2]
+    assert all(cell["regime"][:2].tolist() == [PERIODIC, PERIODIC] for cell in found)
+    assert all(cell["sticks"][:2].tolist() == [True, False] for cell in found)
 
 
 @pytest.mark.parametrize("name", MACHINES)
