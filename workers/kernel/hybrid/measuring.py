@@ -135,9 +135,9 @@ def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, 
     z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
     for node in range(3):
         since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
-        moved, at = h.copy(), turned(phase + omega * since, pieces.waves.shape[2])
-        flow(pieces.blocks[k, 0], since, moved)
-        leave(pieces, k, moved, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
+        flown, at = h.copy(), turned(phase + omega * since, pieces.waves.shape[2])
+        flow(pieces.blocks[k, 0], since, flown)
+        leave(pieces, k, flown, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
         right_hand_side(pieces, before, z, at, flying)
         right_hand_side(pieces, k, z, at, held)
         for m in range(len(meter.rows)):

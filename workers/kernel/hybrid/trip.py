@@ -178,7 +178,7 @@ def trips_for(table, N, n, m, framed, square):
 
 @inline_always
 def stop_at(table, tally, k, number):
-    """Set the status of a motion whose next mode is none, see events.mode_of."""
+    """Set the status of a motion without a next mode, see events.mode_of."""
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number

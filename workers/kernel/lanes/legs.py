@@ -192,18 +192,18 @@ def copy_pass(a, first, n):
 
 
 @kernel
-def share_pass(a, q, moved, n):
-    """Add the share of a block to a signal; ``moved`` are the fields of the block in the first signal, at LANE.time."""
+def share_pass(a, q, flown, n):
+    """Add the share of a block to a signal; ``flown`` are the fields of the block in the first signal, at LANE.time."""
     for i in range(n):
-        h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
+        h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
 
 
 @kernel
-def oscillating_share_pass(a, q, moved, n):
+def oscillating_share_pass(a, q, flown, n):
     """share_pass for a block that is underdamped in every lane."""
     for i in range(n):
-        h0, h1 = moved[BLOCK.h0 + i], moved[BLOCK.h1 + i]
+        h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
 
 

@@ -48,7 +48,7 @@ class LegSearch(NamedTuple):
     """Work arrays for the search for events of legs, for machines with n coordinates.
 
     records, legs   fields of the lanes, see legs.py
-    signals (U,)    those that end a mode
+    signals (U,)    numbers of the signals that end a mode
     held, slots     the cell of each lane (LANES,), and the slot of its trip
     before          log of the length of the first tangent vector of each trip, at its last section
     gathered, chosen, scratch (n, 2), none (0, 0): overwritten
