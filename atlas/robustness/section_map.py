@@ -26,9 +26,9 @@ class SectionMap:
         many = self.many(len(states))
         motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), np.ascontiguousarray(states))
         sections = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
-        return (
-            np.asarray(sections) if sections.shape[1] else np.full((len(states), periods + 1, states.shape[1]), np.nan)
-        )
+        if sections.shape[1]:
+            return np.asarray(sections)
+        return np.full((len(states), periods + 1, states.shape[1]), np.nan)
 
     def images(self, states: Array, periods: int) -> Array:
         """P^periods of states (N, 2n)."""

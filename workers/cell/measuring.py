@@ -67,9 +67,8 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
 
 def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
     """The machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
-    return (
-        at_rows(cells.oscillators, rows) if cells.oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
-    )
+    own = cells.oscillators
+    return at_rows(own, rows) if own.has_modes else build_hybrid(definition.hybrid(values))[0]
 
 
 def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
@@ -78,9 +77,8 @@ def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
     closes = period > 0
     if not cells.oscillators.has_modes:  # without damping, impact-free motion need not repeat
         gap = cells.oscillators.gap
-        closes &= (cells.results["regime"][rows] == PERIODIC) | np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)[
-            rows
-        ]
+        damped = np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)
+        closes &= (cells.results["regime"][rows] == PERIODIC) | damped[rows]
     return np.where(closes, period, WINDOW), closes
 
 
@@ -91,9 +89,10 @@ def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     orbits = motions_at(cells.orbits.h, cells.orbits.contact)
     states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
     contact[proved] = cells.orbits.contact[rows[proved], 0]
-    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])  # of a single rigid contact
-    numbers = np.where(contact < FIRST_NUMBER, held[np.sign(contact) + 1], contact - FIRST_NUMBER)
-    return states, numbers[:, None]
+    if cells.oscillators.has_modes:
+        return states, contact[:, None] - FIRST_NUMBER
+    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
+    return states, held[np.sign(contact) + 1][:, None]
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:

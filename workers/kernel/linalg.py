@@ -252,16 +252,13 @@ def sort_down(values):
         values[k] = value
 
 
-@inline_always
+@inlined
 def copy_into(target, source):
     """Copy the entries of an array into another of the same shape; both are contiguous."""
+    if source.ndim == 1:  # decided by the compiler: ravel calls a function of numpy's
+        for k in range(len(source)):
+            target[k] = source[k]
+        return
     to, values = target.ravel(), source.ravel()
     for k in range(values.size):
         to[k] = values[k]
-
-
-@inlined
-def copy_numbers(target, source):
-    """copy_into for arrays with one axis: a call less for each."""
-    for k in range(len(source)):
-        target[k] = source[k]

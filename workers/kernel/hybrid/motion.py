@@ -10,7 +10,7 @@ from workers.kernel.hybrid.state import product, product_of_blocks
 from workers.kernel.hybrid.trip import CLOCK, PLACE, TRIPS, begin_leg, begin_trip, end_leg, trips_for
 from workers.kernel.jit import kernel
 from workers.kernel.lend import as_many, lend, row_in, whole
-from workers.kernel.linalg import copy_into, copy_numbers, identity
+from workers.kernel.linalg import copy_into, identity
 from workers.kernel.motion import MARCH_GAVE_UP, MOTION, OSCILLATOR, RUNNING, STATUS, TABLES, spend
 from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import HEAD, Mode
@@ -127,7 +127,7 @@ def take_up(to_physical, motion, trip, more):
         for e in range(len(motion.triangle)):
             for i in range(len(motion.triangle)):
                 trip.triangle[more + e, more + i] = motion.triangle[e, i]
-    copy_numbers(trip.tally, motion.tally)
+    copy_into(trip.tally, motion.tally)
 
 
 @kernel
@@ -138,7 +138,7 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
         h[i // 2, i % 2] = product(to_blocks[i], trip.z, 0)
         for e in range(len(V)):
             V[e, i // 2, i % 2] = product(to_blocks[i], trip.W[more + e], 0)
-    copy_numbers(motion.tally, trip.tally)
+    copy_into(motion.tally, trip.tally)
     if resets:
         count_progress(motion, h, omega)
     for j in range(len(h)):
