@@ -98,30 +98,30 @@ def phases_of(oscillator: Oscillator, orbit: Attractor) -> Phases | str:
     """The phases of an orbit of one machine, a record of many; or the reason if its map has no Jacobian there."""
     if oscillator.drifts:
         return DRIFTS
-    h, contact = orbit.h, orbit.contact
+    h, mode = orbit.h, orbit.mode
     states, jacobians = list[Array](), list[Array]()
     for _ in range(orbit.period):
-        start = motions_at(h[None], np.array([[contact]]))
+        start = motions_at(h[None], np.array([[mode]]))
         states.append(physical_states(oscillator, start, np.zeros(1, dtype=np.int64))[0])
-        motion, jacobian = one_period(oscillator, h, contact)
+        motion, jacobian = one_period(oscillator, h, mode)
         if motion.tally[STATUS] != RUNNING:
             return LOST
         if motion.tally[NEUTRAL] > 0.0:
             return STICKS
         jacobians.append(jacobian)
-        h, contact = motion.h, int(motion.contact[0])
+        h, mode = motion.h, int(motion.mode[0])
     phases = Phases(np.array(states), np.array(jacobians))
     return not_smooth(oscillator, phases.states) or phases
 
 
-def one_period(oscillator: Oscillator, h: Array, contact: int) -> tuple[Motion, Array]:
+def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Array]:
     """The motion one period after block state h (n, 2) of one machine, a record of many, and the Jacobian (2n, 2n).
 
     The Jacobian is that of physical states.
     """
     none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
     osc = one_of(oscillator, 0)
-    motion: Motion = oscillator.with_modes(lambda _: iterate(osc, h, contact, axes(len(h)), *none, *one), FIRST)
+    motion: Motion = oscillator.with_modes(lambda _: iterate(osc, h, mode, axes(len(h)), *none, *one), FIRST)
     return motion, np.asarray(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
 
 

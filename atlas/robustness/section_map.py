@@ -41,14 +41,14 @@ class SectionMap:
         """
         size = len(state)
         motions, _ = begin(self.oscillator, np.full(1, NO_REASON, dtype=np.int8), state[None])
-        h, contact = motions.h[0], int(motions.contact[0, 0])
+        h, mode = motions.h[0], int(motions.mode[0, 0])
         states, jacobian = [state], np.eye(size)
         for _ in range(periods):
-            motion, one = one_period(self.oscillator, h, contact)
+            motion, one = one_period(self.oscillator, h, mode)
             if motion.tally[STATUS] != RUNNING:
                 return np.full((periods, size), np.nan), np.full(size, np.nan), np.full((size, size), np.nan)
             jacobian = one @ jacobian
-            h, contact = motion.h, int(motion.contact[0])
-            motions.h[0], motions.contact[0, 0] = h, contact
+            h, mode = motion.h, int(motion.mode[0])
+            motions.h[0], motions.mode[0, 0] = h, mode
             states.append(physical_states(self.oscillator, motions, FIRST)[0])
         return np.array(states[:-1]), states[-1], jacobian

@@ -43,7 +43,7 @@ def linear_measures(
         orbit = Attractor(
             int(regime[at]),
             {"largest": cells["largest"][at]},
-            contact=int(motions.contact[k, 0]),
+            mode=int(motions.mode[k, 0]),
             h=motions.h[k],
             period=int(cells["period"][at]),
         )

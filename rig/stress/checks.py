@@ -13,8 +13,9 @@ from rig.oracle.simulate import first_hit
 from rig.stress.findings import Drawn, Findings
 from rig.stress.results import POSITION
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.motion import LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
+from workers.kernel.motion import FLIGHT, LOWER, RECORDED, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.period import advance, propagate
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.orbit.map import map_with_jacobian
@@ -113,18 +114,18 @@ def _flights(findings: Findings, cell: Drawn, osc: Oscillator, start: Array) -> 
     flights: list[_Flight] = []
     section = motion_from(osc, start)
     for _ in range(3):
-        motion = motion_at(section.h, int(section.contact[0]), record=FLIGHTS + 1)
+        motion = motion_at(section.h, int(section.mode[0]), record=FLIGHTS + 1)
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING:
             break
         t, state = 0.0, blocks_to_physical(osc, section)
-        held = abs(int(section.contact[0])) == 1
+        held = abs(int(section.mode[0]) - FLIGHT) == ON
         rows = motion.impacts[: int(motion.tally[RECORDED])].copy()
         for time, side, speed in rows:
             if speed == 0.0:  # the start of a rest after chatter: no flight leads there
                 held, t = True, float(time)
                 continue
-            there = motion_at(section.h, int(section.contact[0]))
+            there = motion_at(section.h, int(section.mode[0]))
             propagate(osc, there, float(time))
             beyond = side * _gap(osc, there.h, float(time)) - (osc.b_upper if side > 0 else osc.b_lower)
             findings.checked["impact positions"] += 1
@@ -152,7 +153,7 @@ def _flights(findings: Findings, cell: Drawn, osc: Oscillator, start: Array) -> 
 def _stuck_until(osc: Oscillator, section: Motion, t: float) -> float:
     if t == 0.0:
         return 0.0
-    there = motion_at(section.h, int(section.contact[0]))
+    there = motion_at(section.h, int(section.mode[0]))
     propagate(osc, there, t)
     return float(there.tally[STUCK])
 
@@ -189,7 +190,7 @@ def _recheck_orbit(findings: Findings, cell: Drawn, osc: Oscillator, start: Arra
     states, norms, scales = [], [], []
     partial: list[Array] = []
     for _ in range(periods):
-        _, jacobian = map_with_jacobian(osc, motion.h, int(motion.contact[0]), 1, False)
+        _, jacobian = map_with_jacobian(osc, motion.h, int(motion.mode[0]), 1, False)
         scale = float(np.linalg.norm(motion.h * weights)) + forced
         advance(osc, motion)
         if motion.tally[STATUS] != RUNNING or not np.all(np.isfinite(jacobian)):

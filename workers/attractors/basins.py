@@ -134,13 +134,13 @@ def section_points(table: AttractorTable, count: int) -> Array:
     """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)
-    contact = np.array([attractor.contact for attractor in table.attractors], dtype=np.int64)
+    mode = np.array([attractor.mode for attractor in table.attractors], dtype=np.int64)
     oscillators = at_rows(table.oscillators, np.zeros(N, dtype=np.int64))
     lengths = np.array([attractor.cycle.period if attractor.cycle else np.nan for attractor in table.attractors])
     cycles = np.flatnonzero(~np.isnan(lengths))
     if len(cycles):
         set_period(oscillators, cycles, lengths[cycles] / count)
-    motions, _ = begin(oscillators, np.full(N, NO_REASON, dtype=np.int8), states, contact)
+    motions, _ = begin(oscillators, np.full(N, NO_REASON, dtype=np.int8), states, mode)
     sections = np.full((N, count, size), np.nan)
     counts = np.array([min(attractor.period or count, count) for attractor in table.attractors], dtype=np.int64)
     counts[cycles] = count

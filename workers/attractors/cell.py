@@ -82,7 +82,7 @@ def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | 
     locks onto a stop the class alone.
     """
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
-    new = Attractor(regime, search.result(r), int(search.cells.contact[r]), reference=reference)
+    new = Attractor(regime, search.result(r), int(search.cells.mode[r]), reference=reference)
     if reference is not None:
         new.last, new.seen = [search.last(r)], int(new.result["survived"]) + int(search.compared[r])
         return new
@@ -93,7 +93,7 @@ def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | 
     new.cycle = search.cells.cycles.get(r)
     if new.cycle:
         new.period = int(new.result["period"])
-        new.orbit = states_along(oscillator, new.cycle, new.result["state"], new.contact)
+        new.orbit = states_along(oscillator, new.cycle, new.result["state"], new.mode)
         return new
     if regime == NO_IMPACT and not oscillator.has_modes:
         new.h, new.period, largest = np.zeros_like(orbits.h[r]), 1, float(free_exponents(oscillator)[0, 0])
@@ -104,7 +104,7 @@ def attractor_of(oscillator: Oscillator, search: Search, r: int) -> Attractor | 
     if largest < 0.0 and new.period <= LONGEST_KNOWN:
         none, whole = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
         osc, frame = one_of(oscillator, 0), axes(len(new.h))
-        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.contact, frame.copy(), *none, *whole), FIRST)
+        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *whole), FIRST)
         jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
         norm = shrinking_norm(osc.gap.blocks, jacobian, contraction)
         if np.isfinite(norm).all():

@@ -35,7 +35,7 @@ class Attractor:
 
     regime: int
     result: dict[str, Any]
-    contact: int
+    mode: int
     starts: list[int] = field(default_factory=list)
     h: Array = field(default_factory=lambda: np.zeros((0, 2)))
     period: int = 0

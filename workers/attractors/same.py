@@ -20,7 +20,7 @@ from workers.cell.cells import CellCycle
 from workers.cell.stretch import batch_of, begin, run
 from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
-from workers.kernel.motion import RUNNING, STATUS, Motion, motion_at
+from workers.kernel.motion import FLIGHT, RUNNING, STATUS, Motion, motion_at
 from workers.model.clock import set_period
 from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, at_rows, many_of, map_fields, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
@@ -129,11 +129,11 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
 
-def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, contact: int) -> Array:
+def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: int) -> Array:
     """Block states (ALONG, n, 2) of a cycle without a force from a physical state on it, evenly in time."""
     own = at_rows(oscillator, np.zeros(1, dtype=np.int64))
     set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
-    motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([contact]))
+    motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))
     batch = batch_of(own, motions, ALONG)
     batch.periods[0] = ALONG
     run(batch, np.zeros(1, dtype=np.int64))
@@ -144,8 +144,8 @@ def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[O
     """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
     osc = one_of(oscillator, 0)
     if shift == 0.0:
-        return osc, motion_at(orbit.h, orbit.contact)
-    return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), motion_after(osc, orbit.h, orbit.contact, shift)
+        return osc, motion_at(orbit.h, orbit.mode)
+    return osc._replace(tau=osc.tau + 2.0 * np.pi * shift), motion_after(osc, orbit.h, orbit.mode, shift)
 
 
 def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
@@ -157,10 +157,10 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     return batch.sections[0]
 
 
-def image_of(osc: Oscillator, h: Array, contact: int) -> tuple[Array, int]:
+def image_of(osc: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
     """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed."""
-    later = motion_after(osc, h, contact, 0.5)
-    return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), -int(later.contact[0])
+    later = motion_after(osc, h, mode, 0.5)
+    return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), 2 * FLIGHT - int(later.mode[0])
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
@@ -176,16 +176,16 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
-    h = image_of(osc, motion.h, int(motion.contact[0]))[0] if half else motion.h
+    h = image_of(osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
     return bool(norms(osc.gap.blocks, old.orbit - h).min() < SAME_ORBIT * scale_of(osc.gap.blocks, h))
 
 
-def mirrored(oscillators: Oscillator, states: Array, contact: Rows) -> tuple[Array, Rows]:
+def mirrored(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:
     """Physical states (N, 2n) on the mirror images of N motions through these states, with their contacts (N,)."""
-    motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, contact)
+    motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, mode)
     for r in range(len(states)):
-        motions.h[r], motions.contact[r] = image_of(one_of(oscillators, r), motions.h[r], int(contact[r]))
-    return physical_states(oscillators, motions, np.arange(len(states))), motions.contact[:, 0]
+        motions.h[r], motions.mode[r] = image_of(one_of(oscillators, r), motions.h[r], int(mode[r]))
+    return physical_states(oscillators, motions, np.arange(len(states))), motions.mode[:, 0]
 
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:

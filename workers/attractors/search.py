@@ -96,12 +96,12 @@ class Search:
         settings: Settings,
         known: Known,
         owner: Rows,
-        contact: Rows | None = None,
+        mode: Rows | None = None,
     ) -> None:
         N = len(owner)
         self.record, self.params, self.variables = record, params, record.variables(settings)
         arrays = result_arrays(self.variables, settings, N, len(record.states), exponents=record.exponents)
-        self.cells = Cells(oscillators, reasons, states, settings, arrays, contact, record.definition.unforced)
+        self.cells = Cells(oscillators, reasons, states, settings, arrays, mode, record.definition.unforced)
         self.course = course_of(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
         self.label, self.arrival = np.full((2, N), -1)
@@ -121,7 +121,7 @@ class Search:
     def last(self, r: int) -> tuple[Array, int]:
         """The last physical state of one motion, and its contact."""
         motions = self.cells.batch.motions
-        return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.contact[r, 0])
+        return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.mode[r, 0])
 
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:

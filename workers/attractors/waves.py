@@ -91,7 +91,7 @@ class Coexistence:
         self._pair()
 
     def search(
-        self, owner: Rows, states: Array, contact: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
+        self, owner: Rows, states: Array, mode: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
     ) -> Search:
         """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
 
@@ -100,7 +100,7 @@ class Coexistence:
         known = Known(self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells])
         oscillators, reasons = at_rows(self.oscillators, owner), self.reasons[owner]
         params = {name: values[owner] for name, values in self.params.items()}
-        return Search(self.record, params, oscillators, reasons, states, self.settings, known, owner, contact)
+        return Search(self.record, params, oscillators, reasons, states, self.settings, known, owner, mode)
 
     def _solve_wave(self, cells: Rows, wave: range) -> None:
         owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
@@ -225,7 +225,7 @@ def _of_share(hits: int, tried: int) -> dict[str, Any]:
 
 def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
     """Physical states (N, 2n) and contacts (N,) as arrays."""
-    return np.stack([state for state, _ in states]), np.array([contact for _, contact in states], dtype=np.int64)
+    return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
 
 
 def _write(arrays: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:

@@ -129,7 +129,7 @@ class Cells:
         starts: Array,
         settings: Settings,
         results: Results,
-        contact: Rows | None = None,
+        mode: Rows | None = None,
         unforced: bool = False,
     ) -> None:
         N, n = oscillators.gap_row.shape
@@ -141,7 +141,7 @@ class Cells:
         self.vectors = {"none": 0, "largest": one, "spectrum": 2 * n - self.drifts}[settings.exponents]
         self.unforced, self.cycles = unforced, dict[int, CellCycle]()
         self.oscillators, self.settings, self.results = oscillators, settings, results
-        motions, reasons = begin(oscillators, reasons, starts, contact, self.vectors)
+        motions, reasons = begin(oscillators, reasons, starts, mode, self.vectors)
         self.batch = batch_of(oscillators, motions, kept)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))
         self.bare = self.batch._replace(motions=without_frames)
@@ -151,7 +151,7 @@ class Cells:
         budgets = (settings.max_periods, settings.survival), (settings.transient_periods, settings.periods)
         motions.tally[:, WORK] = work_allowed(sum(budgets[0 if adaptive else 1]))
         self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
-        self.used, self.flown, self.since, self.began, self.first, self.contact = np.zeros((6, N), dtype=np.int64)
+        self.used, self.flown, self.since, self.began, self.first, self.mode = np.zeros((6, N), dtype=np.int64)
         self.orbits = no_orbits(N, n)
         self.far = np.full(N, np.inf)
         grows = np.flatnonzero(oscillators.growth > 0.0)

@@ -28,7 +28,6 @@ from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.motion import RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.clock import set_period
 from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.passed import legs_of_periods, passed_by
 from workers.results import (
@@ -152,7 +151,7 @@ class CycleCourse(Course):
         cells, one = self.cells, np.array([r])
         machine, size = at_rows(cells.oscillators, one), cells.directions
         state = physical_states(cells.oscillators, cells.batch.motions, one)[0]
-        number = int(cells.batch.motions.contact[r, 0]) - FIRST_NUMBER
+        number = int(cells.batch.motions.mode[r, 0])
         legs, most, trail = list[Array](), max(LEAST_LOOK, int(cells.flown[r])), None
         try:
             for k, rows in enumerate(legs_of_periods(machine, state, number)):
@@ -266,15 +265,15 @@ def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
     set_period(cells.oscillators, rows, periods)
     own, codes = at_rows(cells.oscillators, rows), [cycle.motion.plan.legs[1][0].code for cycle in cycles]
     segments = own.table.machines.segments
-    contact = np.array([code.number_of(*segments) for code in codes]) + FIRST_NUMBER
+    mode = np.array([code.number_of(*segments) for code in codes])
     states = np.stack([cycle.motion.turn.states[0, 1] for cycle in cycles])
-    motions, reasons = begin(own, np.full(len(rows), NO_REASON, dtype=np.int8), states, contact)
+    motions, reasons = begin(own, np.full(len(rows), NO_REASON, dtype=np.int8), states, mode)
     start, batch = motions.h.copy(), batch_of(own, motions)
     motions.tally[:, WORK], batch.periods[:] = WORK_OF_A_TRIAL, 1
     run(batch, every)
     after = physical_states(own, motions, every)
     size = np.abs(states).max(axis=1)
-    closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.contact[:, 0] == contact)
+    closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.mode[:, 0] == mode)
     closes &= np.abs(after - states).max(axis=1) <= ONCE_ROUND * size
     set_period(cells.oscillators, rows[~closes], natural[~closes])
     kept = np.flatnonzero(closes)
@@ -284,7 +283,7 @@ def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
         cells.cycles[r] = _as_passed(own, cycle, times)
         orbits.exponents[r] = -np.sort(-np.append(cycle.logs, 0.0))
         orbits.symmetric[r], orbits.error[r] = cycle.motion.itinerary.symmetric, 1e-14 * (1.0 + abs(cycle.logs[0]))
-    orbits.h[rows], orbits.contact[rows, 0], orbits.period[rows] = start[kept], contact[kept], 1
+    orbits.h[rows], orbits.mode[rows, 0], orbits.period[rows] = start[kept], mode[kept], 1
     orbits.tally[rows] = motions.tally[kept]
     put_periodic(cells, rows)
     largest = np.array([cycles_of[r][0].logs[0] for r in rows.tolist()])
@@ -334,7 +333,7 @@ def passages(cells: Cells, r: int, count: int) -> Array:
     NaN from the event on at which it cannot be followed.
     """
     size, states = cells.directions, list[Array]()
-    machine, number = at_rows(cells.oscillators, np.array([r])), int(cells.contact[r]) - FIRST_NUMBER
+    machine, number = at_rows(cells.oscillators, np.array([r])), int(cells.mode[r])
     key = None
     with suppress(ValueError):
         for rows in islice(legs_of_periods(machine, cells.results["state"][r], number), LEAST_LOOK + 4 * count):

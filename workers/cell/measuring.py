@@ -14,11 +14,11 @@ from workers.cell.cells import LEAST_WORK, Cells
 from workers.cell.outcome import put
 from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
-from workers.kernel.motion import RUNNING, motions_at
+from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
-from workers.model.hybrid import FIRST_NUMBER, build_hybrid
+from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines, mirrors
-from workers.model.hybrid_modes import Code
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
@@ -84,15 +84,14 @@ def turns_of(cells: Cells, rows: Rows) -> tuple[Rows, Mask]:
 
 def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
     """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
-    states, contact = cells.results["state"][rows], cells.contact[rows]
+    states, mode = cells.results["state"][rows], cells.mode[rows]
     proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
-    orbits = motions_at(cells.orbits.h, cells.orbits.contact)
+    orbits = motions_at(cells.orbits.h, cells.orbits.mode)
     states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
-    contact[proved] = cells.orbits.contact[rows[proved], 0]
-    if cells.oscillators.has_modes:
-        return states, contact[:, None] - FIRST_NUMBER
-    held = np.array([Code(0, (side,), ()).number for side in (-1, 0, 1)])
-    return states, held[np.sign(contact) + 1][:, None]
+    mode[proved] = cells.orbits.mode[rows[proved], 0]
+    if not cells.oscillators.has_modes:  # a motion about to leave a stop leaves it at once
+        mode = np.clip(mode, FLIGHT - ON, FLIGHT + ON)
+    return states, mode[:, None]
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:

@@ -16,7 +16,7 @@ from workers.kernel.hybrid.measuring import Meters
 from workers.kernel.motion import RUNNING
 from workers.kernel.observing import COURSE, Seen, Sought, observe_motions
 from workers.model.definition import Definition
-from workers.model.hybrid import FIRST_NUMBER, build_hybrid
+from workers.model.hybrid import build_hybrid
 from workers.model.observables import IMPACT_PHASE, KINDS, Observable, observables_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows
 from workers.results import NO_REASON
@@ -104,7 +104,7 @@ def observe_orbits(
     observables = observables_of(observed_by, definition)
     machines, reasons = build_hybrid(definition.hybrid(values))
     begun, reasons = begin(machines, reasons, states)
-    motions = states, begun.contact - FIRST_NUMBER, periods, np.ones(len(states), dtype=bool)
+    motions = states, begun.mode, periods, np.ones(len(states), dtype=bool)
     shown, whole = observed(
         machines, observables, outputs_for(observables, definition, values), motions, most, definition.turns
     )

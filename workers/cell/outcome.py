@@ -148,7 +148,7 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
         defect = _defect(oscillators, total, tally, impact_count(tally) / orbits.period)
     error = np.fmax(orbits.error, np.abs(defect))
     orbits = orbits._replace(error=np.where(np.isneginf(largest), 0.0, error))
-    reach = impact_range(oscillators, tally, orbits.h, orbits.contact, orbits.period)
+    reach = impact_range(oscillators, tally, orbits.h, orbits.mode, orbits.period)
     _put_orbits(cells, rows, oscillators, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
 
 
@@ -171,7 +171,7 @@ def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbit
         **more,
     )
     put_contacts(cells, rows, tally, period, impact_count(tally) / period)
-    put_states(cells, rows, oscillators, orbits.h, orbits.contact, period)
+    put_states(cells, rows, oscillators, orbits.h, orbits.mode, period)
 
 
 def put_averaged(cells: Cells, rows: Rows) -> None:
@@ -191,11 +191,11 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     oscillators, followed = at_rows(cells.oscillators, some), np.full(len(some), FOLLOWED)
     if cells.vectors:
         put_growth(cells, some, tally, average)
-    reach = impact_range(oscillators, tally, motions.h[some], motions.contact[some], followed)
+    reach = impact_range(oscillators, tally, motions.h[some], motions.mode[some], followed)
     put(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
     put(cells, rows, periods_used=cells.used[rows])
-    put_states(cells, rows, at_rows(cells.oscillators, rows), motions.h[rows], motions.contact[rows], 0 * rows)
+    put_states(cells, rows, at_rows(cells.oscillators, rows), motions.h[rows], motions.mode[rows], 0 * rows)
 
 
 def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
@@ -281,13 +281,13 @@ def put_by_average(
     put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_reasons[~chaotic])
 
 
-def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, contact: Rows, period: Rows) -> None:
+def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, mode: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the K section states from it on.
 
     An orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
     """
-    motions, every = motion.motions_at(h, contact), np.arange(len(rows))
-    cells.contact[rows] = contact[:, 0]
+    motions, every = motion.motions_at(h, mode), np.arange(len(rows))
+    cells.mode[rows] = mode[:, 0]
     put(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples
     if K:

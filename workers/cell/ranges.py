@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.kernel.cells import excursions
-from workers.kernel.motion import FREE, LOWER, UPPER
+from workers.kernel.motion import FLIGHT, LOWER, UPPER
 from workers.model.oscillator import Array, Oscillator, Rows
 
 FOLLOWED = 64
@@ -13,7 +13,7 @@ WORK_PER_PERIOD, LEAST_WORK = 1000, 100_000
 """Evaluations allowed for each such period, and the least for all together."""
 
 
-def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows, periods: Rows) -> Array:
+def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, periods: Rows) -> Array:
     """Greatest minus least y (N,) of motions with impacts and counts ``tally`` (N, TALLIES).
 
     The whole gap if impacts were counted at both stops; else y is followed from block states h (N, n, 2) with contacts
@@ -22,7 +22,7 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, contact: Rows,
     if oscillators.has_modes:
         return np.full(len(tally), np.nan)  # there is no single gap coordinate
     both = (tally[:, UPPER] > 0.0) & (tally[:, LOWER] > 0.0)
-    followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~both))
+    followed = _followed(oscillators, h, mode, periods, np.flatnonzero(~both))
     return np.where(both, oscillators.upper - oscillators.lower, followed)
 
 
@@ -36,15 +36,15 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
     N, harmonics = oscillators.gap.sin_part.shape
     steady = np.all((h[..., 1] == 0.0) & ((h[..., 0] == 0.0) | (oscillators.gap.lam == 0.0)), axis=1)
     closed = steady & (harmonics == 1)
-    contact, periods = np.full((N, 1), FREE), np.where(steady, 1, FOLLOWED)
-    followed = _followed(oscillators, h, contact, periods, np.flatnonzero(~closed))
+    mode, periods = np.full((N, 1), FLIGHT), np.where(steady, 1, FOLLOWED)
+    followed = _followed(oscillators, h, mode, periods, np.flatnonzero(~closed))
     return np.where(closed, 2.0 * oscillators.gap.amplitude, followed)
 
 
-def _followed(oscillators: Oscillator, h: Array, contact: Rows, periods: Rows, cells: Rows) -> Array:
+def _followed(oscillators: Oscillator, h: Array, mode: Rows, periods: Rows, cells: Rows) -> Array:
     """The range of these cells by ``excursions``, 0 for a motion at rest; NaN for the others."""
     allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
-    ends = excursions(oscillators, h, contact, periods, allowance, cells)
+    ends = excursions(oscillators, h, mode, periods, allowance, cells)
     return np.where(ends[:, 0] > ends[:, 1], 0.0, ends[:, 1] - ends[:, 0])
 
 

@@ -28,7 +28,7 @@ def begin(
     oscillators: Oscillator,
     reasons: Reasons,
     states: Array,
-    contact: Rows | None = None,
+    mode: Rows | None = None,
     vectors: int = 0,
     record: int = 0,
 ) -> tuple[Motion, Reasons]:
@@ -40,10 +40,10 @@ def begin(
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
     motions.V[:] = slanted(size // 2)[:vectors]
     scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
-    if contact is not None:
-        motions.contact[:, 0] = contact
+    if mode is not None:
+        motions.mode[:, 0] = mode
     causes = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
-    return motions, np.where(motions.contact[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), causes)
+    return motions, np.where(motions.mode[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), causes)
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:

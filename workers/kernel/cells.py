@@ -12,7 +12,7 @@ from workers.kernel.borrow import borrowed, row_of
 from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, with_phase
-from workers.kernel.motion import FREE, OVERDRAFT, RUNNING, STATUS, WORK, motion_alone, motion_with
+from workers.kernel.motion import FLIGHT, OVERDRAFT, RUNNING, STATUS, WORK, motion_alone, motion_with
 from workers.kernel.period import advance, propagate
 from workers.kernel.signal import derivative_bounds
 from workers.kernel.tangent import reset_frame
@@ -44,7 +44,7 @@ def start_motions(oscillators, motions, states, cells):
     scales = np.zeros(len(states))
     for r in cells:
         osc, h = row_of(oscillators, r), motions.h[r]
-        motions.contact[r, 0] = start_at(osc, states[r], h)
+        motions.mode[r, 0] = start_at(osc, states[r], h)
         scales[r] = scale_of(osc.gap.blocks, h)
     return scales
 
@@ -74,7 +74,7 @@ def impact_free(oscillators, motions, cells):
         r = cells[e]
         reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r], np.inf)[0] * (1.0 + 1e-12)
         inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
-        free[e] = motions.contact[r, 0] == FREE and inside
+        free[e] = motions.mode[r, 0] == FLIGHT and inside
     return free
 
 
@@ -93,7 +93,7 @@ def physical_states(oscillators, motions, cells):
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
         r = cells[e]
-        leave_blocks(row_of(oscillators, r), motions.h[r], motions.contact[r, 0], states[e])
+        leave_blocks(row_of(oscillators, r), motions.h[r], motions.mode[r, 0], states[e])
     return states
 
 
@@ -107,7 +107,7 @@ def standard_errors(levels, cells):
 
 
 @kernel
-def excursions(oscillators, h, contact, periods, allowance, cells):
+def excursions(oscillators, h, mode, periods, allowance, cells):
     """The least and greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
 
     Computed for ``cells`` over ``periods`` (N,). NaN for other cells, and for motions that cannot be followed within
@@ -117,7 +117,7 @@ def excursions(oscillators, h, contact, periods, allowance, cells):
     oscillators, n = lend(oscillators), h.shape[1]
     for r in cells:
         osc = row_of(oscillators, r)
-        motion = motion_with(h[r], contact[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
+        motion = motion_with(h[r], mode[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
         motion.tally[WORK] = allowance[r] - OVERDRAFT
         for _ in range(periods[r]):
             if motion.tally[STATUS] == RUNNING:
@@ -137,12 +137,12 @@ def states_within(oscillators, r, states, times):
     osc = row_of(lend(oscillators), r)
     for i in range(len(states)):
         h = np.zeros((states.shape[1] // 2, 2))
-        contact = start_at(osc, states[i], h)
+        mode = start_at(osc, states[i], h)
         for k in range(len(times)):
-            motion = motion_alone(h, contact)
+            motion = motion_alone(h, mode)
             propagate(osc, borrowed(motion), times[k])
             if motion.tally[STATUS] == RUNNING:
                 reached[i, k] = 0.0
                 then = with_phase(osc, osc.tau + osc.gap.numbers[NUMBER.omega] * times[k])
-                leave_blocks(then, motion.h, motion.contact[0], reached[i, k])
+                leave_blocks(then, motion.h, motion.mode[0], reached[i, k])
     return reached

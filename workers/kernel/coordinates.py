@@ -1,6 +1,6 @@
-"""Conversion between physical section states and block coordinates, with the contact of a motion.
+"""Conversion between physical section states and block coordinates, with the mode of a motion.
 
-A motion carries its contact. A physical state alone gets its contact from ``placed``.
+A motion carries its mode. A physical state alone gets its mode from ``start_at``.
 """
 
 import numpy as np
@@ -12,8 +12,8 @@ from workers.kernel.contact import load_on_stop, to_held, wave
 from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import whole
-from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, OSCILLATOR, Motion, has_modes, motion_at
-from workers.model.hybrid import FIRST_NUMBER
+from workers.kernel.motion import BEYOND, FLIGHT, OSCILLATOR, Motion, has_modes, motion_at
+from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
 
@@ -21,27 +21,26 @@ from workers.results import BEYOND_STOP, InvalidError
 def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at physical section state (x..., v...).
 
-    The state decides the contact: held or about to leave on a stop with v = 0, else free. InvalidError beyond a stop.
+    The state decides the mode: on a stop with v = 0 it is held or about to leave. InvalidError beyond a stop.
     """
     h = np.zeros((len(osc.gap_row), 2))
-    contact = start_at(osc, np.asarray(state, dtype=np.float64), h)
-    if contact == BEYOND:
+    mode = start_at(osc, np.asarray(state, dtype=np.float64), h)
+    if mode == BEYOND:
         raise InvalidError(BEYOND_STOP)
-    return motion_at(h, contact, vectors, record)
+    return motion_at(h, mode, vectors, record)
 
 
 @apart(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(osc, state, h):
-    """start_at for a machine with modes: the contact is the number of its mode."""
+    """start_at for a machine with modes."""
     state, h = whole(state), whole(h)
     enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
-    number = shown_number(osc.table.elements, state)
-    return BEYOND if number < 0 else number + FIRST_NUMBER
+    return shown_number(osc.table.elements, state)
 
 
 @kernel
 def start_at(osc, state, h):
-    """Write the block coordinates h (n, 2), less forced response, of a physical section state; its contact."""
+    """Write the block coordinates h (n, 2), less forced response, of a physical section state; its mode, or BEYOND."""
     if has_modes(osc):
         return start_hybrid(osc, state, h)
     row, blocks, tau = osc.gap_row, osc.gap.blocks, osc.tau
@@ -59,33 +58,25 @@ def start_at(osc, state, h):
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
-    contact = placed(y, v, ROUNDING * y_sum, ROUNDING * v_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
-    return contact_at_rest(osc, np.sign(contact), h) if abs(contact) == AT_REST else contact
+    side = side_of(y, ROUNDING * y_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
+    if side == 0:
+        return FLIGHT if osc.head[HEAD.lower] <= y <= osc.head[HEAD.upper] else BEYOND
+    return mode_at_rest(osc, side, h) if abs(v) <= ROUNDING * v_sum else FLIGHT
 
 
 @inline_always
-def contact_at_rest(osc, side, h):
-    """The contact of a state at rest on this stop: held if the load presses, else about to leave."""
+def mode_at_rest(osc, side, h):
+    """The mode of a state at rest on this stop: held if the load presses, else about to leave."""
     u = np.zeros((h.shape[0] - 1, 2))
     to_held(osc, h, osc.tau, side, u)
-    return side * HELD if load_on_stop(osc, u, osc.tau, side) > 0.0 else side * AT_REST
+    return FLIGHT + side * (ON if load_on_stop(osc, u, osc.tau, side) > 0.0 else DETACHED)
 
 
 @inline_always
-def placed(y, v, y_error, v_error, upper, lower):
-    """The contact of y and y' apart from the load: +-AT_REST on a stop with v = 0, BEYOND outside, else FREE.
-
-    A state within rounding of a stop is on it, on either side.
-    """
-    on_upper = abs(y - upper) <= y_error
-    on_lower = abs(y - lower) <= y_error
-    contact = FREE
-    if on_upper or on_lower:
-        if abs(v) <= v_error:
-            contact = AT_REST if on_upper else -AT_REST
-    elif y > upper or y < lower:
-        contact = BEYOND
-    return contact
+def side_of(y, error, upper, lower):
+    """The side of the stop that y is on, within its rounding ``error`` on either side of the stop; 0 for none."""
+    on_lower = -1 if abs(y - lower) <= error else 0
+    return 1 if abs(y - upper) <= error else on_lower
 
 
 @kernel
@@ -105,19 +96,18 @@ def put_on_stop(row, stop, x):
 
 
 @apart(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
-def leave_hybrid(osc, h, contact, state):
+def leave_hybrid(osc, h, mode, state):
     """leave_blocks for a machine with modes."""
     h, state = whole(h), whole(state)
     leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
-    if contact >= FIRST_NUMBER:  # else the mode is not known
-        show(osc.table.elements, contact - FIRST_NUMBER, state)
+    show(osc.table.elements, mode, state)
 
 
 @kernel
-def leave_blocks(osc, h, contact, state):
-    """Add ``blocks_to_physical`` of block coordinates h (n, 2) at a contact to a state (2n,) of zeros."""
+def leave_blocks(osc, h, mode, state):
+    """Add ``blocks_to_physical`` of block coordinates h (n, 2) in a mode to a state (2n,) of zeros."""
     if has_modes(osc):
-        leave_hybrid(osc, h, contact, state)
+        leave_hybrid(osc, h, mode, state)
         return
     row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
     n = h.shape[0]
@@ -133,8 +123,8 @@ def leave_blocks(osc, h, contact, state):
     for i in range(n):
         y += row[i] * state[i]
         size += abs(row[i]) * terms[i]
-    if contact != FREE:
-        put_on_stop(row, upper if contact > 0 else lower, state)
+    if mode != FLIGHT:
+        put_on_stop(row, upper if mode > FLIGHT else lower, state)
         put_on_stop(row, 0.0, state[n:])
     else:
         stop = min(max(y, lower), upper)
@@ -144,10 +134,10 @@ def leave_blocks(osc, h, contact, state):
 
 @kernel
 def blocks_to_physical(osc, motion):
-    """Physical section state (2n,) of a motion; at rest it is exactly on the stop with v = 0, as in ``placed``.
+    """Physical section state (2n,) of a motion; at rest it is exactly on the stop with v = 0.
 
     A motion is never beyond a stop: overshoot by rounding is removed.
     """
     state = np.zeros(2 * motion.h.shape[0])
-    leave_blocks(osc, motion.h, motion.contact[0], state)
+    leave_blocks(osc, motion.h, motion.mode[0], state)
     return state

@@ -13,11 +13,15 @@ from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_modes import OPEN, Code
 from workers.model.oscillator import NO_HELD, Mode, Oscillator, empty, map_fields
 
-FREE, HELD, AT_REST, BEYOND = 0, 1, 2, 3
-"""Contact at a section: none; held by a stop (+-1); on it with v = 0, about to leave (+-2); beyond it: no valid
-motion."""
+FLIGHT = Code(0, (OPEN,), ()).number
+"""The mode of a machine with one rigid contact in free flight. It is FLIGHT + ON, or FLIGHT - ON, while a stop holds
+the gap coordinate, and FLIGHT +- DETACHED where the motion is on a stop with v = 0, about to leave."""
+
+BEYOND = -1
+"""In place of a mode: the motion begins beyond a stop."""
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
@@ -52,7 +56,7 @@ class Motion(NamedTuple):
     """State of one cell, everything that ``advance`` changes; records of many have one more leading axis per field.
 
     h        (n, 2)     block coordinates, forced response taken off
-    contact  (1,)       FREE, or +-HELD, +-AT_REST with the side's sign
+    mode     (1,)       its number, see hybrid_modes.Code and FLIGHT; or BEYOND
     V        (m, n, 2)  tangent vectors, m = 0 for none
     growth   (m,)       log of the growth removed from each vector so far
     triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
@@ -64,7 +68,7 @@ class Motion(NamedTuple):
     """
 
     h: NDArray[np.float64]
-    contact: NDArray[np.int64]
+    mode: NDArray[np.int64]
     V: NDArray[np.float64]
     growth: NDArray[np.float64]
     triangle: NDArray[np.float64]
@@ -138,21 +142,21 @@ def write_down(tally, contacts, t, stop, speed):
 
 
 @kernel
-def motion_with(h, contact, V, growth, triangle, record=0, watched=False):
-    """A motion that starts at block state h (n, 2) with this contact and these tangent vectors; see Motion."""
+def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
+    """A motion that starts at block state h (n, 2) in this mode, with these tangent vectors; see Motion."""
     tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
-    contacts, extremes = np.empty(1, dtype=np.int64), np.empty(2 if watched else 0)
-    contacts[0] = contact
+    modes, extremes = np.empty(1, dtype=np.int64), np.empty(2 if watched else 0)
+    modes[0] = mode
     if watched:
         extremes[0], extremes[1] = np.inf, -np.inf
-    return Motion(h.copy(), contacts, V, growth, triangle, tally, np.zeros((record, 3)), extremes, np.zeros(h.shape))
+    return Motion(h.copy(), modes, V, growth, triangle, tally, np.zeros((record, 3)), extremes, np.zeros(h.shape))
 
 
 @kernel
-def motion_alone(h, contact):
+def motion_alone(h, mode):
     """A motion without tangent vectors."""
-    return motion_with(h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
+    return motion_with(h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 
 @register_jitable
@@ -179,17 +183,17 @@ def slanted(n):
 
 
 def motions_at(
-    h: NDArray[np.float64], contact: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
+    h: NDArray[np.float64], mode: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
 ) -> Motion:
-    """Motions that start at block states h (N, n, 2) with contacts (N, 1); tangent vectors are the block axes."""
+    """Motions that start at block states h (N, n, 2) in modes (N, 1); tangent vectors are the block axes."""
     N, n = h.shape[:2]
-    one = motion_at(np.zeros((n, 2)), FREE, vectors, record)
+    one = motion_at(np.zeros((n, 2)), FLIGHT, vectors, record)
     many: Motion = map_fields(one, lambda field: field[None].repeat(N, axis=0))
-    return many._replace(h=h.copy(), contact=many.contact if contact is None else contact.copy())
+    return many._replace(h=h.copy(), mode=many.mode if mode is None else mode.copy())
 
 
-def motion_at(h: NDArray[np.float64], contact: int = FREE, vectors: int = 0, record: int = 0) -> Motion:
-    """A motion that starts at block state h (n, 2) with this contact; its tangent vectors are the block axes."""
+def motion_at(h: NDArray[np.float64], mode: int = FLIGHT, vectors: int = 0, record: int = 0) -> Motion:
+    """A motion that starts at block state h (n, 2) in this mode; its tangent vectors are the block axes."""
     V, growth, triangle = axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0))
-    motion: Motion = motion_with.py_func(h, contact, V, growth, triangle, record)
+    motion: Motion = motion_with.py_func(h, mode, V, growth, triangle, record)
     return motion

@@ -28,9 +28,8 @@ from workers.kernel.hybrid.motion import through_events
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lend import rigid
 from workers.kernel.motion import (
-    AT_REST,
     BEYOND,
-    FREE,
+    FLIGHT,
     LOSS,
     LOST,
     MARCH_GAVE_UP,
@@ -58,6 +57,7 @@ from workers.kernel.tangent import (
     reset_frame,
     spread_rate,
 )
+from workers.model.hybrid_modes import DETACHED, OPEN
 from workers.model.oscillator import HEAD, NUMBER
 
 AT_THE_END = 1e-9
@@ -79,20 +79,20 @@ def come_to_rest(blocks, cA2k, motion, v):
 
 
 @inline_always
-def leave_stop(osc, motion, phase, contact, remaining, chatter):
+def leave_stop(osc, motion, phase, side, remaining, chatter):
     """Rest on a stop until release or for ``remaining``: the time spent, and whether the motion continues.
 
     The mass spends the first part of it, ``chatter``, hopping.
     """
     h, V, tally = motion.h, motion.V, motion.tally
-    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, contact, remaining)
+    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, side, remaining)
     tally[STUCK] += max(s - chatter, min(s, TINY))  # a rest counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
     reset_frame(osc.gap.blocks, motion)
     if released == 0:
-        motion.contact[0] = contact
+        motion.mode[0] = FLIGHT + side
     if released == 2:
         tally[STATUS] = MARCH_GAVE_UP
     return s, tally[STATUS] == RUNNING and released == 1
@@ -130,11 +130,11 @@ def through_impacts(osc, motion, duration):
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]
-    contact = motion.contact[0]
-    if abs(contact) == BEYOND:
+    if motion.mode[0] == BEYOND:
         tally[STATUS] = STARTED_BEYOND
         return
-    motion.contact[0] = FREE
+    state = motion.mode[0] - FLIGHT
+    motion.mode[0] = FLIGHT
     vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
     rate = spread_rate(blocks) if vectors else 0.0
     unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
@@ -143,19 +143,19 @@ def through_impacts(osc, motion, duration):
     t, phase = 0.0, osc.tau
     if watched:
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
-        widen(motion.extremes, min(max(y, bottom), top) if contact == FREE else stop_position(osc, contact))
-    if abs(contact) == AT_REST:
-        start, contact = contact, FREE
+        widen(motion.extremes, min(max(y, bottom), top) if state == OPEN else stop_position(osc, state))
+    if abs(state) == DETACHED:
+        start, state = state, OPEN
     while True:
-        if contact != FREE:
-            s, released = leave_stop(osc, motion, phase, contact, duration - t, chatter)
+        if state != OPEN:
+            s, released = leave_stop(osc, motion, phase, state, duration - t, chatter)
             if not released:
                 return
             t += s
             phase += omega * s
-            start = 3 * contact
+            start = 3 * state
             if duration - t <= AT_THE_END * duration:
-                motion.contact[0] = contact * AT_REST
+                motion.mode[0] = FLIGHT + state * DETACHED
                 return
         s, side, evaluations = next_crossing(gap, h, phase, 0.0, top, bottom, start, duration - t, scratch)
         spend(tally, evaluations)
@@ -200,12 +200,12 @@ def through_impacts(osc, motion, duration):
             left = chatter_left(load, side * jerk, cA2k, R * abs(v), R)
             ends = with_estimate(ends if side == start else UNKNOWN, t + left)
             w = 0.0 if is_rebound(load, v, R, cA2k, scale, duration - t, period) else R * abs(v)
-        start, contact = side, FREE
+        start, state = side, OPEN
         if following == REST:
             chatter = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
             come_to_rest(blocks, cA2k, motion, v)
             write_down_rest(tally, impacts, t, side, abs(v), chatter)
-            contact = side
+            state = side
             continue
         count_contact(tally, impacts, t, side, abs(v))
         tally[LOSS] += (1.0 - R * R) * (v * v)
@@ -249,7 +249,7 @@ def step(osc, motion, half):
 @kernel
 def mirror(motion):
     """z -> -z, in place."""
-    motion.contact[0] = -motion.contact[0]
+    motion.mode[0] = 2 * FLIGHT - motion.mode[0]
     for j in range(motion.h.shape[0]):
         for k in range(2):
             motion.h[j, k] = -motion.h[j, k]

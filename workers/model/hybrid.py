@@ -133,9 +133,6 @@ def no_table(N: int) -> Table:
     return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
 
 
-FIRST_NUMBER = 4
-"""Offset of mode numbers in the contacts of motions, above all contacts of motions without modes."""
-
 ROOM = 64
 """Most modes in the table of a machine, plus two for each segment of its laws."""
 

@@ -8,9 +8,8 @@ from workers.kernel.borrow import row_of
 from workers.kernel.hybrid.state import enter_from_section, slot_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
-from workers.kernel.motion import FREE, has_modes
+from workers.kernel.motion import FLIGHT, has_modes
 from workers.kernel.signal import ROUNDING, block_bounds
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 MARGIN = 1.0 + 1e-12
@@ -83,22 +82,22 @@ def escaping(oscillators, motions, cells):
     oscillators, motions = lend(oscillators), lend(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
-        osc, h, contact = row_of(oscillators, cells[e]), motions.h[cells[e]], motions.contact[cells[e], 0]
+        osc, h, mode = row_of(oscillators, cells[e]), motions.h[cells[e]], motions.mode[cells[e], 0]
         if osc.head[HEAD.growth] == 0.0:
             continue
         if has_modes(osc):
-            escapes[e] = escapes_in_modes(osc, h, contact)
-        elif contact == FREE:
+            escapes[e] = escapes_in_modes(osc, h, mode)
+        elif mode == FLIGHT:
             low, high = osc.head[HEAD.bottom], osc.head[HEAD.top]
             escapes[e] = future_of(osc.gap.blocks, osc.gap.numbers, h, 0.0, low, high) == BEHIND
     return escapes
 
 
 @inline_always
-def escapes_in_modes(osc, h, contact):
+def escapes_in_modes(osc, h, mode):
     """Whether a growing motion meets no guard of its mode again; false where phases change the mode."""
     table, pieces, at = osc.table, osc.table.pieces, np.zeros(h.shape)
-    k = slot_of(table.codes, contact - FIRST_NUMBER)
+    k = slot_of(table.codes, mode)
     if k < 0 or table.elements.starts.shape[0] > 2:
         return False
     enter_from_section(osc, k, h, at)

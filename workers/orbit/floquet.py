@@ -95,7 +95,7 @@ def floquet(osc, point, steps, half, most):
     turns = 0
     for turn in range(1, most + 1):
         m = frame.shape[0]
-        motion = iterate(osc, point.h, point.contact, frame.copy(), np.zeros(m), identity(m), steps, half)
+        motion = iterate(osc, point.h, point.mode, frame.copy(), np.zeros(m), identity(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(osc.gap.blocks, motion)

@@ -12,7 +12,6 @@ from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into, highest, sort_down
 from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
 from workers.kernel.signal import derivative_bounds
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, map_with_jacobian
@@ -33,7 +32,7 @@ SETTLED, BOUNDED = 1e-12, 1e3
 
 
 @inline_always
-def meets_nothing(osc, h, contact):
+def meets_nothing(osc, h, mode):
     """Whether this motion meets no contact forever and no phase changes it; true without contacts and friction."""
     table, pieces, n = osc.table, osc.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.slide.shape[0], table.elements.starts.shape[0] - 1
@@ -41,7 +40,7 @@ def meets_nothing(osc, h, contact):
         return F == 0
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(0, dtype=np.int64)
     k = slot_of(table.codes, number_of(table.elements, states, slips, 0))
-    read_number(table.elements, contact - FIRST_NUMBER, states, slips)
+    read_number(table.elements, mode, states, slips)
     if k < 0 or np.any(states != OPEN):
         return False
     for p in range(1, P):
@@ -68,7 +67,7 @@ def contact_free(oscillators, motions, cells):
     for e in range(len(cells)):
         r = cells[e]
         osc = row_of(oscillators, r)
-        free[e] = meets_nothing(osc, motions.h[r], motions.contact[r, 0])
+        free[e] = meets_nothing(osc, motions.h[r], motions.mode[r, 0])
     return free
 
 
@@ -84,15 +83,15 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
     steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
     for e in range(len(cells)):
         r = cells[e]
-        osc, start, contact = row_of(oscillators, r), motions.h[r].copy(), motions.contact[r, 0]
+        osc, start, mode = row_of(oscillators, r), motions.h[r].copy(), motions.mode[r, 0]
         verdicts[e] = UNKNOWN
         base = (
             np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start
         )  # if that is the orbit, the result is exact
-        first, J = map_with_jacobian(osc, base, contact, steps, half)
+        first, J = map_with_jacobian(osc, base, mode, steps, half)
         if first.tally[STATUS] != RUNNING:
             continue
-        point = FixedPoint(base, first.h, first.contact[0], J, 0.0)
+        point = FixedPoint(base, first.h, first.mode[0], J, 0.0)
         logs, error, turns = floquet(osc, point, steps, half, CYCLES)
         spent[r] = 2 + turns
         if turns == 0:
@@ -107,12 +106,12 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
             verdicts[e] = GROWS
             continue
         h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
-        turn, _ = map_with_jacobian(osc, h, contact, steps, half)
+        turn, _ = map_with_jacobian(osc, h, mode, steps, half)
         if not np.all(np.isfinite(h)) or turn.tally[STATUS] != RUNNING:
             continue
         verdicts[e] = STAYS
         sort_down(logs)
-        orbits.contact[r, 0], orbits.period[r] = contact, 1
+        orbits.mode[r, 0], orbits.period[r] = mode, 1
         orbits.error[r] = error if largest < 0.0 else neutral
         copy_into(orbits.h[r], h)
         copy_into(orbits.tally[r], turn.tally)

@@ -21,18 +21,18 @@ class FixedPoint(NamedTuple):
 
     h: Array
     image: Array
-    contact: int
+    mode: int
     jacobian: Array
     residual: float
 
 
 @kernel
-def iterate(osc, h, contact, V, growth, triangle, steps, half):
+def iterate(osc, h, mode, V, growth, triangle, steps, half):
     """The motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
 
     Its status is not RUNNING if it cannot be followed.
     """
-    motion = motion_with(h, contact, V, growth, triangle)
+    motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
         step(osc, borrowed(motion), half)
         if motion.tally[STATUS] != RUNNING:
@@ -43,9 +43,9 @@ def iterate(osc, h, contact, V, growth, triangle, steps, half):
 
 
 @kernel
-def iterate_alone(osc, h, contact, steps, half):
+def iterate_alone(osc, h, mode, steps, half):
     """The image of h alone, without tangent vectors."""
-    return iterate(osc, h, contact, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
+    return iterate(osc, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
 
 
 @kernel
@@ -59,9 +59,9 @@ def jacobian_of(V):
 
 
 @kernel
-def map_with_jacobian(osc, h, contact, steps, half):
+def map_with_jacobian(osc, h, mode, steps, half):
     """The motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
-    motion = iterate(osc, h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
+    motion = iterate(osc, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 
 

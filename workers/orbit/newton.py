@@ -16,7 +16,7 @@ from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into, highest, solution, sort_down, spectral_radius
-from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, TALLIES
+from workers.kernel.motion import FLIGHT, NEUTRAL, RUNNING, STATUS, TALLIES
 from workers.model.oscillator import HEAD, Array
 from workers.orbit.attraction import deviation, falls_into, shrinking_norm, stays_nearer
 from workers.orbit.floquet import floquet
@@ -56,7 +56,7 @@ class PeriodicOrbit(NamedTuple):
     """
 
     h: Array
-    contact: int
+    mode: int
     steps: int
     half: bool
     exponents: Array
@@ -82,7 +82,7 @@ def is_hopeless(J):
 
 
 @inline_always
-def newton(osc, start, contact, steps, half, scale, most):
+def newton(osc, start, mode, steps, half, scale, most):
     """The fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
 
     h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10 of
@@ -91,21 +91,21 @@ def newton(osc, start, contact, steps, half, scale, most):
     h = start.copy()
     blocks = osc.gap.blocks
     size = h.size
-    best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
+    best = FixedPoint(h, h, mode, np.zeros((size, size)), np.inf)
     spent = 0
     while spent < most:
         spent += 1
-        motion, J = map_with_jacobian(osc, h, contact, steps, half)
+        motion, J = map_with_jacobian(osc, h, mode, steps, half)
         residual = separation(blocks, motion.h, h)
-        arrived = motion.tally[STATUS] == RUNNING and motion.contact[0] == contact
+        arrived = motion.tally[STATUS] == RUNNING and motion.mode[0] == mode
         if not (arrived and residual <= 0.5 * best.residual):
             break
-        best = FixedPoint(h, motion.h, contact, J, residual)
+        best = FixedPoint(h, motion.h, mode, J, residual)
         if residual > 0.3 * scale or residual < 1e-15 * scale or is_hopeless(J):
             break
         h = corrected(h, motion.h, J)
     if best.residual >= 1e-10 * scale:
-        best = FixedPoint(h, h, contact, np.zeros((size, size)), np.inf)
+        best = FixedPoint(h, h, mode, np.zeros((size, size)), np.inf)
     return best, spent
 
 
@@ -122,7 +122,7 @@ def least_turn(osc, point, steps, half, scale):
             mirrors = halved and not half and fewer % 2 == 1 and osc.head[HEAD.symmetric] > 0.0
             if steps % fewer != 0 or not (own or mirrors):
                 continue
-            trial = iterate_alone(osc, point.h, point.contact, fewer, halved)
+            trial = iterate_alone(osc, point.h, point.mode, fewer, halved)
             spent += fewer if halved else 2 * fewer
             arrived = trial.tally[STATUS] == RUNNING
             if arrived and separation(osc.gap.blocks, trial.h, point.h) < 1e-6 * scale:
@@ -140,7 +140,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
     blocks, norm = osc.gap.blocks, shrinking_norm(osc.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
     for turn in range(1, most + 1):
-        trial = iterate_alone(osc, at, point.contact, steps, half)
+        trial = iterate_alone(osc, at, point.mode, steps, half)
         image, arrived = trial.h, trial.tally[STATUS] == RUNNING
         if not (arrived and falls_into(norm, point.jacobian, contraction, point.h, at, image)):
             return False, turn
@@ -152,7 +152,7 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
 
 
 @inline_always
-def find_orbit(osc, h, contact, steps, half, scale, budget):
+def find_orbit(osc, h, mode, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
     The orbit closes after ``steps`` or a divisor of them.
@@ -161,9 +161,9 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
     while True:
         unit = steps if half else 2 * steps
         turns_left = (budget - spent) // unit - RESERVED_TURNS
-        point, tried = newton(osc, guess, contact, steps, half, scale, min(PROOF_STEPS, turns_left))
+        point, tried = newton(osc, guess, mode, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
-        orbit = PeriodicOrbit(point.h, contact, steps, half, np.full(h.size, -np.inf), 0.0)
+        orbit = PeriodicOrbit(point.h, mode, steps, half, np.full(h.size, -np.inf), 0.0)
         if point.residual == np.inf:
             return NOTHING, orbit, spent
         radius = spectral_radius(point.jacobian)
@@ -185,12 +185,12 @@ def find_orbit(osc, h, contact, steps, half, scale, budget):
         spent += flown * unit
         if not falls:
             return NEAR, orbit, spent
-    again, J = map_with_jacobian(osc, point.image, contact, steps, half)
+    again, J = map_with_jacobian(osc, point.image, mode, steps, half)
     spent += unit
     if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
     periods = 0.5 * unit
-    orbit = PeriodicOrbit(point.h, contact, steps, half, logs / periods, rounding / periods)
+    orbit = PeriodicOrbit(point.h, mode, steps, half, logs / periods, rounding / periods)
     # an exponent within its error is too near a bifurcation for double precision
     return SETTLED if largest < -rounding else NOTHING, orbit, spent
 
@@ -247,11 +247,11 @@ def settle(osc, motion, sections, near, longest, budget):
     """
     scale = scale_of(osc.gap.blocks, motion.h)
     returns = recurrence(osc.gap.blocks, sections, near * scale, longest)
-    shift, h, contact, flown = 0.0, motion.h.copy(), motion.contact[0], 0
+    shift, h, mode, flown = 0.0, motion.h.copy(), motion.mode[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
-        shift, h, contact, flown = quiet_section(osc, motion.h, motion.contact[0])
+        shift, h, mode, flown = quiet_section(osc, motion.h, motion.mode[0])
     there = seen_later(osc, shift)
-    none = PeriodicOrbit(h, contact, 1, False, np.full(h.size, -np.inf), 0.0)
+    none = PeriodicOrbit(h, mode, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
         for half in (True, False):
@@ -259,7 +259,7 @@ def settle(osc, motion, sections, near, longest, budget):
             halves = osc.head[HEAD.symmetric] > 0.0 and p % 2 == 1
             if (half and not halves) or left // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
-            verdict, orbit, half_periods = find_orbit(there, h, contact, p, half, scale, left)
+            verdict, orbit, half_periods = find_orbit(there, h, mode, p, half, scale, left)
             spent += half_periods + half_periods % 2
             if verdict == SETTLED:
                 return SETTLED, orbit, shift, spent // 2
@@ -276,7 +276,7 @@ class Orbits(NamedTuple):
     """
 
     h: Array
-    contact: NDArray[np.int64]
+    mode: NDArray[np.int64]
     period: NDArray[np.int64]
     symmetric: NDArray[np.bool_]
     exponents: Array
@@ -290,7 +290,7 @@ def no_orbits(count: int, n: int) -> Orbits:
     """Room for the orbits of ``count`` cells of n blocks."""
     return Orbits(
         h=np.zeros((count, n, 2)),
-        contact=np.zeros((count, 1), dtype=np.int64),
+        mode=np.full((count, 1), FLIGHT),
         period=np.ones(count, dtype=np.int64),
         symmetric=np.zeros(count, dtype=np.bool_),
         exponents=np.zeros((count, 2 * n)),
@@ -318,13 +318,13 @@ def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, c
         there = seen_later(osc, shift)
         settled[e] = result == SETTLED
         if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
-            settled[e] = is_followed(there, orbit.h, orbit.contact, orbit.steps)
+            settled[e] = is_followed(there, orbit.h, orbit.mode, orbit.steps)
         orbits.near[r] |= result == NEAR
         if not settled[e]:
             continue
-        turn = iterate_alone(there, orbit.h, orbit.contact, orbit.steps, np.bool_(False))  # typed, as in run_batch
-        here = back_at_section(osc, shift, orbit.h, orbit.contact)
-        orbits.contact[r, 0], orbits.period[r], orbits.error[r] = here.contact[0], orbit.steps, orbit.error
+        turn = iterate_alone(there, orbit.h, orbit.mode, orbit.steps, np.bool_(False))  # typed, as in run_batch
+        here = back_at_section(osc, shift, orbit.h, orbit.mode)
+        orbits.mode[r, 0], orbits.period[r], orbits.error[r] = here.mode[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
         for _ in range(int(turn.tally[NEUTRAL])):
             least = 0

@@ -64,9 +64,9 @@ def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
     """``passed`` for one rigid contact: the events of a repeating motion in order of time."""
     start = motion_from(osc, state)
     # From a section without impacts nearby none is lost or counted twice.
-    shift, h, contact, _ = quiet_section(osc, start.h, int(start.contact[0]))
+    shift, h, mode, _ = quiet_section(osc, start.h, int(start.mode[0]))
     there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
-    motion = motion_at(h, contact, record=RECORD)
+    motion = motion_at(h, mode, record=RECORD)
     rows = []
     for k in range(periods):
         propagate(there, motion, osc.period)

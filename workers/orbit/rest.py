@@ -7,8 +7,9 @@ from workers.kernel.cells import scale_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into
-from workers.kernel.motion import HELD, LOST, RUNNING, STATUS, axes, motion_with
+from workers.kernel.motion import FLIGHT, LOST, RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import advance
+from workers.model.hybrid_modes import ON
 from workers.orbit.map import separation, squares
 
 FOLLOWED = 1e10
@@ -31,16 +32,16 @@ def pass_period(osc, motion, rests):
     motion.tally[LOST] = 0.0
     advance(osc, motion)
     rests = rests or motion.tally[LOST] >= 2.0
-    released = rests and abs(motion.contact[0]) != HELD
+    released = rests and abs(motion.mode[0] - FLIGHT) != ON
     if released:
         copy_into(motion.V, axes(motion.h.shape[0]))
     return rests and not released, released
 
 
 @inline_always
-def is_followed(osc, h, contact, periods):
+def is_followed(osc, h, mode, periods):
     """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
-    motion = motion_with(h, contact, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
+    motion = motion_with(h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
         rests, released = pass_period(osc, borrowed(motion), rests)
@@ -65,8 +66,8 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
         osc, row = row_of(oscillators, r), row_of(motions, r)
         n, kept[r] = row.h.shape[0], 0
         scale = scale_of(osc.gap.blocks, row.h)
-        motion = motion_with(row.h, row.contact[0], axes(n), np.zeros(0), np.zeros((0, 0)))
-        states, contacts = np.empty((K, n, 2)), np.empty(K, dtype=np.int64)
+        motion = motion_with(row.h, row.mode[0], axes(n), np.zeros(0), np.zeros((0, 0)))
+        states, modes = np.empty((K, n, 2)), np.empty(K, dtype=np.int64)
         releases = np.empty(RELEASES, dtype=np.int64)
         known = count = 0
         rests = False
@@ -76,12 +77,12 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
             if motion.tally[STATUS] != RUNNING:
                 break
             copy_into(states[count], motion.h)
-            contacts[count] = motion.contact[0]
+            modes[count] = motion.mode[0]
             if released:
                 for e in range(known):
                     k = releases[e]
                     near = separation(osc.gap.blocks, states[k], states[count]) < SAME_RELEASE * scale
-                    if kept[r] == 0 and near and contacts[k] == contacts[count]:
+                    if kept[r] == 0 and near and modes[k] == modes[count]:
                         kept[r] = count - k + 1
                 if known < RELEASES:
                     releases[known] = count
@@ -92,5 +93,5 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
         for k in range(kept[r]):
             copy_into(sections[r, K - kept[r] + k], states[count - kept[r] + k])
         copy_into(row.h, motion.h)
-        row.contact[0] = motion.contact[0]
+        row.mode[0] = motion.mode[0]
     return flown

@@ -33,42 +33,42 @@ def seen_later(osc, shift):
 
 
 @kernel
-def motion_after(osc, h, contact, shift):
+def motion_after(osc, h, mode, shift):
     """The motion from block state h (n, 2) after ``shift`` < 1 periods."""
-    motion = motion_alone(h, contact)
+    motion = motion_alone(h, mode)
     propagate(osc, motion, shift * osc.head[HEAD.period])
     return motion
 
 
 @kernel
-def quiet_section(osc, h, contact):
+def quiet_section(osc, h, mode):
     """(shift, h (n, 2), contact, periods flown): a section of a motion without events nearby.
 
     Takes the block state at t = 0 and returns the block state at t = shift T; with modes that is t = 0.
     """
     if has_modes(osc):
-        return 0.0, h.copy(), contact, 0
-    shift, there, at, tries = 0.0, h.copy(), contact, 0
+        return 0.0, h.copy(), mode, 0
+    shift, there, at, tries = 0.0, h.copy(), mode, 0
     for tries in range(1, TRIES + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
-        motion = motion_after(osc, h, contact, shift - MARGIN)
-        before = motion.contact[0]
+        motion = motion_after(osc, h, mode, shift - MARGIN)
+        before = motion.mode[0]
         motion.tally[MAX_SPEED] = 0.0
         propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
-        there, at = motion.h.copy(), motion.contact[0]
+        there, at = motion.h.copy(), motion.mode[0]
         propagate(seen_later(osc, shift), motion, MARGIN * osc.head[HEAD.period])
-        same = before == at and at == motion.contact[0]
+        same = before == at and at == motion.mode[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
     return shift, there, at, tries
 
 
 @inline_always
-def back_at_section(osc, shift, h, contact):
+def back_at_section(osc, shift, h, mode):
     """The motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
     An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
     """
-    motion = motion_after(seen_later(osc, shift), h, contact, 1.0 - shift)
-    after = motion_after(osc, motion.h, motion.contact[0], AT_SECTION)
+    motion = motion_after(seen_later(osc, shift), h, mode, 1.0 - shift)
+    after = motion_after(osc, motion.h, motion.mode[0], AT_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

@@ -15,7 +15,7 @@ from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, 
 from workers import Settings
 from workers.continuation import Event, section_states
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import FREE, RUNNING, STATUS
+from workers.kernel.motion import FLIGHT, RUNNING, STATUS
 from workers.orbit.map import map_with_jacobian
 from workers.results import PERIODIC
 from workers.sweep import solve_lines
@@ -55,7 +55,7 @@ def test_the_direct_map_closes_there_and_has_the_multiplier(trees: list[Tree], b
     osc = oscillator(float(event.point.values[0]))
     state = section_states(TWO_MASS, {"omega": event.point.values}, [event.point.orbit])[0, 0]
     h = motion_from(osc, state).h
-    motion, jacobian = map_with_jacobian(osc, h, FREE, bifurcation.steps, bifurcation.half)
+    motion, jacobian = map_with_jacobian(osc, h, FLIGHT, bifurcation.steps, bifurcation.half)
     assert motion.tally[STATUS] == RUNNING
     assert motion.h == pytest.approx(h, abs=1e-11)
     critical = 1.0 if bifurcation.kind == "fold" else -1.0

@@ -50,7 +50,7 @@ def solver_sections(machine: Machine, state: np.ndarray, periods: int) -> Sectio
     found = Sections([], [], [], [], [], [])
     motion = motion_from(osc, state, vectors=size)
     for _ in range(periods):
-        motion = motion_at(motion.h, int(motion.contact[0]), vectors=size)._replace(triangle=np.eye(size))
+        motion = motion_at(motion.h, int(motion.mode[0]), vectors=size)._replace(triangle=np.eye(size))
         propagate(osc, motion, osc.period)
         assert motion.tally[STATUS] == RUNNING
         reset_frame(osc.gap.blocks, motion)

@@ -14,7 +14,8 @@ from workers.cell.cells import Cells
 from workers.cell.solve import solve
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import LOST, STUCK
+from workers.kernel.motion import FLIGHT, LOST, STUCK
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator, many_of
 from workers.results import PERIODIC, empty_results, result_variables
 from workers.settings import Settings
@@ -65,7 +66,7 @@ def test_a_mass_that_is_always_pressed_on_a_stop_rests_there_for_ever() -> None:
     before = motion.tally[STUCK]
     assert run_periods(osc, motion, 50) == 50
     assert motion.tally[STUCK] - before == pytest.approx(50 * osc.period, rel=1e-13)
-    assert motion.contact[0] == -1
+    assert motion.mode[0] == FLIGHT - ON
     assert motion.tally[LOST] == 2
 
 

@@ -11,7 +11,7 @@ from workers.cell.stretch import batch_of, ended, run
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.lanes.layout import VECTOR_WIDTH, room_for_vectors
 from workers.kernel.lanes.run import Batch
-from workers.kernel.motion import EVALUATIONS, FREE, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
+from workers.kernel.motion import EVALUATIONS, FLIGHT, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.period import advance
 from workers.model.oscillator import Oscillator, map_fields
 from workers.model.system import find_system
@@ -84,7 +84,7 @@ def assert_same_bits(one: Batch, other: Batch, cells: np.ndarray) -> None:
     picked = part(one, cells)
     for name in ("done", "levels", "weighted", "sections"):
         np.testing.assert_array_equal(getattr(picked, name), getattr(other, name), err_msg=name)
-    for name in ("h", "contact", "V", "growth", "tally"):
+    for name in ("h", "mode", "V", "growth", "tally"):
         found, expected = getattr(picked.motions, name), getattr(other.motions, name)
         np.testing.assert_array_equal(found, expected, err_msg=name)
 
@@ -106,7 +106,7 @@ def test_cells_of_every_kind_have_the_bits_of_each_alone(vectors: int) -> None:
     together = finish(part(start, np.arange(200)))
     for k, alone in enumerate(one_by_one(start)):
         assert_same_bits(together, alone, np.array([k]))
-    rest = np.sum(together.motions.contact != FREE)
+    rest = np.sum(together.motions.mode != FLIGHT)
     assert 10 < rest < 150
 
 

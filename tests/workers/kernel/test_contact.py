@@ -14,8 +14,9 @@ from workers.cell.cells import Cells
 from workers.cell.outcome import end_stopped
 from workers.kernel.cells import physical_states, start_motions
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.motion import AT_REST, BEYOND, FREE, HELD, STARTED_BEYOND, STATUS, motion_at, motions_at
+from workers.kernel.motion import BEYOND, FLIGHT, STARTED_BEYOND, STATUS, motion_at, motions_at
 from workers.kernel.period import propagate
+from workers.model.hybrid_modes import DETACHED, ON, OPEN
 from workers.model.oscillator import Oscillator, at_rows, many_of
 from workers.model.system import find_system, system_names
 from workers.results import BEYOND_STOP, INVALID, NO_REASON, InvalidError, empty_results, result_variables
@@ -71,40 +72,40 @@ def test_a_resting_state_keeps_its_stop_and_its_place_through_blocks_and_back(ki
     rng, rows, n = np.random.default_rng(9), np.arange(MANY), oscillators.gap_row.shape[1]
     upper, lower = np.isfinite(oscillators.upper), np.isfinite(oscillators.lower)
     side = np.where(upper & (~lower | (rows % 2 == 0)), 1, -1)
-    given = motions_at(rng.normal(size=(MANY, n, 2)), side[:, None] * HELD)
+    given = motions_at(rng.normal(size=(MANY, n, 2)), FLIGHT + side[:, None] * ON)
     states = physical_states(oscillators, given, rows)
     found = motions_at(np.zeros((MANY, n, 2)))
     start_motions(oscillators, found, states, rows)
-    contact = found.contact[:, 0].copy()
-    np.testing.assert_array_equal(np.sign(contact), side)
-    assert set(np.abs(contact)) <= {HELD, AT_REST}
+    mode = found.mode[:, 0].copy()
+    np.testing.assert_array_equal(np.sign(mode - FLIGHT), side)
+    assert set(np.abs(mode - FLIGHT)) <= {ON, DETACHED}
     again = physical_states(oscillators, found, rows)
     blocks = np.abs(oscillators.to_blocks) @ np.abs(states)[..., None]
     terms = blocks[..., 0] + (oscillators.gap.swing + np.abs(oscillators.gap.rest)).reshape(MANY, 2 * n)
     size = (np.abs(oscillators.to_physical) @ terms[..., None])[..., 0]
     assert np.all(np.abs(again - states) <= 32.0 * EPS * size)
     start_motions(oscillators, found, again, rows)
-    np.testing.assert_array_equal(found.contact[:, 0], contact)
+    np.testing.assert_array_equal(found.mode[:, 0], mode)
 
 
 @pytest.mark.parametrize(
-    ("beyond", "rate", "contact"),
+    ("beyond", "rate", "mode"),
     [
-        (0.0, 0.0, HELD),
-        (4.0, 4.0, HELD),
-        (-4.0, -4.0, HELD),
-        (4.0, 1e6, FREE),
-        (-1e6, 0.0, FREE),
+        (0.0, 0.0, FLIGHT + ON),
+        (4.0, 4.0, FLIGHT + ON),
+        (-4.0, -4.0, FLIGHT + ON),
+        (4.0, 1e6, FLIGHT),
+        (-1e6, 0.0, FLIGHT),
     ],
 )
-def test_what_is_within_rounding_of_a_stop_is_on_it(beyond: float, rate: float, contact: int) -> None:
+def test_what_is_within_rounding_of_a_stop_is_on_it(beyond: float, rate: float, mode: int) -> None:
     """Two coordinates that add up to the gap, in units in the last place of these; a load presses on the stop."""
     osc = mass_spring(
         mass=np.eye(2), damping=0.1 * np.eye(2), stiffness=np.eye(2), gap_row=[-1.0, 1.0], force=[0.1, 0.0],
         omega=1.0, tau=0.0, b_upper=1.0, b_lower=2.0, R=0.5, load=[-5.0, 5.0],
     )  # fmt: skip
     state = np.array([-0.5, 0.5 + beyond * EPS, 0.7, 0.7 + rate * EPS])
-    assert motion_from(osc, state).contact[0] == contact
+    assert motion_from(osc, state).mode[0] == mode
 
 
 def test_a_state_further_out_than_rounding_has_no_motion() -> None:
@@ -113,18 +114,17 @@ def test_a_state_further_out_than_rounding_has_no_motion() -> None:
         motion_from(osc, np.array([osc.upper * (1.0 + 32.0 * EPS), 0.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize("side", [1, -1])
-def test_a_motion_beyond_a_stop_goes_nowhere_and_is_invalid_for_that_reason(side: int) -> None:
+def test_a_motion_beyond_a_stop_goes_nowhere_and_is_invalid_for_that_reason() -> None:
     osc, _ = naive.two_mass(**naive.STICKING)
     h = np.full((2, 2), 0.1)
-    motion = motion_at(h, side * BEYOND)
+    motion = motion_at(h, BEYOND)
     propagate(osc, motion, osc.period)
     assert motion.tally[STATUS] == STARTED_BEYOND
     np.testing.assert_array_equal(motion.h, h)
     settings = Settings()
     found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
     cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
-    cells.batch.motions.contact[0, 0] = side * BEYOND
+    cells.batch.motions.mode[0, 0] = BEYOND
     cells.aim(cells.ready, 1)
     cells.run(cells.ready)
     assert cells.ready.size == 1 and end_stopped(cells, cells.ready).size == 0
@@ -135,12 +135,12 @@ def test_a_motion_that_goes_on_has_the_contact_that_it_had() -> None:
     """Truth: the contact given, about to leave, where the load shows the state held."""
     osc, _ = naive.two_mass(**naive.STICKING)
     settings, state = Settings(), np.array([[osc.upper, 0.4, 0.0, 0.0]])
-    shown = motion_from(osc, state[0]).contact[0]
-    other = AT_REST if shown == HELD else HELD
-    for contact, expected in ((None, shown), (np.array([other]), other)):
+    shown = motion_from(osc, state[0]).mode[0]
+    other = FLIGHT + (DETACHED if shown == FLIGHT + ON else ON)
+    for mode, expected in ((None, shown), (np.array([other]), other)):
         found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-        cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, contact)
-        assert cells.batch.motions.contact[0, 0] == expected
+        cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, mode)
+        assert cells.batch.motions.mode[0, 0] == expected
 
 
 def test_a_mirror_image_has_the_contact_of_its_own_instant() -> None:
@@ -149,14 +149,14 @@ def test_a_mirror_image_has_the_contact_of_its_own_instant() -> None:
     for tau, x2, side in ((0.0, -1.2, -1), (0.0, 0.4, 1), (0.0, 0.4, -1), (1.0, 0.0, 1), (2.0, 0.0, 1), (5.0, 0.0, 1)):
         osc, _ = naive.two_mass(**(naive.STICKING | {"tau": tau}))
         motion = motion_from(osc, np.array([side * osc.upper, x2, 0.0, 0.0]))
-        contact = int(motion.contact[0])
-        images, its = mirrored(many_of(osc), blocks_to_physical(osc, motion)[None], motion.contact.copy())
+        mode = int(motion.mode[0])
+        images, its = mirrored(many_of(osc), blocks_to_physical(osc, motion)[None], motion.mode.copy())
         propagate(osc, motion, 0.5 * osc.period)
         later = osc._replace(tau=osc.tau + 0.5 * osc.period * osc.gap.omega)
         assert images[0] == pytest.approx(-blocks_to_physical(later, motion), abs=1e-12)
-        assert its[0] == -motion.contact[0]
-        seen.add((contact, int(motion.contact[0])))
-    assert seen >= {(HELD, FREE), (HELD, HELD), (HELD, -HELD), (AT_REST, HELD), (-AT_REST, HELD)}
+        assert its[0] - FLIGHT == FLIGHT - motion.mode[0]
+        seen.add((mode - FLIGHT, int(motion.mode[0]) - FLIGHT))
+    assert seen >= {(ON, OPEN), (ON, ON), (ON, -ON), (DETACHED, ON), (-DETACHED, ON)}
 
 
 def test_cells_that_rest_at_the_section_have_the_same_orbit_from_their_stored_state() -> None:
@@ -195,7 +195,7 @@ def test_section_points_of_an_attractor_that_rests_at_the_section_stay_there() -
         values = {p.name: p.default for p in system.parameters} | cell
         table = AttractorTable(system, values, Settings(max_periods=500, survival=0), Starts(1))
         (only,) = table.attractors
-        assert (abs(only.contact), only.period) == (HELD, 1)
+        assert (abs(only.mode - FLIGHT), only.period) == (ON, 1)
         only.period = 0
         points = section_points(table, 3)[0]
         assert points == pytest.approx(np.tile(only.result["state"], (3, 1)), abs=1e-12)

@@ -53,7 +53,7 @@ def finished(batch: Batch, cells: np.ndarray, **how: int) -> Batch:
 def assert_same_bits(one: Batch, rows: np.ndarray, other: Batch) -> None:
     for name in ("done", "levels", "weighted", "sections"):
         np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
-    for name in ("h", "contact", "V", "growth", "tally"):
+    for name in ("h", "mode", "V", "growth", "tally"):
         found, expected = getattr(one.motions, name)[rows], getattr(other.motions, name)
         np.testing.assert_array_equal(found, expected, err_msg=name)
 
@@ -104,7 +104,7 @@ def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
     scale = 1.0 + np.max(np.abs(single.motions.h[tame]), axis=(1, 2), initial=0.0)
     away = np.max(np.abs(together.motions.h - single.motions.h)[tame], axis=(1, 2), initial=0.0)
     assert np.all(away <= 1e-10 * scale * SENSITIVE)
-    np.testing.assert_array_equal(together.motions.contact[tame], single.motions.contact[tame])
+    np.testing.assert_array_equal(together.motions.mode[tame], single.motions.mode[tame])
 
 
 @pytest.mark.parametrize("name", ["soft-impact", "soft-suspension", "two-stops", "stick-slip", "gear-mesh", "capsule"])

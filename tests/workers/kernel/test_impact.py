@@ -26,7 +26,8 @@ from workers.kernel.contact import (
 )
 from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
-from workers.kernel.motion import motion_at
+from workers.kernel.motion import FLIGHT, motion_at
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
 
 
@@ -254,7 +255,7 @@ def test_a_section_state_on_a_stop_lies_there_exactly_at_rest() -> None:
     osc, _ = naive.two_mass(**naive.STICKING)
     h = np.zeros((2, 2))
     from_held(osc, np.array([[0.123, -0.456]]), osc.tau, 1, h)
-    state = blocks_to_physical(osc, motion_at(h, contact=1))
+    state = blocks_to_physical(osc, motion_at(h, mode=FLIGHT + ON))
     assert state[0] == osc.b_upper
     assert state[2] == 0.0
 

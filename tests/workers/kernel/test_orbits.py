@@ -233,7 +233,7 @@ def sliced_exponents(params: dict[str, float], slices: int) -> np.ndarray:
     osc, start = naive.two_mass(**params)
     motion = motion_from(osc, start)
     run_periods(osc, motion, 50)
-    motion = motion_at(motion.h, int(motion.contact[0]), vectors=4)
+    motion = motion_at(motion.h, int(motion.mode[0]), vectors=4)
     for _ in range(3):
         motion.growth[np.isfinite(motion.growth)] = 0.0
         for k in range(slices):

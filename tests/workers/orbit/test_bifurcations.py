@@ -15,7 +15,7 @@ import pytest
 
 from workers.kernel.cells import scale_of
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.motion import FREE, motion_at
+from workers.kernel.motion import FLIGHT, motion_at
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.orbit.map import FixedPoint
@@ -78,7 +78,7 @@ def orbit_near(bifurcation: Bifurcation, omega: float, h: np.ndarray) -> FixedPo
     """The orbit at omega, stable or not, by Newton's method from a block state; None where there is none."""
     osc = oscillator(omega)
     scale = scale_of(osc.gap.blocks, h)
-    found, _ = newton(osc, h, FREE, bifurcation.steps, bifurcation.half, scale, 20)
+    found, _ = newton(osc, h, FLIGHT, bifurcation.steps, bifurcation.half, scale, 20)
     return found if math.isfinite(found.residual) else None
 
 

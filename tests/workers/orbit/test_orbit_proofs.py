@@ -14,8 +14,7 @@ from workers.attractors.same import KnownOrbits, orbits_reached
 from workers.cell.stretch import run_periods
 from workers.kernel.cells import scale_of
 from workers.kernel.coordinates import motion_from
-from workers.kernel.motion import EVALUATIONS, FREE, motion_at, motions_at
-from workers.model.hybrid import FIRST_NUMBER
+from workers.kernel.motion import EVALUATIONS, FLIGHT, motion_at, motions_at
 from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Oscillator, make_blocks, many_of, one_of
 from workers.model.system import find_system
@@ -43,7 +42,7 @@ class Proof(NamedTuple):
 
 
 def proof(
-    osc: Oscillator, h: np.ndarray, lag: int = 1, contact: int = FREE, budget: int = 1000, away: float = 0.0
+    osc: Oscillator, h: np.ndarray, lag: int = 1, mode: int = FLIGHT, budget: int = 1000, away: float = 0.0
 ) -> Proof:
     """The proof for a motion at block state h that seems to have returned, so far away, after ``lag`` periods."""
     sections = np.full((1, lag + 1, *h.shape), 1e9)
@@ -51,7 +50,7 @@ def proof(
     sections[0, 0, 0, 1] += away
     orbits, spent = no_orbits(1, len(h)), np.zeros(1, dtype=np.int64)
     found = settle_cells(
-        many_of(osc), motions_at(h[None], np.array([[contact]])), sections, np.array([lag + 1]), np.array([1e-2]), 64,
+        many_of(osc), motions_at(h[None], np.array([[mode]])), sections, np.array([lag + 1]), np.array([1e-2]), 64,
         np.array([budget]), np.arange(1), orbits, spent,
     )  # fmt: skip
     return Proof(bool(found[0]), orbits, int(spent[0]))
@@ -76,7 +75,7 @@ def path(osc: Oscillator, h: np.ndarray, steps: int, half: bool = False) -> tupl
     """Block states (steps + 1, n, 2) from h on, after each step of the map, and the Jacobian of all of them."""
     states, motion = [h], motion_at(h, vectors=h.size)
     for _ in range(steps):
-        motion = iterate(osc, motion.h, int(motion.contact[0]), motion.V, np.zeros(0), np.zeros((0, 0)), 1, half)
+        motion = iterate(osc, motion.h, int(motion.mode[0]), motion.V, np.zeros(0), np.zeros((0, 0)), 1, half)
         states.append(motion.h)
     return np.array(states), jacobian_of(motion.V)
 
@@ -120,7 +119,7 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
     map, mu from numpy, the norm as it is defined.
     """
     begin, w, e = attractor(WEAK), weights(WEAK), 1e-6
-    h = motion_after(WEAK, begin, FREE, SHIFT).h
+    h = motion_after(WEAK, begin, FLIGHT, SHIFT).h
     there = WEAK._replace(tau=WEAK.tau + 2.0 * math.pi * SHIFT)
     steps = e * np.eye(2).reshape(2, 1, 2)
     J = np.column_stack([(after(there, h + d, 1) - after(there, h - d, 1)).ravel() / (2.0 * e) for d in steps])
@@ -132,7 +131,7 @@ def test_motion_falls_into_an_orbit_where_the_linear_map_misses_less_than_half_o
 
     def share(distance: float) -> float:
         """The largest of the turns that it takes to come nearer for good, and one more."""
-        at = motion_after(WEAK, beside(distance), FREE, SHIFT).h
+        at = motion_after(WEAK, beside(distance), FLIGHT, SHIFT).h
         begun, worst, nearer = np.linalg.norm(w * (at - h).ravel()), 0.0, False
         while True:
             image = after(there, at, 1)
@@ -203,17 +202,17 @@ def test_newton_stops_where_the_residual_no_longer_falls() -> None:
     of the motion: from 1e-8 beside it two steps reach rounding, and a few more show that it is."""
     osc = naive.two_mass(**naive.FIGURES[5])[0]
     there = osc._replace(tau=osc.tau + 2.0 * math.pi * SHIFT)
-    start = motion_after(osc, attractor(osc), FREE, SHIFT).h
+    start = motion_after(osc, attractor(osc), FLIGHT, SHIFT).h
     scale, rng = float(scale_of(osc.gap.blocks, start)), np.random.default_rng(1)
     h, whole = start, np.bool_(False)
     for _ in range(40):
-        orbit, _ = newton(there, h, FREE, 2, whole, scale, 12)
+        orbit, _ = newton(there, h, FLIGHT, 2, whole, scale, 12)
         if 13.0 < np.abs(np.linalg.eigvals(orbit.jacobian)).max() < 14.0:
             break
         h = after(there, h, 1)
     assert orbit.residual < 1e-13 * scale
     starts = orbit.h + 1e-8 * scale * rng.normal(size=(16, *start.shape))
-    spent = [newton(there, one, FREE, 2, whole, scale, 12)[1] for one in starts]
+    spent = [newton(there, one, FLIGHT, 2, whole, scale, 12)[1] for one in starts]
     assert 3 <= max(spent) <= 7
 
 
@@ -262,11 +261,11 @@ def test_an_orbit_that_rests_on_a_stop_at_the_section_is_found_also_from_beside_
     """A motion that lies there but for rounding comes to rest before the section of the proof."""
     motion = motion_from(HELD, np.zeros(4))
     run_periods(HELD, motion, 500)
-    side = int(motion.contact[0])
-    assert side != FREE
-    for contact in (side, FREE):
-        seen = proof(HELD, motion.h, contact=contact)
-        assert seen.found and seen.orbits.contact[0, 0] == side
+    side = int(motion.mode[0])
+    assert side != FLIGHT
+    for mode in (side, FLIGHT):
+        seen = proof(HELD, motion.h, mode=mode)
+        assert seen.found and seen.orbits.mode[0, 0] == side
 
 
 # Near the limit of stability
@@ -398,19 +397,19 @@ def test_which_of_many_motions_are_far_from_closing_is_said_of_their_last_sectio
     assert far_from_closing(blocks, h, sections, rows, 4, 1e-5).tolist() == [False, False, True]
 
 
-SLIDING = FIRST_NUMBER + Code(0, (), (1,)).number
+SLIDING = Code(0, (), (1,)).number
 """The contact of a motion of a machine with one friction while that slides."""
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-@pytest.mark.parametrize(("name", "contact"), [("two-mass", FREE), ("friction-oscillator", SLIDING)])
-def test_a_trial_state_that_is_no_number_costs_next_to_nothing(name: str, contact: int, value: float) -> None:
+@pytest.mark.parametrize(("name", "contact"), [("two-mass", FLIGHT), ("friction-oscillator", SLIDING)])
+def test_a_trial_state_that_is_no_number_costs_next_to_nothing(name: str, mode: int, value: float) -> None:
     """Newton's method may come to one where a Jacobian is singular."""
     system = find_system(name)
     osc, _ = system.build_many({p.name: np.array([p.default]) for p in system.parameters})
     h = np.full((len(system.states) // 2, 2), value)
 
     def cost(_: np.ndarray) -> float:
-        return float(iterate_alone(one_of(osc, 0), h, contact, 3, np.bool_(False)).tally[EVALUATIONS])
+        return float(iterate_alone(one_of(osc, 0), h, mode, 3, np.bool_(False)).tally[EVALUATIONS])
 
     assert osc.with_modes(cost, np.zeros(1, dtype=np.int64)) <= 20.0

@@ -16,8 +16,9 @@ from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
 from workers.continuation import section_state
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.motion import HELD, RECORDED, Motion
+from workers.kernel.motion import FLIGHT, RECORDED, Motion
 from workers.kernel.period import propagate
+from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
 from workers.model.system import System, find_system
 from workers.results import PERIODIC
@@ -87,7 +88,7 @@ def change_of_rest(orbit: Seen, comes: bool) -> float:
     """When the mass comes to rest, or leaves, by bisection between 400 times of a period."""
 
     def held(t: float) -> bool:
-        return abs(int(orbit.at(t).contact[0])) == HELD
+        return abs(int(orbit.at(t).mode[0]) - FLIGHT) == ON
 
     times = orbit.osc.period * np.linspace(0.0, 1.0, 401)[1:-1]
     at = [held(t) for t in times]

@@ -9,9 +9,10 @@ from rig.oracle.simulate import section_jacobian, simulate
 from tests import naive
 from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import blocks_to_physical, motion_from
-from workers.kernel.motion import EVALUATIONS, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
+from workers.kernel.motion import EVALUATIONS, FLIGHT, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
 from workers.kernel.period import advance, propagate, step
 from workers.kernel.tangent import reset_frame
+from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import Oscillator
 from workers.orbit.map import map_with_jacobian
 
@@ -33,7 +34,7 @@ def physical(osc: Oscillator) -> np.ndarray:
 def jacobian(osc: Oscillator, state: np.ndarray, periods: int, half: bool = False) -> np.ndarray:
     """d(physical state after so many steps) / d(physical state)."""
     start = motion_from(osc, state)
-    motion, J = map_with_jacobian(osc, start.h, int(start.contact[0]), periods, half)
+    motion, J = map_with_jacobian(osc, start.h, int(start.mode[0]), periods, half)
     assert motion.tally[STATUS] == RUNNING
     P = physical(osc)
     return P @ J @ np.linalg.inv(P)
@@ -191,15 +192,15 @@ def test_the_kinds_include_what_their_names_say() -> None:
     for kind, params in KINDS.items():
         osc, state = naive.two_mass(**params)
         motion = motion_from(osc, state)
-        contact = int(motion.contact[0])
+        state = int(motion.mode[0]) - FLIGHT
         run_periods(osc, motion, 10)
         assert ("stick" in kind or "held" in kind or "chatter" in kind or "pressed" in kind) == (
             motion.tally[STUCK] > 0
         ), kind
         assert (motion.tally[LOST] == 1) == ("leaves at once" in kind), kind
-        assert (abs(contact) == 1) == ("pressed" in kind), kind
-        assert (abs(contact) == 2) == ("pulled" in kind), kind
-        assert (abs(int(motion.contact[0])) == 1) == ("held" in kind), kind
+        assert (abs(state) == ON) == ("pressed" in kind), kind
+        assert (abs(state) == DETACHED) == ("pulled" in kind), kind
+        assert (abs(int(motion.mode[0]) - FLIGHT) == ON) == ("held" in kind), kind
         damping = np.array(osc.gap.eta) ** 2 - osc.gap.lam
         assert ("overdamped" in kind) == bool(np.all(damping > 0)), kind
         assert ("critical" in kind) == bool(np.any(np.abs(damping) < 1e-12)), kind
@@ -251,7 +252,7 @@ def test_a_cell_held_at_its_section_lies_on_the_stop_at_rest() -> None:
     x1, _, v1, _ = blocks_to_physical(osc, motion)
     assert (abs(x1), v1) == (osc.b_upper, 0.0)
     again = motion_from(osc, blocks_to_physical(osc, motion))
-    assert again.contact[0] == motion.contact[0]
+    assert again.mode[0] == motion.mode[0]
 
 
 # The half-period map
@@ -266,7 +267,7 @@ def test_the_half_period_map_twice_is_the_period_map(kind: str) -> None:
     step(osc, twice, True)
     step(osc, twice, True)
     assert twice.h == pytest.approx(whole.h, abs=1e-13)
-    assert twice.contact[0] == whole.contact[0]
+    assert twice.mode[0] == whole.mode[0]
     assert (twice.tally[UPPER] + twice.tally[LOWER]) == (whole.tally[UPPER] + whole.tally[LOWER])
 
 

@@ -12,7 +12,6 @@ from workers.kernel.jit import kernel
 from workers.kernel.lend import as_many, lend, row_in, whole
 from workers.kernel.linalg import copy_into, identity
 from workers.kernel.motion import MARCH_GAVE_UP, MOTION, OSCILLATOR, RUNNING, STATUS, TABLES, spend
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import HEAD, Mode
 
 
@@ -143,7 +142,7 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
         count_progress(motion, h, omega)
     for j in range(len(h)):
         motion.h[j, 0], motion.h[j, 1] = h[j, 0], h[j, 1]
-    motion.contact[0] = trip.place[PLACE.number] + FIRST_NUMBER
+    motion.mode[0] = trip.place[PLACE.number]
     for e in range(len(motion.growth)):
         motion.growth[e] = trip.growth[more + e]
     for e in range(len(motion.triangle)):
@@ -157,7 +156,7 @@ def take_on(osc, motion, trips, more, duration):
     tables, motion, trips = as_many(osc.table), row_in(as_many(motion), 0), lend(trips)
     table, trip = row_in(tables, 0), row_in(trips, 0)
     take_up(osc.to_physical, motion, trip, more)
-    go_through(tables, trips, motion.contact[0] - FIRST_NUMBER, motion.impacts, np.empty((0, 0)), duration)
+    go_through(tables, trips, motion.mode[0], motion.impacts, np.empty((0, 0)), duration)
     if trip.tally[STATUS] != RUNNING:
         motion.tally[STATUS] = trip.tally[STATUS]
         return

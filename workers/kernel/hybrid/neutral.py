@@ -6,7 +6,6 @@ from workers.kernel.apart import apart
 from workers.kernel.hybrid.state import enter_frame, leave_frame, product, read_number, slot_of
 from workers.kernel.jit import inline_always
 from workers.kernel.motion import LOST, MOTION, NEUTRAL, OSCILLATOR, PROGRESS, SLID
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.hybrid_modes import ON
 
 
@@ -47,7 +46,7 @@ def freeze(osc, motion):
     table, elements = osc.table, osc.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
     states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
-    number = motion.contact[0] - FIRST_NUMBER
+    number = motion.mode[0]
     read_number(elements, number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))

@@ -37,7 +37,6 @@ from workers.kernel.lend import lend, row_in
 from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, spend
 from workers.kernel.signal import growth_rate
 from workers.kernel.tangent import log_length
-from workers.model.hybrid import FIRST_NUMBER
 from workers.model.oscillator import Array, Rows
 
 BEGINS, ARRIVES = 0, 1
@@ -154,7 +153,7 @@ def begin_period(batch, trips, r, slot, more):
     oscillators = batch.oscillators
     trip, motion, table = row_in(trips, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
     take_up(oscillators.to_physical[r], motion, trip, more)
-    begin_trip(table, trip, motion.contact[0] - FIRST_NUMBER)
+    begin_trip(table, trip, motion.mode[0])
 
 
 @inline_always

@@ -30,7 +30,7 @@ from workers.kernel.lanes.signal import fields_of_harmonic
 from workers.kernel.lend import lend, rigid
 from workers.kernel.motion import (
     EVALUATIONS,
-    FREE,
+    FLIGHT,
     LOSS,
     LOST,
     LOWER,
@@ -179,7 +179,7 @@ def go_alone(batch, r):
             before = length
         keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
         batch.done[r] = k + 1
-        if motion.contact[0] == FREE:
+        if motion.mode[0] == FLIGHT:
             return
 
 
@@ -205,8 +205,8 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
     blocks, waves, numbers = gap.blocks, gap.waves, gap.numbers
     periods, done, sections = batch.periods, batch.done, batch.sections
-    h, V, growth, tally, contact = (
-        batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.contact
+    h, V, growth, tally, mode = (
+        batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.mode
     )  # fmt: skip
     impacts, levels, weighted = batch.motions.impacts, batch.levels, batch.weighted
     n, m, harmonics = h.shape[1], V.shape[1], waves.shape[1] - 1
@@ -230,7 +230,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             else:
                 r = cells[queued]
                 queued += 1
-                alone = contact[r, 0] != FREE
+                alone = mode[r, 0] != FLIGHT
                 if done[r] == 0:
                     weighted[r, 0] = weighted[r, 1] = 0.0
             if alone:
