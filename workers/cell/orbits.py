@@ -7,7 +7,7 @@ import numpy as np
 from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
 from workers.cell.stretch import batch_of, run
-from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
+from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
@@ -91,7 +91,14 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     osc = at_rows(cells.oscillators, rows)
     damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1) & (osc.growth == 0.0)
     stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)
-    upper = np.isfinite(osc.b_upper) & (osc.held.mode.amplitude + osc.held.push[:, 0] > 0.0)
-    lower = np.isfinite(osc.b_lower) & (osc.held.mode.amplitude - osc.held.push[:, 1] > 0.0)
-    can_rest = (cells.directions == 2) & (upper | lower) & (osc.R < 1.0)
+    can_rest = (cells.directions == 2) & (osc.R < 1.0) & np.any(most_on_stops(osc) > 0.0, axis=1)
     return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)
+
+
+def most_on_stops(oscillators: Oscillator) -> Array:
+    """The largest force (N, 2) that presses a single mass on the upper and on the lower stop; -infinity without one."""
+    held, stops = oscillators.held, np.stack([oscillators.b_upper, -oscillators.b_lower], axis=1)
+    level = held.offset[:, 0] + held.blocks[:, 0, 0, -1, COLUMN.c0, None] * stops
+    return np.where(
+        np.isfinite(stops), held.numbers[:, 0, :, NUMBER.amplitude] - np.array([1.0, -1.0]) * level, -np.inf
+    )

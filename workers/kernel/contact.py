@@ -4,12 +4,12 @@ import numpy as np
 
 from workers.kernel.borrow import borrowed
 from workers.kernel.crossing import next_crossing
-from workers.kernel.elementary import sin_cos
 from workers.kernel.flow import flow, flow_with_tangent, guard_of, guard_rate_of
+from workers.kernel.hybrid.state import enter, enter_frame, leave, leave_frame, product, turn_to, turned, wave
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.signal import all_forced
+from workers.kernel.lend import lend
 from workers.kernel.tangent import graded_flow
-from workers.model.oscillator import COLUMN, HEAD, NUMBER
+from workers.model.oscillator import COLUMN, HEAD, NUMBER, Mode
 
 REBOUND, REST, LEAVE = range(3)
 """Outcomes of an impact: rebound; rest on the stop; v = 0 while the load pulls away (R = 0)."""
@@ -19,6 +19,9 @@ EPS = float(np.finfo(np.float64).eps)
 ENDING, BRIEF = 1e-4, 1.0 / 64.0
 """Lanes leave the rest of a chatter to another kernel, which follows hops more exactly (chatter.hop), once the load
 changes in that rest by this share of it, or the rest lasts this share of the period."""
+
+ONLY = np.int64(0)
+"""The place of the mode in which a stop holds among Oscillator.held."""
 
 SHORTEST_HOP = 1e-11
 """Share of a forcing period below which a hop counts as rounding."""
@@ -115,72 +118,57 @@ def stop_position(osc, side):
     return osc.head[HEAD.top] if side > 0 else osc.head[HEAD.bottom]
 
 
-@inlined
-def wave(parts, phase):
-    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian."""
-    value, rate = 0.0, 0.0
-    for k in range(len(parts)):
-        sin, cos = sin_cos((k + 1.0) * phase)
-        value += parts[k, 0] * sin + parts[k, 1] * cos
-        rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
-    return value, rate
-
-
-@inlined
-def stop_index(side):
-    """Index of a stop in arrays of both stops: 0 upper, 1 lower."""
-    return 0 if side > 0 else 1
-
-
 @kernel
-def changed_blocks(matrix, side, source, source_response, phase, target, target_response):
-    """Write the block coordinates of a state in other blocks, both without forced responses; see oscillator.Held.
+def to_held(osc, h, V, turn, u, U):
+    """Write the block state u (n, 2) and tangent vectors U (m, n, 2) of motion held on a stop, from those of flight.
 
-    target + its response = shift + matrix (source + its response), for source (n, 2) and target (m, 2); the matrix (2m,
-    2n + 2) has the shift of each stop in its last two columns.
+    The last block is y; its constant state, the stop, is left out of u: see load_on_stop.
     """
-    shift = 2 * source.shape[0] + stop_index(side)
-    for i in range(target.shape[0]):
-        for k in range(2):
-            target[i, k] = matrix[2 * i + k, shift] - wave(target_response[i, k], phase)[0]
-    for j in range(source.shape[0]):
-        for c in range(2):
-            full = source[j, c] + wave(source_response[j, c], phase)[0]
-            for i in range(target.shape[0]):
-                for k in range(2):
-                    target[i, k] += matrix[2 * i + k, 2 * j + c] * full
-
-
-@inline_always
-def to_held(osc, h, phase, side, u):
-    """Write the held block coordinates u (n - 1, 2) of free block coordinates h at a stop."""
-    changed_blocks(osc.held.down, side, h, osc.gap.forced, phase, u, osc.held.mode.forced)
-
-
-@inline_always
-def from_held(osc, u, phase, side, h):
-    """Write the free block coordinates h (n, 2) of held coordinates u: y on the stop and v = 0."""
-    changed_blocks(osc.held.up, side, u, osc.held.mode.forced, phase, h, osc.gap.forced)
+    held, n = osc.held, h.shape[0]
+    z, W = np.empty(2 * n), np.empty((V.shape[0], 2 * n))
+    leave_flight(osc, h, turn, z)
+    leave_frame(osc.to_physical, V, W)
+    enter(held, ONLY, z, W, turn, u, U)
+    u[n - 1, 0] = u[n - 1, 1] = 0.0
+    for e in range(len(U)):
+        U[e, n - 1, 0] = U[e, n - 1, 1] = 0.0
 
 
 @kernel
-def transformed(matrix, V, U):
-    """Write U = matrix V, for tangent vectors V (m, ., 2) and U (m, ., 2), one vector after the other."""
-    for m in range(V.shape[0]):
-        for i in range(U.shape[1]):
-            for k in range(2):
-                total = 0.0
-                for j in range(V.shape[1]):
-                    total += matrix[2 * i + k, 2 * j] * V[m, j, 0] + matrix[2 * i + k, 2 * j + 1] * V[m, j, 1]
-                U[m, i, k] = total
+def from_held(osc, u, U, turn, side, h, V):
+    """Write the block state h (n, 2) and tangent vectors V (m, n, 2) in flight of a motion held on a stop."""
+    held, n = osc.held, h.shape[0]
+    z, W = np.empty(2 * n), np.empty((U.shape[0], 2 * n))
+    u[n - 1, 0] = stop_position(osc, side)
+    leave(held, ONLY, u, U, turn, z, W)
+    for i in range(2 * n):
+        h[i // 2, i % 2] = product(osc.to_blocks[i], z, 0) - wave(osc.gap.forced[i // 2, i % 2], turn)[0]
+    enter_frame(osc.to_blocks, W, V)
 
 
-@inline_always
-def load_on_stop(osc, u, phase, side):
-    """side * a: the free acceleration that presses the resting mass on the stop."""
-    held = osc.held.mode
-    load = all_forced(held.waves, held.numbers[NUMBER.omega], phase)[0]
-    return side * (guard_of(held.blocks, u) + load + osc.held.push[stop_index(side)])
+@inlined
+def leave_flight(osc, h, turn, z):
+    """Write the physical state z (2n,), counted from rest, of a block state h (n, 2) in flight; see state.turned."""
+    z[:] = 0.0
+    for j in range(len(z)):
+        full = h[j // 2, j % 2] + wave(osc.gap.forced[j // 2, j % 2], turn)[0]
+        for i in range(len(z)):
+            z[i] += osc.to_physical[i, j] * full
+
+
+@inlined
+def level_on_stop(osc, side):
+    """Constant part of the signal of held motion: the force by which a stop holds y, without motion of the others."""
+    return osc.held.offset[0, 0] + osc.held.blocks[0, 0, osc.held.blocks.shape[2] - 1, COLUMN.c0] * stop_position(
+        osc, side
+    )
+
+
+@kernel
+def load_on_stop(osc, u, turn, side):
+    """The force that presses the resting mass on the stop, from its block state u (n, 2)."""
+    held = osc.held
+    return -side * (guard_of(held.blocks[0, 0], u) + wave(held.waves[0, 0], turn)[0] + level_on_stop(osc, side))
 
 
 @inline_always
@@ -190,21 +178,22 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     Returns (time, released, evaluations); released is 2 if the march gave up.
     """
     h, V = borrowed(h), borrowed(V)
-    held = osc.held.mode
-    n = len(held.blocks)
-    u, scratch = np.empty((n, 2)), np.empty((n, 2))
-    U = np.empty((V.shape[0], n, 2))
-    to_held(osc, h, phase, side, u)
-    transformed(osc.held.down, V, U)
-    upper, lower = (np.inf, 0.0) if side > 0 else (0.0, -np.inf)
-    offset = osc.held.push[stop_index(side)]
+    held, n = osc.held, h.shape[0]
+    blocks, numbers = held.blocks[0, 0], held.numbers[0, 0]
+    u, U, scratch = np.empty((n, 2)), np.empty((V.shape[0], n, 2)), np.empty((n - 1, 2))
+    turn = turned(phase, held.waves.shape[2])
+    to_held(osc, h, V, turn, u, U)
+    upper, lower = (0.0, -np.inf) if side > 0 else (np.inf, 0.0)
+    mode = lend(Mode(blocks[: n - 1], held.waves[0, 0], numbers, held.forced[0]))
     inside = np.int64(0)  # typed: a literal would compile the callees once more
-    s, crossed, evaluations = next_crossing(held, u, phase, offset, upper, lower, inside, H, scratch)
+    s, crossed, evaluations = next_crossing(
+        mode, u[: n - 1], phase, level_on_stop(osc, side), upper, lower, inside, H, scratch
+    )  # fmt: skip
     if growth.shape[0] > 0:
-        flow(held.blocks, s, u)
-        graded_flow(held.blocks, s, U, growth, triangle, 2 * n)
+        flow(blocks, s, u)
+        graded_flow(blocks, s, U, growth, triangle, 2 * n - 2)
     else:
-        flow_with_tangent(held.blocks, s, u, U)
-    from_held(osc, u, phase + held.numbers[NUMBER.omega] * s, side, h)
-    transformed(osc.held.up, U, V)
+        flow_with_tangent(blocks, s, u, U)
+    turn_to(phase + numbers[NUMBER.omega] * s, turn)
+    from_held(osc, u, U, turn, side, h, V)
     return s, abs(crossed), evaluations

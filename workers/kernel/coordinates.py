@@ -8,8 +8,8 @@ from numba import types
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS, apart
-from workers.kernel.contact import load_on_stop, to_held, wave
-from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number
+from workers.kernel.contact import load_on_stop, to_held
+from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number, turned, wave
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import whole
 from workers.kernel.motion import BEYOND, FLIGHT, OSCILLATOR, Motion, has_modes, motion_at
@@ -43,14 +43,14 @@ def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), less forced response, of a physical section state; its mode, or BEYOND."""
     if has_modes(osc):
         return start_hybrid(osc, state, h)
-    row, blocks, tau = osc.gap_row, osc.gap.blocks, osc.tau
+    row, blocks, turn = osc.gap_row, osc.gap.blocks, turned(osc.tau, osc.gap.waves.shape[0])
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         for k in range(2):
             full = 0.0
             for i in range(2 * n):
                 full += osc.to_blocks[2 * j + k, i] * state[i]
-            h[j, k] = full - wave(osc.gap.forced[j, k], tau)[0] - blocks[j, COLUMN.rest0 + k]
+            h[j, k] = full - wave(osc.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
         if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
             h[j, 1] = 0.0  # else rounding of h would drift forever
@@ -61,15 +61,15 @@ def start_at(osc, state, h):
     side = side_of(y, ROUNDING * y_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
     if side == 0:
         return FLIGHT if osc.head[HEAD.lower] <= y <= osc.head[HEAD.upper] else BEYOND
-    return mode_at_rest(osc, side, h) if abs(v) <= ROUNDING * v_sum else FLIGHT
+    return mode_at_rest(osc, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
 
 
 @inline_always
-def mode_at_rest(osc, side, h):
+def mode_at_rest(osc, side, h, turn):
     """The mode of a state at rest on this stop: held if the load presses, else about to leave."""
-    u = np.zeros((h.shape[0] - 1, 2))
-    to_held(osc, h, osc.tau, side, u)
-    return FLIGHT + side * (ON if load_on_stop(osc, u, osc.tau, side) > 0.0 else DETACHED)
+    u, nothing = np.empty(h.shape), np.empty((0, h.shape[0], 2))
+    to_held(osc, h, nothing, turn, u, nothing)
+    return FLIGHT + side * (ON if load_on_stop(osc, u, turn, side) > 0.0 else DETACHED)
 
 
 @inline_always
@@ -110,11 +110,11 @@ def leave_blocks(osc, h, mode, state):
         leave_hybrid(osc, h, mode, state)
         return
     row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
-    n = h.shape[0]
+    n, turn = h.shape[0], turned(osc.tau, osc.gap.waves.shape[0])
     terms = np.zeros(n)
     for j in range(n):
         for k in range(2):
-            full = h[j, k] + wave(osc.gap.forced[j, k], osc.tau)[0] + blocks[j, COLUMN.rest0 + k]
+            full = h[j, k] + wave(osc.gap.forced[j, k], turn)[0] + blocks[j, COLUMN.rest0 + k]
             for i in range(2 * n):
                 state[i] += osc.to_physical[i, 2 * j + k] * full
             for i in range(n):

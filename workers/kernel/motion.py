@@ -13,8 +13,8 @@ from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import HybridMachines
-from workers.model.hybrid_modes import OPEN, Code
-from workers.model.oscillator import NO_HELD, Mode, Oscillator, empty, map_fields
+from workers.model.hybrid_modes import OF_PIECES, OPEN, Code
+from workers.model.oscillator import Mode, Oscillator, empty, map_fields
 
 FLIGHT = Code(0, (OPEN,), ()).number
 """The mode of a machine with one rigid contact in free flight. It is FLIGHT + ON, or FLIGHT - ON, while a stop holds
@@ -85,7 +85,7 @@ def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
 
 MODE = record_type(Mode, 2, 2, 1, 4)
 MOTION = record_type(Motion, 2, WHOLE[1], 3, 1, 2, 1, 2, 1, 2)
-TABLES, _HELD = typeof(no_table(1)), typeof(empty(NO_HELD, 1))
+TABLES, _HELD = typeof(no_table(1)), typeof(empty(OF_PIECES, 1))
 OSCILLATOR, RIGID = (
     record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), table)
     for table in (row_type(TABLES), types.none)

@@ -6,7 +6,7 @@ An oscillator does not depend on the others, to the bit.
 from collections.abc import Collection
 from functools import lru_cache
 from types import EllipsisType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,28 +15,24 @@ from workers.model.elements import NO_STOP
 from workers.model.free import (
     OF_STRUCTURE,
     AtRest,
-    Flow,
-    Loading,
     Structure,
     against,
     centred,
     finite,
-    flow_of,
     free_motion,
-    loading_of,
-    mode_of,
     numbers_of,
     phase_of,
     structure_of,
     times,
 )
 from workers.model.hybrid import no_table
-from workers.model.modes import FREE, stacked, symmetric
+from workers.model.hybrid_machines import along_contacts, with_one_contact
+from workers.model.hybrid_modes import ON, RESONANT, Code, ModeStructure, Pieces, at_frequencies, structure_of_mode
 from workers.model.oscillator import (
+    COLUMN,
     HEAD,
     Array,
     Head,
-    Held,
     Machines,
     Mask,
     Oscillator,
@@ -55,25 +51,6 @@ Kinds = Rows | EllipsisType
 
 STRUCTURES_KEPT = 64
 """Structures kept for further cells solved one by one."""
-
-
-class HeldStructure(NamedTuple):
-    """Motion of N machines at a stop, x = d y + null q, as far as matrices, gap row and force decide it.
-
-    flow of q, its loading by the force, and direct (N, H): share of the force in the acceleration of y itself; null (N,
-    n, n - 1), d (N, n); down, up: see Held, without the rest positions; pulls (N, n), the acceleration of y per
-    displacement, pushes (N, n) per force, g M^-1.
-    """
-
-    flow: Flow
-    loading: Loading
-    direct: Any
-    null: Array
-    d: Array
-    down: Array
-    up: Array
-    pulls: Array
-    pushes: Array
 
 
 @np.errstate(all="ignore")
@@ -119,7 +96,8 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # an infinitely distant stop is valid
-    reasons = np.where(finite(oscillators._replace(head=near)), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    near_ones = oscillators._replace(head=near, held=held._replace(ends=held.offset))
+    reasons = np.where(finite(near_ones), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     reasons[structure.inverse_gap_mass <= 0.0] = NO_OSCILLATOR
     for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason
@@ -160,15 +138,7 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
-def _seen_along(matrix: Array, null: Array) -> Array:
-    """N' A N of matrices A (N, n, n), zero if it is zero to rounding: a dashpot along y does not move the rest."""
-    across = np.ascontiguousarray(null.swapaxes(1, 2))
-    seen = across @ matrix @ null
-    terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
-    return np.where(np.abs(seen) <= FREE * matrix.shape[1] * terms, 0.0, seen)
-
-
-def _structures_of(machines: Machines) -> tuple[Structure, HeldStructure]:
+def _structures_of(machines: Machines) -> tuple[Structure, ModeStructure]:
     """The structure of machines in free flight and at a stop; that of a single machine is kept for the next."""
     if len(machines.omega) > 1:
         return _made(machines)
@@ -177,7 +147,7 @@ def _structures_of(machines: Machines) -> tuple[Structure, HeldStructure]:
 
 
 @lru_cache(STRUCTURES_KEPT)
-def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple[Structure, HeldStructure]:
+def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple[Structure, ModeStructure]:
     """The structure of the machine whose fields OF_STRUCTURE have these shapes and bits."""
     fields = {
         name: np.frombuffer(raw).reshape(shape) for name, raw, shape in zip(OF_STRUCTURE, bits, shapes, strict=True)
@@ -186,96 +156,41 @@ def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple
     return _made(Machines(**fields, omega=none, tau=none, upper=none, lower=none, R=none))
 
 
-def _made(machines: Machines) -> tuple[Structure, HeldStructure]:
-    structure = structure_of(machines)
-    return structure, _held_structure(machines, structure)
+def _made(machines: Machines) -> tuple[Structure, ModeStructure]:
+    return structure_of(machines), _held_structure(machines, np.zeros_like(machines.load))
 
 
-def _held_structure(machines: Machines, structure: Structure) -> HeldStructure:
-    """The null space of the gap row, the flow in it, and the transformations to and from it."""
-    mass, damping, stiffness, gap_row = machines.mass, machines.damping, machines.stiffness, machines.gap_row
-    N, n = gap_row.shape
-    accelerance, free = structure.accelerance, structure.flow.modes
-    null = _null_space(gap_row)
-    across = np.ascontiguousarray(null.swapaxes(1, 2))
-    pushes = _left(mass, gap_row, accelerance)
-    pulls, drags = times(pushes, stiffness), times(pushes, damping)
-    flow = flow_of(
-        across @ mass @ null,
-        _seen_along(damping, null),
-        _seen_along(stiffness, null),
-        row=-np.concatenate([times(pulls, null), times(drags, null)], axis=1),
-        kick=np.zeros((N, 2 * n - 2)),
-    )
-    # from (q, q') to (x, x') and back: q = (N.T M N)^-1 N.T M x
-    spread, gather = np.kron(np.eye(2), null), np.kron(np.eye(2), flow.inverse_mass @ across @ mass)
-    return HeldStructure(
-        flow=flow,
-        loading=loading_of(flow, machines.force @ null, np.zeros((N, n - 1))),
-        direct=(machines.force @ pushes[..., None])[..., 0],
-        null=null,
-        d=accelerance / structure.inverse_gap_mass[:, None],
-        down=flow.modes.to_blocks @ gather @ free.to_physical,
-        up=free.to_blocks @ spread @ flow.modes.to_physical,
-        pulls=pulls,
-        pushes=pushes,
-    )
+def _held_structure(machines: Machines, load: Array) -> ModeStructure:
+    """The structure of the mode in which the upper stop holds machines, counted from a rest with this load (N, n)."""
+    own = with_one_contact(machines, load, np.zeros((len(load), 2)))
+    structure = structure_of_mode(own, Code(0, (ON,), ()), along_contacts(own), {})
+    one = {name: getattr(structure, name)[:, :1] for name in ("rows", "direct", "ends")}  # signals that end it
+    return structure._replace(**one)
 
 
-def _left(mass: Array, row: Array, accelerance: Array) -> Array:
-    """row M^-1 (N, n) for rows whose M^-1 row is the accelerance: the same for symmetric M."""
-    if np.all(symmetric(mass)):
-        return accelerance
-    return np.asarray(stacked(np.linalg.solve, (*row.shape, 1), _turned(mass), row[..., None])[..., 0])
+def _held(
+    machines: Machines, structure: Structure, held: ModeStructure, at_rest: AtRest, kind: Kinds, omega: Array
+) -> tuple[Pieces, dict[int, Mask]]:
+    """Oscillator.held of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
+
+    The structure ``held`` has no load. A load that no rest balances drives a rigid mode: states between impacts are
+    counted from damped motion under it, with constant velocities, which ``rest`` of the blocks removes.
+    """
+    n, free = machines.gap_row.shape[1], structure.flow.modes
+    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
+    moves = np.any(drift != 0.0)
+    if moves:
+        load = times(drift[:, n:], _turned(machines.mass)) + times(drift[:, :n], _turned(machines.damping))
+        held = _held_structure(machines, load)
+    held = _of_kind(held, kind)
+    pieces, wrong = at_frequencies(held, omega)
+    if moves:
+        moving = (pieces.to_blocks[:, :, n:] @ _of_kind(drift, kind)[:, :n, None])[..., 0]
+        pieces.blocks[..., COLUMN.rest0 :] -= moving.reshape(len(omega), 1, n, 2)
+    modes = held.flow.modes
+    return Pieces(*(field[:, None] for field in pieces)), against(modes, wrong == RESONANT, modes.rigid > 0)
 
 
 def _turned(matrix: Array) -> Array:
     """The transposes of matrices (N, n, n), in the order of the matrices."""
     return np.ascontiguousarray(matrix.swapaxes(1, 2))
-
-
-def _held(
-    machines: Machines,
-    structure: Structure,
-    held: HeldStructure,
-    at_rest: AtRest,
-    kind: Kinds,
-    omega: Array,
-) -> tuple[Held, dict[int, Mask]]:
-    """Motion at the stops of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
-
-    y is fixed: x = d y + N q with N spanning the null space of the gap row. Positions are counted from rest, so the
-    forces that hold y at two equally distant stops are opposite.
-    """
-    mass, damping, stiffness = machines.mass, machines.damping, machines.stiffness
-    N, n = machines.gap_row.shape
-    free = structure.flow.modes
-    flow, loading, direct, null, d, down, up, pulls, pushed = held
-    across = np.ascontiguousarray(null.swapaxes(1, 2))
-    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]  # unbalanced by any rest
-    load = times(drift[:, n:], _turned(mass)) + times(drift[:, :n], _turned(damping))
-    coasts = free.to_blocks[:, :, n:] @ drift[:, :n, None]
-    position = np.array([at_rest.b_upper, -at_rest.b_lower])  # of the two stops; likewise all that follows
-    y = np.where(np.isfinite(position), position, 0.0)[..., None]
-    pull = load - times(d, _turned(stiffness)) * y
-    held_by = np.array([across @ stiffness @ null] * 2).reshape(2 * N, n - 1, n - 1)
-    q = stacked(np.linalg.solve, (2 * N, n - 1, 1), held_by, (across @ pull[..., None]).reshape(2 * N, n - 1, 1))
-    q = q.reshape(2, N, n - 1, 1)
-    rest = flow.modes.to_blocks[:, :, : n - 1] @ q
-    into = down @ coasts - rest
-    out = up @ rest + free.to_blocks[:, :, :n] @ (d * y)[..., None] - coasts
-    pushes = np.vecdot(pushed, load) - np.vecdot(pulls, d * y + (null @ q)[..., 0])
-    flow = _of_kind(flow, kind)
-    mode, resonant = mode_of(flow, _of_kind(loading, kind), omega, direct[kind])
-    ways = np.concatenate([down, *into], axis=2), np.concatenate([up, *out], axis=2)
-    held_motion = Held(mode, *(field[kind] for field in (*ways, pushes.T)))
-    return held_motion, against(flow.modes, resonant, flow.modes.rigid > 0)
-
-
-def _null_space(row: Array) -> Array:
-    """Orthonormal bases (N, n, n - 1) of the null spaces of the rows, from reflections of e_1 to them."""
-    length = np.sqrt(np.vecdot(row, row))
-    v = row.copy()
-    v[:, 0] += np.copysign(length, row[:, 0])
-    reflection = np.eye(row.shape[1]) - 2.0 * v[:, :, None] * v[:, None, :] / np.vecdot(v, v)[:, None, None]
-    return np.ascontiguousarray(reflection[:, :, 1:])

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite, grows_unseen, phase_of, turns_too_far
 from workers.model.hybrid_machines import HybridMachines, along_contacts, hybrid_faults
-from workers.model.hybrid_modes import OPEN, Code, Pieces, code_of, null_space, pieces_of
+from workers.model.hybrid_modes import OF_PIECES, OPEN, Code, Pieces, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, stacked, symmetric, undamped_modes
 from workers.model.oscillator import (
     COLUMN,
-    NO_HELD,
     NUMBER,
     Array,
     Head,
@@ -119,9 +118,8 @@ class Table(NamedTuple):
         return rows
 
 
-_OF_PIECES = Pieces._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
 _OF_ELEMENTS = Elements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3])
-_AXES = Table._make([2, 2, 2, _OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
+_AXES = Table._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 """Numbers of axes of the fields of a table for many machines."""
 
 
@@ -197,7 +195,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         gap_row=np.ascontiguousarray(row),
         head=np.stack(head, axis=-1),
         tau=table.tau,
-        held=empty(NO_HELD, N),
+        held=empty(OF_PIECES, N),
         table=table,
     )
     reasons = hybrid_faults(machines)

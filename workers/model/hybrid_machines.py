@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.modes import stacked, symmetric
-from workers.model.oscillator import Array, Mask, Rows, at_rows
+from workers.model.oscillator import Array, Machines, Mask, Rows, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
@@ -99,6 +99,19 @@ class HybridMachines(NamedTuple):
     def drifting(self) -> int:
         """The coordinate that may drift, -1 for none."""
         return int(self.drift[0]) if len(self.drift) else -1
+
+
+def with_one_contact(machines: Machines, load: Array, stops: Array) -> HybridMachines:
+    """Machines with a rigid contact as machines with modes, with this load (N, n) and these stops (N, 2)."""
+    (N, n), nothing, none = machines.gap_row.shape, np.zeros((len(load), 0)), np.zeros((len(load), 1))
+    return HybridMachines(
+        machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
+        machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau,
+        starts=np.tile([0.0, 1.0], (N, 1)), row=machines.gap_row[:, None], stops=stops[:, None], R=machines.R[:, None],
+        soft=none, by_force=none, pad=np.zeros((N, 1, 1, 3)), slide=np.zeros((N, 0, n)), belt=nothing,
+        rub=np.zeros((N, 1, 0, 3)), law=np.zeros((N, 1, 2, 1, 3)), grip=np.zeros((N, 0, 1, 3)), counted=none + 1.0,
+        drift=np.full(N, -1.0),
+    )  # fmt: skip
 
 
 @np.errstate(all="ignore")

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import Flow, derivative_of, loading_of
+from workers.model.free import Flow, Loading, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
-from workers.model.modes import split, stacked, symmetric
+from workers.model.modes import FREE, split, stacked, symmetric
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
@@ -125,6 +125,29 @@ class Pieces(NamedTuple):
     trace: Array
 
 
+OF_PIECES = Pieces._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
+"""Numbers of axes of the fields of many modes of many machines, one more than Pieces has."""
+
+
+class ModeStructure(NamedTuple):
+    """A mode of N machines as far as all but the forcing frequency decides it; see Pieces for fields of these names.
+
+    flow and loading of the coordinates that nothing holds; undriven (N,): a load or a belt drives a free motion.
+    """
+
+    flow: Flow
+    loading: Loading
+    rows: Array
+    direct: Array
+    ends: Array
+    to_blocks: Array
+    to_physical: Array
+    acceleration: Array
+    drive: Array
+    lost: Array
+    undriven: Mask
+
+
 @np.errstate(all="ignore")
 def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
     """A mode of machines, and its fault by machine, 0 for none.
@@ -136,9 +159,12 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)
     if len(resting) == 1:
-        return _pieces_alike(machines, code, along, resting[0])
+        return at_frequencies(structure_of_mode(machines, code, along, resting[0]), machines.omega)
     parts = [np.flatnonzero(kind == i) for i in range(len(resting))]
-    groups = [_pieces_alike(at_rows(machines, some), code, along[some], resting[i]) for i, some in enumerate(parts)]
+    groups = [
+        at_frequencies(structure_of_mode(at_rows(machines, some), code, along[some], resting[i]), machines.omega[some])
+        for i, some in enumerate(parts)
+    ]
     order = np.argsort(np.concatenate(parts), kind="stable")
     return (
         Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in groups), strict=True))),
@@ -146,11 +172,9 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.
     )
 
 
-def _pieces_alike(
-    machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]
-) -> tuple[Pieces, NDArray[np.int64]]:
-    """pieces_of machines with the same ``resting`` friction."""
-    p, mass, omega = code.phase, machines.mass, machines.omega
+def structure_of_mode(machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]) -> ModeStructure:
+    """The structure of a mode of machines with the same ``resting`` friction, see ``_resting`` and along_contacts."""
+    p, mass = code.phase, machines.mass
     N, n = machines.load.shape[0], machines.load.shape[2]
     damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
     force = machines.force_sin[:, p] + 1j * machines.force_cos[:, p]
@@ -182,18 +206,33 @@ def _pieces_alike(
     acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
     multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the held coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
-    reduced, to_blocks, to_physical, wrong = _reduced(mass, damping, stiffness, load, force, G, D, omega, moves)
-    flow, forced = reduced
-    every = rows.shape[1]
+    flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
+    drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
+    lost = np.full(N, float(2 * len(held) + len(stuck)))
+    return ModeStructure(
+        flow, loading, rows, direct, ends, to_blocks, to_physical, acceleration, drive, lost, undriven
+    )  # fmt: skip
+
+
+def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDArray[np.int64]]:
+    """A mode of this structure at forcing frequencies (N,), and its fault by machine, see pieces_of."""
+    own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
+    (N, every), n = rows.shape[:2], to_blocks.shape[1] // 2
+    moving, resonant = motion_in(own.flow, own.loading, omega)
+    r = n - moving.blocks.shape[1]
+    still = make_blocks(np.zeros((N, r)), np.zeros((N, r)))
+    still[..., COLUMN.metric] = omega[:, None] ** 2
+    flow = np.concatenate([moving.blocks, still], axis=1)
+    forced = np.concatenate([moving.forced, np.zeros((N, r, *moving.forced.shape[2:]))], axis=1)
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
     seen0 = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
     eta, lam = flow[:, None, :, COLUMN.eta], flow[:, None, :, COLUMN.lam]
     seen1 = derivative_of(seen0, eta, lam)
     blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen0, seen1], axis=-1)
     blocks[..., COLUMN.cAA0 : OF_GUARD] = derivative_of(seen1, eta, lam)
-    H = force.shape[1]
+    H = own.direct.shape[2]
     parts = (seen0.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
-    waves = parts + direct
+    waves = parts + own.direct
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
     sizes = np.hypot(waves[..., 0], waves[..., 1])
     numbers = np.stack([np.repeat(omega[:, None], every, axis=1),
@@ -201,11 +240,12 @@ def _pieces_alike(
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
     pieces = Pieces(
-        blocks, waves, numbers, forced, rows, direct, offset, ends, to_blocks, to_physical, acceleration,
-        np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2)),
-        np.full(N, float(2 * len(held) + len(stuck))), np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        blocks, waves, numbers, forced, rows, own.direct, offset, own.ends, to_blocks, to_physical, own.acceleration,
+        own.drive, own.lost, np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
-    return Pieces(*map(np.ascontiguousarray, pieces)), wrong
+    wrong = own.undriven | own.flow.modes.inseparable
+    wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))
+    return Pieces(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
 
 def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
@@ -299,10 +339,9 @@ def _reduced(
     force: Any,
     G: Array,
     D: Array,
-    omega: Array,
     moves: Mask,
-) -> tuple[tuple[Array, Array], Array, Array, NDArray[np.int64]]:
-    """The flow while rows G (N, r, n) are held: blocks and response, transformations, faults as in pieces_of.
+) -> tuple[Flow, Loading, Array, Array, Mask]:
+    """The flow while rows G (N, r, n) are held, its loading, transformations, and the mask of undriven machines.
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
@@ -317,11 +356,10 @@ def _reduced(
     free = n - r
     null = null_space(G)
     across = np.ascontiguousarray(null.swapaxes(1, 2))
-    m, c, k = across @ mass @ null, across @ damping @ null, across @ stiffness @ null
+    m, c, k = across @ mass @ null, _seen_along(damping, across, null), _seen_along(stiffness, across, null)
     modes = split(m, c, k)
     flow = Flow(modes, stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
     loading = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
-    mode, resonant = motion_in(flow, loading, omega)
     a, b = np.zeros((2, N, free, r))
     undriven = np.zeros(N, dtype=np.bool_)
     if r and free:
@@ -346,13 +384,14 @@ def _reduced(
         carried = D[:, :, i] + (null @ a[:, :, i, None])[..., 0]
         up[:, :n, 2 * free + 2 * i] = up[:, n:, 2 * free + 2 * i + 1] = carried
         up[:, :n, 2 * free + 2 * i + 1] = (null @ b[:, :, i, None])[..., 0]
-    still = make_blocks(np.zeros((N, r)), np.zeros((N, r)))
-    still[..., COLUMN.metric] = omega[:, None] ** 2
-    blocks = np.concatenate([mode.blocks, still], axis=1)
-    forced = np.concatenate([mode.forced, np.zeros((N, r, *mode.forced.shape[2:]))], axis=1)
-    wrong = undriven | modes.inseparable
-    wrong |= ~resonant & ~(np.isfinite(down) & np.isfinite(up)).all(axis=(1, 2))
-    return (blocks, forced), down, up, np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
+    return flow, loading, down, up, undriven
+
+
+def _seen_along(matrix: Array, across: Array, null: Array) -> Array:
+    """N'A N of matrices A (N, n, n), zero if it is zero to rounding: a dashpot along a held row moves nothing else."""
+    seen = across @ matrix @ null
+    terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
+    return np.where(np.abs(seen) <= FREE * matrix.shape[1] * terms, 0.0, seen)
 
 
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:

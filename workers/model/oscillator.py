@@ -177,20 +177,6 @@ def _plain(field: Array) -> Any:
     return field if field.ndim else float(field)
 
 
-class Held(NamedTuple):
-    """The mode while the impacting coordinate rests on a stop: n - 1 blocks of its own, and the transformations.
-
-    down (2n-2, 2n + 2) takes free block coordinates to held ones, up (2n, 2n-2 + 2) takes them back. The last two
-    columns of both are shifts by rest positions, at the upper and at the lower stop. The free acceleration of the gap
-    coordinate is the guard of ``mode`` + push, with push (2,) per stop.
-    """
-
-    mode: Mode
-    down: Array
-    up: Array
-    push: Array
-
-
 class Head(NamedTuple):
     """Numbers of an oscillator: columns of Oscillator.head. Numbers in a lane come first.
 
@@ -238,13 +224,13 @@ class Oscillator(NamedTuple):
     gap_row         (n,): y = gap_row . displacements
     head            (HEAD,): numbers, see Head; each is an attribute too
     tau             forcing phase at a section
-    held            of a machine with one rigid contact: see Held; empty of any other
+    held            of a machine with one rigid contact: the modes in which a stop holds, see build.held_modes; empty of
+                    any other
     table           of a machine with modes: see hybrid.Table; empty of any other
 
     For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
     contacts open, no force and no load, in any mode: gap has these blocks, with the damping of each mode, and no guard.
-    The contact of a motion is the number of its mode plus hybrid.FIRST_NUMBER. gap_row, upper and lower belong to the
-    first contact.
+    gap_row, upper and lower belong to the first contact.
 
     A drifting coordinate times omega is the last number of the state, and the velocity of its free motion the last but
     one. Nothing depends on it: it is reset to 0 at each section, so a motion closes when all other numbers do.
@@ -256,7 +242,7 @@ class Oscillator(NamedTuple):
     gap_row: Array
     head: Array
     tau: Any
-    held: Held
+    held: Any
     table: Any
 
     def __getattr__(self, name: str) -> Any:
@@ -340,10 +326,6 @@ class Machines(NamedTuple):
 def empty(axes: Any, N: int) -> Any:
     """A record of N without numbers, with this many axes in each field; None stays None."""
     return map_fields(axes, lambda count: np.zeros((N, *(0,) * (count - 1))))
-
-
-NO_HELD = Held._make([Mode._make([3, 3, 2, 5]), 3, 3, 2])
-"""Numbers of axes of Held for many machines."""
 
 
 def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:

@@ -79,7 +79,7 @@ def solver_of(machine: Machine) -> Oscillator:
 
 def physical_directions(osc: Oscillator, motion: Motion) -> np.ndarray:
     """Matrix (2n, 2n) from flat block coordinates to (x..., v...): what a change of each of them changes."""
-    flight = motion_at(np.zeros_like(motion.h), 0, vectors=0)
+    flight = motion_at(np.zeros_like(motion.h))
     zero = blocks_to_physical(osc, flight)
     columns = []
     for i in np.ndindex(flight.h.shape):

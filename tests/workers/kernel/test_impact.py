@@ -26,6 +26,7 @@ from workers.kernel.contact import (
 )
 from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
+from workers.kernel.hybrid.state import turned
 from workers.kernel.motion import FLIGHT, motion_at
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
@@ -189,31 +190,41 @@ def forced(osc: Oscillator, phase: float) -> tuple[float, float, float]:
     return Y, w * (sin_part * math.cos(phase) - cos_part * math.sin(phase)), -(w**2) * Y
 
 
+def onto_stop(osc: Oscillator, u: np.ndarray, phase: float, side: int) -> np.ndarray:
+    """The block state in flight of a state u (n - 1, 2) of the blocks that move while y is on a stop."""
+    h, V = np.zeros((len(u) + 1, 2)), np.zeros((0, len(u) + 1, 2))
+    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, turned(phase, len(osc.gap.waves)), side, h, V)
+    return h
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_held_coordinates_give_a_state_on_the_stop_at_rest(osc: Oscillator, side: int) -> None:
     rng = np.random.default_rng(1)
     n = len(osc.gap.kick)
     for _ in range(20):
-        u, phase, h, back = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2)), np.zeros((n - 1, 2))
-        from_held(osc, u, phase, side, h)
+        u, phase, back = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2))
+        h, V = onto_stop(osc, u, phase, side), np.zeros((0, n, 2))
         Y, dY, _ = forced(osc, phase)
         rounding = 2e-15 * (1 + np.abs(u).max())
         assert guard_of(osc.gap.blocks, h) + Y == pytest.approx(stop_position(osc, side), abs=rounding)
         assert guard_rate_of(osc.gap.blocks, h) + dY == pytest.approx(0.0, abs=4 * rounding)
-        to_held(osc, h, phase, side, back)
-        assert back == pytest.approx(u, abs=1e-14)
+        to_held(osc, h, V, turned(phase, len(osc.gap.waves)), back, V)
+        assert back[:-1] == pytest.approx(u, abs=1e-14)
+        assert not back[-1].any()
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_load_is_the_free_acceleration_toward_the_stop(osc: Oscillator, side: int) -> None:
+def test_the_load_gives_the_gap_mass_its_free_acceleration_toward_the_stop(osc: Oscillator, side: int) -> None:
     rng = np.random.default_rng(2)
     n = len(osc.gap.kick)
     for _ in range(20):
-        u, phase, h = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2))
-        from_held(osc, u, phase, side, h)
+        u, phase = rng.normal(size=(n, 2)), rng.uniform(0, 7)
+        u[-1] = 0.0
+        h = onto_stop(osc, u[:-1], phase, side)
         _, _, ddY = forced(osc, phase)
         free = float(np.sum(osc.gap.row2 * h)) + ddY
-        assert load_on_stop(osc, u, phase, side) == pytest.approx(side * free, abs=1e-13)
+        load = load_on_stop(osc, u, turned(phase, len(osc.gap.waves)), side)
+        assert load == pytest.approx(osc.gap_mass * side * free, abs=1e-13)
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -253,8 +264,7 @@ def test_motion_on_a_stop_is_that_of_the_constrained_system(side: int) -> None:
 
 def test_a_section_state_on_a_stop_lies_there_exactly_at_rest() -> None:
     osc, _ = naive.two_mass(**naive.STICKING)
-    h = np.zeros((2, 2))
-    from_held(osc, np.array([[0.123, -0.456]]), osc.tau, 1, h)
+    h = onto_stop(osc, np.array([[0.123, -0.456]]), osc.tau, 1)
     state = blocks_to_physical(osc, motion_at(h, mode=FLIGHT + ON))
     assert state[0] == osc.b_upper
     assert state[2] == 0.0
@@ -264,8 +274,7 @@ def test_tangent_vectors_of_held_motion_stay_on_the_stop() -> None:
     """c.V = cA.V = 0 after a stay."""
     osc, _ = naive.two_mass(**naive.STICKING)
     rng = np.random.default_rng(3)
-    h = np.zeros((2, 2))
-    from_held(osc, np.array([[0.6, 0.2]]), 1.0, 1, h)
+    h = onto_stop(osc, np.array([[0.6, 0.2]]), 1.0, 1)
     V = rng.normal(size=(4, 2, 2))
     rest_projection(osc.gap.blocks, osc.cA2k, V)
     stay_on_stop(osc, h, V, np.zeros(4), np.zeros((0, 0)), 1.0, 1, 0.2)

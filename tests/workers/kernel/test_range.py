@@ -10,6 +10,7 @@ from tests.followed import ball_in_flight, follow, on_attractor
 from workers import Settings, System, solve_tile
 from workers.cell.ranges import FOLLOWED, free_range
 from workers.kernel.cells import excursions
+from workers.kernel.motion import FLIGHT
 from workers.model.oscillator import many_of
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
 
@@ -52,7 +53,7 @@ def test_turning_points_give_the_same_range_of_motion_without_impact() -> None:
     osc, _ = naive.two_mass(**(naive.FIGURES[3] | {"b": 2.0}))
     many, still = many_of(osc), np.zeros((1, 2, 2))
     one = np.ones(1, dtype=np.int64)
-    ends = excursions(many, still, np.zeros((1, 1), dtype=np.int64), one, 10_000 * one, np.zeros(1, dtype=np.int64))
+    ends = excursions(many, still, np.full((1, 1), FLIGHT), one, 10_000 * one, np.zeros(1, dtype=np.int64))
     assert ends[0, 1] - ends[0, 0] == pytest.approx(free_range(many, still)[0], rel=1e-12)
 
 
@@ -115,5 +116,5 @@ def test_chaos_that_hits_both_stops_ranges_over_the_gap() -> None:
 def test_what_takes_more_evaluations_than_allowed_has_no_range() -> None:
     osc, _ = naive.two_mass(**naive.FIGURES[5])
     h, one = np.full((1, 2, 2), 0.01), np.ones(1, dtype=np.int64)
-    ends = excursions(many_of(osc), h, 0 * one[:, None], 64 * one, 100 * one, 0 * one)
+    ends = excursions(many_of(osc), h, np.full((len(one), 1), FLIGHT), 64 * one, 100 * one, 0 * one)
     assert np.isnan(ends).all()

@@ -402,7 +402,7 @@ SLIDING = Code(0, (), (1,)).number
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-@pytest.mark.parametrize(("name", "contact"), [("two-mass", FLIGHT), ("friction-oscillator", SLIDING)])
+@pytest.mark.parametrize(("name", "mode"), [("two-mass", FLIGHT), ("friction-oscillator", SLIDING)])
 def test_a_trial_state_that_is_no_number_costs_next_to_nothing(name: str, mode: int, value: float) -> None:
     """Newton's method may come to one where a Jacobian is singular."""
     system = find_system(name)
