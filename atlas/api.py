@@ -130,7 +130,7 @@ def branch(
     observable, such as "impact_phase:stop": the points have its values too, and pictures show it. The result has the
     pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and a method that draws it:
     ``.plot("branch.png")``.
-    Raises InputError for bad parameters, and where the cell is not periodic or its orbit rests on a stop.
+    Raises InputError for bad parameters, and where the cell is not periodic.
 
     >>> import atlas
     >>> found = atlas.branch(omega=4.0, b=0.1, along="b", window=(0.05, 0.15))

@@ -8,7 +8,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,9 +27,9 @@ MODES = "modes"
 orbits as equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that
 measure motions; that observe them; that solve cells of machines with modes. All others need the first or the last."""
 
-SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 13, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
+SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 26, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
 """Approximate seconds of each part: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 142, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
+FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 224, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
 """Functions that each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
@@ -244,7 +243,6 @@ def warm_up(*parts: str) -> None:
         _reach_attractors(system, {} if modes else ONE_ORBIT)
     if ORBITS in parts:
         _follow_an_orbit(system, an_orbit)
-        _note_impacts(find_system(DEFAULT))
     if PATHS in parts:
         _move_within_a_period(system)
     if MEASURES in parts:
@@ -300,15 +298,6 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
     orbit, omega = orbit_from_state(record, values, cell["state"], int(cell["period"])), values["omega"]
     branch(family_of(record, values, ("omega",)), orbit, omega, (0.999 * omega, 1.001 * omega))
     section_state(record, values, orbit)
-
-
-def _note_impacts(record: System) -> None:
-    """The events of a machine with one rigid contact, which begin its equations; whether it has any does not matter."""
-    from workers.orbit.passed import passed
-
-    oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
-    with suppress(ValueError):
-        passed(oscillators, np.zeros(2 * oscillators.gap_row.shape[1]), 1)
 
 
 def _move_within_a_period(record: System) -> None:

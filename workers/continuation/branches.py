@@ -270,7 +270,10 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     may_repeat = walk.length > SHORTEST * walk.longest
     if slid and may_repeat:
         return None
-    passage = _meeting(step) or (_Passage(SHORTER) if slid else _passage(step, seen, after, end, until))
+    if slid:
+        passage = _meeting(step) or _meeting(Step(eq, here, here)) or _Passage(SHORTER)
+    else:
+        passage = _meeting(step) or _passage(step, seen, after, end, until)
     accounted = _accounted_for(seen, passage)
     return accounted if may_repeat else accounted or passage
 

@@ -7,9 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.family import FLYING, OrbitMachines
+from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import OPEN, SIGNALS, Code
 from workers.model.oscillator import Array
+
+FLYING = Code(0, (OPEN,), ())
+"""The mode of a machine with a lone rigid contact while nothing rests on it."""
 
 HIT, MOVES, SLIDES, STICKS = range(4)
 """What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""
@@ -75,7 +78,7 @@ class Itinerary(NamedTuple):
         """``legs``, also where they are left out."""
         if self.legs:
             return self.legs
-        return tuple((Leg(FLYING, (side,), 0, side),) for side in self.sides) or ((Leg(FLYING, (0,), -1, 0),),)
+        return tuple((Leg(FLYING, (side, 0), 0, side),) for side in self.sides) or ((Leg(FLYING, (0, 0), -1, 0),),)
 
     @property
     def bare(self) -> "Itinerary":

@@ -23,6 +23,7 @@ def recorded(
 
     A symmetric one where the second half is the mirror image of the first. ValueError where it cannot be followed.
     """
+    state = state - machine.rest[0]
     if cycle is not None:
         return halved(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
     motions = passed(machine.oscillators, state, periods)

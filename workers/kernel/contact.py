@@ -159,9 +159,8 @@ def leave_flight(osc, h, turn, z):
 @inlined
 def level_on_stop(osc, side):
     """Constant part of the signal of held motion: the force by which a stop holds y, without motion of the others."""
-    return osc.held.offset[0, 0] + osc.held.blocks[0, 0, osc.held.blocks.shape[2] - 1, COLUMN.c0] * stop_position(
-        osc, side
-    )
+    last = osc.held.blocks.shape[2] - 1
+    return osc.held.offset[0, 0] + osc.held.blocks[0, 0, last, COLUMN.c0] * stop_position(osc, side)
 
 
 @kernel

@@ -60,7 +60,7 @@ def start_at(osc, state, h):
         v_sum += abs(row[j] * state[n + j])
     side = side_of(y, ROUNDING * y_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
     if side == 0:
-        return FLIGHT if osc.head[HEAD.lower] <= y <= osc.head[HEAD.upper] else BEYOND
+        return BEYOND if y > osc.head[HEAD.upper] or y < osc.head[HEAD.lower] else FLIGHT
     return mode_at_rest(osc, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
 
 

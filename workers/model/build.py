@@ -3,8 +3,6 @@
 An oscillator does not depend on the others, to the bit.
 """
 
-from collections.abc import Collection
-from functools import lru_cache
 from types import EllipsisType
 from typing import Any
 
@@ -23,11 +21,12 @@ from workers.model.free import (
     numbers_of,
     phase_of,
     structure_of,
-    times,
+    unbalanced,
 )
 from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import along_contacts, with_one_contact
 from workers.model.hybrid_modes import ON, RESONANT, Code, ModeStructure, Pieces, at_frequencies, structure_of_mode
+from workers.model.kept import kept
 from workers.model.oscillator import (
     COLUMN,
     HEAD,
@@ -49,9 +48,6 @@ OF_KIND = (*OF_STRUCTURE, "upper", "lower")
 Kinds = Rows | EllipsisType
 """The kind of each machine; an ellipsis for a machine by itself."""
 
-STRUCTURES_KEPT = 64
-"""Structures kept for further cells solved one by one."""
-
 
 @np.errstate(all="ignore")
 def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
@@ -63,9 +59,9 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     <= 0; numbers beyond the range of doubles. ``faults`` alone reports its own reasons.
     """
     few, kind = _kinds(machines)
-    structure, held_structure = _structures_of(few)
+    structure = structure_of(few)
     at_rest = centred(structure, few)
-    held, against_held = _held(few, structure, held_structure, at_rest, kind, machines.omega)
+    held, against_held = _held(few, structure, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     structure, at_rest = _of_kind(structure, kind), _of_kind(at_rest, kind)
     gap, against_free = free_motion(structure, at_rest, machines.omega)
@@ -104,18 +100,16 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     return map_fields(oscillators, np.ascontiguousarray), reasons
 
 
-def faults(machines: Machines, fields: Collection[str] = Machines._fields) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as these fields show it.
+def faults(machines: Machines) -> NDArray[np.int8]:
+    """The reason against each of N machines, or NO_REASON, as far as its fields show it.
 
     The lower stop must be below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
-    if not {"upper", "lower", "R"}.isdisjoint(fields):
-        reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
-    others = [getattr(machines, name) for name in fields if name not in NO_STOP]
+    reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
+    others = [getattr(machines, name) for name in Machines._fields if name not in NO_STOP]
     reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # infinite stops are valid
-    if others:
-        reasons[~finite(others)] = OUT_OF_DOUBLES
+    reasons[~finite(others)] = OUT_OF_DOUBLES
     return reasons
 
 
@@ -138,59 +132,33 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
-def _structures_of(machines: Machines) -> tuple[Structure, ModeStructure]:
-    """The structure of machines in free flight and at a stop; that of a single machine is kept for the next."""
-    if len(machines.omega) > 1:
-        return _made(machines)
-    fields = [getattr(machines, name) for name in OF_STRUCTURE]
-    return _kept(tuple(field.shape for field in fields), tuple(field.tobytes() for field in fields))
-
-
-@lru_cache(STRUCTURES_KEPT)
-def _kept(shapes: tuple[tuple[int, ...], ...], bits: tuple[bytes, ...]) -> tuple[Structure, ModeStructure]:
-    """The structure of the machine whose fields OF_STRUCTURE have these shapes and bits."""
-    fields = {
-        name: np.frombuffer(raw).reshape(shape) for name, raw, shape in zip(OF_STRUCTURE, bits, shapes, strict=True)
-    }
-    none = np.zeros(1)
-    return _made(Machines(**fields, omega=none, tau=none, upper=none, lower=none, R=none))
-
-
-def _made(machines: Machines) -> tuple[Structure, ModeStructure]:
-    return structure_of(machines), _held_structure(machines, np.zeros_like(machines.load))
-
-
-def _held_structure(machines: Machines, load: Array) -> ModeStructure:
-    """The structure of the mode in which the upper stop holds machines, counted from a rest with this load (N, n)."""
-    own = with_one_contact(machines, load, np.zeros((len(load), 2)))
+@kept
+def _held_structure(
+    mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
+) -> ModeStructure:
+    """The structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
+    none = np.zeros(len(mass))
+    machines = Machines(mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none)
+    own = with_one_contact(machines, load, np.zeros((len(mass), 2)))
     structure = structure_of_mode(own, Code(0, (ON,), ()), along_contacts(own), {})
     one = {name: getattr(structure, name)[:, :1] for name in ("rows", "direct", "ends")}  # signals that end it
     return structure._replace(**one)
 
 
 def _held(
-    machines: Machines, structure: Structure, held: ModeStructure, at_rest: AtRest, kind: Kinds, omega: Array
+    machines: Machines, structure: Structure, at_rest: AtRest, kind: Kinds, omega: Array
 ) -> tuple[Pieces, dict[int, Mask]]:
     """Oscillator.held of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
 
-    The structure ``held`` has no load. A load that no rest balances drives a rigid mode: states between impacts are
-    counted from damped motion under it, with constant velocities, which ``rest`` of the blocks removes.
+    States are counted from rest. A load that no rest balances drives a rigid mode: states between impacts are counted
+    from damped motion under it, with constant velocities, which ``rest`` of the blocks removes.
     """
-    n, free = machines.gap_row.shape[1], structure.flow.modes
-    drift = (free.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
-    moves = np.any(drift != 0.0)
-    if moves:
-        load = times(drift[:, n:], _turned(machines.mass)) + times(drift[:, :n], _turned(machines.damping))
-        held = _held_structure(machines, load)
-    held = _of_kind(held, kind)
+    n, moves = machines.gap_row.shape[1], np.any(at_rest.loading.load)
+    load, velocities = unbalanced(structure, at_rest, machines) if moves else (np.zeros_like(machines.load), None)
+    held = _of_kind(_held_structure(*(getattr(machines, name) for name in OF_STRUCTURE[:-1]), load), kind)
     pieces, wrong = at_frequencies(held, omega)
     if moves:
-        moving = (pieces.to_blocks[:, :, n:] @ _of_kind(drift, kind)[:, :n, None])[..., 0]
+        moving = (pieces.to_blocks[:, :, n:] @ _of_kind(velocities, kind)[..., None])[..., 0]
         pieces.blocks[..., COLUMN.rest0 :] -= moving.reshape(len(omega), 1, n, 2)
     modes = held.flow.modes
     return Pieces(*(field[:, None] for field in pieces)), against(modes, wrong == RESONANT, modes.rigid > 0)
-
-
-def _turned(matrix: Array) -> Array:
-    """The transposes of matrices (N, n, n), in the order of the matrices."""
-    return np.ascontiguousarray(matrix.swapaxes(1, 2))

@@ -81,19 +81,14 @@ class Definition:
         """``shown`` (N, n) at values (N,) of each parameter."""
         return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: _count(values)])
 
+    @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> Machines:
         """The machines at values (N,) of each parameter."""
-        return Machines(**self.fields(values, Machines._fields))
-
-    @np.errstate(all="ignore")
-    def fields(self, values: Mapping[str, Array], wanted: Collection[str]) -> dict[str, Array]:
-        """These fields of the machines at values (N,) of each parameter, by name."""
         named, count = self._named(values), _count(values)
-        fields = {name: evaluated(entries, named) for name, entries in self._entries.items() if name in wanted}
-        fields |= {name: symmetrised(fields[name]) for name in MATRICES if name in wanted}
-        if not set(OF_FORCE).isdisjoint(wanted):
-            fields |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
-        return {name: np.ascontiguousarray(field[:count]) for name, field in fields.items()}
+        fields = {name: evaluated(entries, named) for name, entries in self._entries.items()}
+        fields |= {name: symmetrised(fields[name]) for name in MATRICES}
+        fields |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
+        return Machines(**{name: np.ascontiguousarray(field[:count]) for name, field in fields.items()})
 
     @np.errstate(all="ignore")
     def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
@@ -195,14 +190,20 @@ class Definition:
             names |= expression.names if name in names else set()
         return names
 
-    def depending(self, names: Collection[str]) -> frozenset[str]:
-        """The fields of machines that depend on parameters of these names."""
+    def changes_with(self, names: Collection[str]) -> bool:
+        """Whether anything of its machines besides forcing frequency and phase depends on parameters of these names."""
         changing = set(names)
         for name, expression in self.let:
             if not expression.names.isdisjoint(changing):
                 changing.add(name)
-        entries = self._entries | dict.fromkeys(OF_FORCE, self.harmonics)
-        return frozenset(field for field, of in entries.items() if not _names(of).isdisjoint(changing))
+        fields = (field.name for field in dataclasses.fields(self) if field.name not in ("let", "measures"))
+        return not changing.isdisjoint(set().union(*(_names(getattr(self, name)) for name in fields)))
+
+    @np.errstate(all="ignore")
+    def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Forcing frequency and phase (N,) of a period of the machines at values (N,) of each parameter."""
+        named, count = self._named(values), _count(values)
+        return named[OMEGA][:count] / self.turns, named[TAU][:count] / self.turns
 
     @property
     def _entries(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workers.model.kept import kept
 from workers.model.modes import Modes, split, stacked
 from workers.model.oscillator import (
     COLUMN,
@@ -93,15 +94,22 @@ class AtRest(NamedTuple):
 
 def structure_of(machines: Machines) -> Structure:
     """The structure of machines: the guard is the gap coordinate, the kick M^-1 g / (g.M^-1 g) on the velocities."""
-    mass, gap_row = machines.mass, machines.gap_row
+    return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
+
+
+@kept
+def _structure_of(
+    mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
+) -> Structure:
+    """The structure of machines with these fields OF_STRUCTURE."""
     accelerance = stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
     row = np.concatenate([gap_row, none], axis=1)
     kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
-    flow = flow_of(mass, machines.damping, machines.stiffness, row, kick)
+    flow = flow_of(mass, damping, stiffness, row, kick)
     unheld = grows_unseen(flow.blocks, flow.modes.to_physical, row[:, None])
-    loading = loading_of(flow, machines.force, machines.load)
+    loading = loading_of(flow, force_sin + 1j * force_cos, load)
     return Structure(flow, loading, accelerance, inverse_gap_mass, unheld)
 
 
@@ -255,6 +263,17 @@ def centred(structure: Structure, machines: Machines) -> AtRest:
     half = 0.5 * (upper - lower)
     b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
     return AtRest(loading._replace(rest=rest, load=load), b_upper, b_lower, unseen)
+
+
+def unbalanced(structure: Structure, at_rest: AtRest, machines: Machines) -> tuple[Array, Array]:
+    """The load (N, n) of machines that no rest balances, as it drives a rigid mode.
+
+    And the constant velocities (N, n) of the damped motion under it from which the blocks of flight are counted.
+    """
+    n, modes = machines.gap_row.shape[1], structure.flow.modes
+    drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
+    mass, damping = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (machines.mass, machines.damping))
+    return times(drift[:, n:], mass) + times(drift[:, :n], damping), drift[:, :n]
 
 
 def balanced(machines: Machines) -> Mask:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import finite
+from workers.model.kept import kept
 from workers.model.modes import stacked, symmetric
 from workers.model.oscillator import Array, Machines, Mask, Rows, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
@@ -198,12 +199,17 @@ def yields(machines: HybridMachines) -> Mask:
     All principal minors of G M^-1 G' are positive, with G the rows of contacts and all rows that can be held; true for
     symmetric, positive definite M.
     """
-    least = np.min(stacked(np.linalg.eigvalsh, machines.mass.shape[:2], machines.mass), axis=1)
-    all_yield = symmetric(machines.mass) & (least > 0.0)
+    all_yield = definite(machines.mass).copy()
     (others,) = np.nonzero(~all_yield)
     if len(others):
         all_yield[others] = _yield_along(at_rows(machines, others))
     return all_yield
+
+
+@kept
+def definite(mass: Array) -> Mask:
+    """Mask of symmetric, positive definite matrices (N, n, n)."""
+    return symmetric(mass) & (np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1) > 0.0)
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
@@ -222,6 +228,7 @@ def _yield_along(machines: HybridMachines) -> Mask:
     return all_yield
 
 
+@kept
 def dependent(rows: Array) -> Mask:
     """Mask of machines (N,) in which the nonzero ones of rows (N, R, n) depend on each other."""
     largest = np.abs(rows).max(axis=-1, initial=0.0)

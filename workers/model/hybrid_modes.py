@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from workers.model.free import Flow, Loading, derivative_of, loading_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
+from workers.model.kept import kept
 from workers.model.modes import FREE, split, stacked, symmetric
-from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, at_rows, make_blocks
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
 """States of a contact, with the sign of its side: open; held by a rigid stop or engaged by a soft one; inside a soft
@@ -132,11 +133,13 @@ OF_PIECES = Pieces._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
 class ModeStructure(NamedTuple):
     """A mode of N machines as far as all but the forcing frequency decides it; see Pieces for fields of these names.
 
-    flow and loading of the coordinates that nothing holds; undriven (N,): a load or a belt drives a free motion.
+    flow and loading of the coordinates that nothing holds; still (N, r, columns): blocks of held coordinates;
+    undriven (N,): a load or a belt drives a free motion.
     """
 
     flow: Flow
     loading: Loading
+    still: Array
     rows: Array
     direct: Array
     ends: Array
@@ -153,22 +156,36 @@ def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.
     """A mode of machines, and its fault by machine, 0 for none.
 
     RESONANT: undamped resonance. NO_FORM: held rows depend on each other, planes cannot be separated, or a load drives
-    a free motion that the held coordinates leave. Machines are treated in groups of equal friction that sticks on the
-    row of a held contact, since the holding forces differ.
+    a free motion that the held coordinates leave.
+    """
+    return pieces_in(structures_of(machines, code), machines.omega)
+
+
+@np.errstate(all="ignore")
+def structures_of(machines: HybridMachines, code: Code) -> list[tuple[Rows, ModeStructure]]:
+    """The structures of a mode of machines, with the rows of the machines that share one.
+
+    Machines are treated in groups of equal friction that sticks on the row of a held contact, since the holding forces
+    differ.
     """
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)
     if len(resting) == 1:
-        return at_frequencies(structure_of_mode(machines, code, along, resting[0]), machines.omega)
-    parts = [np.flatnonzero(kind == i) for i in range(len(resting))]
-    groups = [
-        at_frequencies(structure_of_mode(at_rows(machines, some), code, along[some], resting[i]), machines.omega[some])
-        for i, some in enumerate(parts)
-    ]
-    order = np.argsort(np.concatenate(parts), kind="stable")
+        return [(np.arange(len(kind)), structure_of_mode(machines, code, along, resting[0]))]
+    groups = [(np.flatnonzero(kind == i), some) for i, some in enumerate(resting)]
+    return [(rows, structure_of_mode(at_rows(machines, rows), code, along[rows], some)) for rows, some in groups]
+
+
+@np.errstate(all="ignore")
+def pieces_in(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[Pieces, NDArray[np.int64]]:
+    """``pieces_of`` machines with these structures at forcing frequencies (N,)."""
+    if len(groups) == 1:
+        return at_frequencies(groups[0][1], omega)
+    made = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
+    order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
     return (
-        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in groups), strict=True))),
-        np.concatenate([wrong for _, wrong in groups])[order],
+        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in made), strict=True))),
+        np.concatenate([wrong for _, wrong in made])[order],
     )
 
 
@@ -181,7 +198,7 @@ def structure_of_mode(machines: HybridMachines, code: Code, along: Array, restin
     held = []
     for c, state in enumerate(code.contacts):
         row = machines.row[:, c]
-        if abs(state) == ON and not machines.soft[0, c]:
+        if abs(state) == ON and not machines.soft[:, c].any():
             held.append(row)
         elif state % 2:
             (k, d, preload), stop = pushing(machines, p, c, state), machines.stops[:, c, 1 if state > 0 else 0]
@@ -209,20 +226,19 @@ def structure_of_mode(machines: HybridMachines, code: Code, along: Array, restin
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
     drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
     lost = np.full(N, float(2 * len(held) + len(stuck)))
+    still = make_blocks(*np.zeros((2, N, G.shape[1])))
     return ModeStructure(
-        flow, loading, rows, direct, ends, to_blocks, to_physical, acceleration, drive, lost, undriven
+        flow, loading, still, rows, direct, ends, to_blocks, to_physical, acceleration, drive, lost, undriven
     )  # fmt: skip
 
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDArray[np.int64]]:
     """A mode of this structure at forcing frequencies (N,), and its fault by machine, see pieces_of."""
     own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
-    (N, every), n = rows.shape[:2], to_blocks.shape[1] // 2
+    (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, own.still.shape[1]
     moving, resonant = motion_in(own.flow, own.loading, omega)
-    r = n - moving.blocks.shape[1]
-    still = make_blocks(np.zeros((N, r)), np.zeros((N, r)))
-    still[..., COLUMN.metric] = omega[:, None] ** 2
-    flow = np.concatenate([moving.blocks, still], axis=1)
+    flow = np.concatenate([moving.blocks, own.still], axis=1)
+    flow[:, n - r :, COLUMN.metric] = omega[:, None] ** 2
     forced = np.concatenate([moving.forced, np.zeros((N, r, *moving.forced.shape[2:]))], axis=1)
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
     seen0 = (rows[:, :, : 2 * n] @ to_physical).reshape(N, every, n, 2)
@@ -253,7 +269,7 @@ def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[d
 
     A group maps each such friction to its contact; see along_contacts.
     """
-    held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[0, c]]
+    held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
     pairs = [(f, c) for f in stuck for c in held]
     if not pairs or not len(along):
@@ -299,7 +315,7 @@ def _signals(
     for c, state in enumerate(code.contacts):
         k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
         inner, outer = (0, 1) if side > 0 else (1, 0)
-        if abs(state) == ON and not machines.soft[0, c]:
+        if abs(state) == ON and not machines.soft[:, c].any():
             hold(k)  # the pressing force, or the pull up to that of friction that also holds
             helping = [machines.rub[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c]
             ends[:, k, outer] = side * sum(helping, np.zeros(N))
@@ -311,7 +327,7 @@ def _signals(
         stop = machines.stops[:, c, outer]
         begins, over = _segment(machines.law[:, c, outer, :, 0], (abs(state) - 1) // 2)
         ends[:, k, inner], ends[:, k, outer] = stop + side * begins, stop + side * over
-        if machines.by_force[0, c]:
+        if machines.by_force[:, c].any():
             stiffness, damping, preload = pushing(machines, p, c, state)
             rows[:, k + 1, :n], rows[:, k + 1, n : 2 * n] = (side * f[:, None] * row for f in (stiffness, damping))
             rows[:, k + 1, 2 * n] = preload - side * stiffness * stop
@@ -331,6 +347,7 @@ def _signals(
     return rows, direct, ends
 
 
+@kept
 def _reduced(
     mass: Array,
     damping: Array,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from workers.model.kept import kept
 from workers.model.oscillator import Array, Mask
 from workers.model.planes import SINGULAR, condition_of, planes_of, refined
 
@@ -57,6 +58,7 @@ class Modes(NamedTuple):
     inseparable: Mask
 
 
+@kept
 def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     """The blocks of these oscillators (N, n, n); each depends only on its own matrices, to the bit."""
     N, n = mass.shape[:2]

@@ -224,8 +224,9 @@ class Oscillator(NamedTuple):
     gap_row         (n,): y = gap_row . displacements
     head            (HEAD,): numbers, see Head; each is an attribute too
     tau             forcing phase at a section
-    held            of a machine with one rigid contact: the modes in which a stop holds, see build.held_modes; empty of
-                    any other
+    held            of a machine with one rigid contact: the mode in which the upper stop holds, hybrid_modes.Pieces of
+                    one mode and one signal, the force by which the stop holds y; empty of any other. States are counted
+                    from rest; the lower stop holds in the same mode while the signal is positive
     table           of a machine with modes: see hybrid.Table; empty of any other
 
     For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all

@@ -1,6 +1,6 @@
 """Systems: the packaged ones, and definitions by users in the same form."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -19,7 +19,7 @@ from workers.model.hybrid import build_hybrid
 from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
 from workers.model.observables import Observable, observables_of
-from workers.model.oscillator import Array, Machines, one_of
+from workers.model.oscillator import Array, one_of
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
 from workers.model.soundness import check_at_defaults
@@ -198,18 +198,8 @@ class System:
             return hybrids, self.out_of_range(values, reasons)
         machines = self.definition.machines(values)
         oscillators, reasons = build(machines)
-        return oscillators, self.refused(machines, values, reasons)
-
-    def refused(
-        self,
-        machines: Machines,
-        values: Mapping[str, Array],
-        reasons: NDArray[np.int8],
-        fields: Collection[str] = Machines._fields,
-    ) -> NDArray[np.int8]:
-        """These reasons (N,) against machines, replaced if the values (N,) or these fields alone show a fault."""
-        wrong = faults(machines, fields)
-        return self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
+        wrong = faults(machines)
+        return oscillators, self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
         """These reasons (N,), replaced if values (N,) of parameters are out of their ranges."""

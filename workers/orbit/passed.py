@@ -6,26 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.kernel.coordinates import motion_from
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
-from workers.kernel.motion import (
-    LOST,
-    NOTHING_COUNTED,
-    RECORDED,
-    RUNNING,
-    STATUS,
-    STUCK,
-    WORK,
-    WORK_OF_A_TRIAL,
-    motion_at,
-)
-from workers.kernel.period import propagate
-from workers.model.family import FLYING
+from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid import Elements, Table
 from workers.model.hybrid_modes import ON, OPEN, Code, code_of
 from workers.model.oscillator import Array, Oscillator, Rows, one_of
-from workers.orbit.section import quiet_section
 
 RECORD = 512
 """Most events of one period that are recorded."""
@@ -51,41 +37,10 @@ class Passed(NamedTuple):
 
 
 def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """Events of a single oscillator, in a record of many, from a physical section state (2n,), its start first.
+    """Events of a single machine with modes, in a record of many, from a physical section state (2n,), its start first.
 
     ValueError if it cannot be followed.
     """
-    if oscillators.has_modes:
-        return _through_modes(oscillators, state, periods)
-    return _over_impacts(one_of(oscillators, 0), state, periods)
-
-
-def _over_impacts(osc: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """``passed`` for one rigid contact: the events of a repeating motion in order of time."""
-    start = motion_from(osc, state)
-    # From a section without impacts nearby none is lost or counted twice.
-    shift, h, mode, _ = quiet_section(osc, start.h, int(start.mode[0]))
-    there = osc._replace(tau=osc.tau + 2.0 * np.pi * shift)
-    motion = motion_at(h, mode, record=RECORD)
-    rows = []
-    for k in range(periods):
-        propagate(there, motion, osc.period)
-        if motion.tally[STATUS] != RUNNING or motion.tally[STUCK] > 0.0 or motion.tally[LOST] > 0.0:
-            raise ValueError("the motion rests on a stop: it is no orbit of impacts alone")
-        hits = int(motion.tally[RECORDED])
-        if hits == RECORD:
-            raise ValueError(f"{RECORD} impacts in one period: too many for an orbit of impacts")
-        rows.append(motion.impacts[:hits] + np.array([(k + shift) * osc.period, 0.0, 0.0]))
-        motion.tally[RECORDED] = 0.0
-    impacts = np.concatenate(rows)
-    impacts[:, 0] = np.mod(impacts[:, 0], periods * osc.period)
-    impacts = impacts[np.argsort(impacts[:, 0], kind="stable")]
-    events = [Passed(t, 0, int(side), side * speed, FLYING, (int(side),)) for t, side, speed in impacts.tolist()]
-    return [Passed(0.0, -1, 0, 0.0, FLYING, (0,)), *events]
-
-
-def _through_modes(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
-    """``passed`` for a machine with modes."""
     state = np.array(state, dtype=np.float64)
     shown = shown_code(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
     rows = islice(legs_of_periods(oscillators, state, shown), periods)

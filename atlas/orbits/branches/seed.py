@@ -33,7 +33,7 @@ def seed_of_point(
 ) -> Seed:
     """The orbit of a cell, solved here; ``given`` are the parameters that differ from the defaults.
 
-    Raises InputError for bad parameters, and where the cell's motion is not periodic or rests on a stop.
+    Raises InputError for bad parameters, and where the cell's motion is not periodic.
     """
     from workers.tile import solve_tile
 
@@ -57,7 +57,7 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
     cell = at(ds, point)
     record = system_of(ds.attrs)
     row = ds.sel({name: cell[name] for name in axis_names(ds)})
-    stored = ["regime", "reason", "period", "symmetric", "sticks", "state"]
+    stored = ["regime", "reason", "period", "symmetric", "state"]
     stored += [CYCLE_PERIOD.name] if record.definition.unforced else []
     missing = [name for name in stored if name not in ds and name != REASON.name]
     if missing:
@@ -78,8 +78,6 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
         why = in_words(cell).get(REASON.name)
         regime_text = record.regime.meaning(regime).text + (f" ({why})" if why else "")
         raise InputError(f"this cell is {regime_text}: a branch starts from a periodic one")
-    if bool(cell["sticks"]) and not record.has_modes:
-        raise InputError("this cell's orbit rests on a stop: only orbits without rest can be followed")
     unforced = record.definition.unforced
     if unforced and regime == NO_IMPACT:
         try:

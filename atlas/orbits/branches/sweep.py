@@ -29,7 +29,7 @@ NEAR = 1e-3
 straight line between two points of a branch is mostly off by less.
 """
 
-_STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "sticks", "state")
+_STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
 
 
 def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree:
@@ -56,7 +56,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: Tree | None = None
-    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored, system.has_modes, longest)):
+    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored, longest)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MOST or _is_covered(tree, cell, value)):
             continue
@@ -67,22 +67,16 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
         except ValueError:  # of a cell that the equations do not take, a neighbour is tried
             continue
     if tree is None:
-        raise InputError("no cell here has an orbit to follow: none is periodic with impacts and no rest on a stop")
+        raise InputError("no cell here has an orbit to follow: none is periodic with impacts")
     return tree
 
 
-def _cells(
-    ds: "xr.Dataset", along: str, stored: Sequence[str], with_modes: bool, longest: int
-) -> Iterator[dict[str, Any]]:
-    """The periodic cells with impacts, of the longest run of neighbours of one class first, its middle first.
-
-    Of machines with modes also orbits without impacts, and orbits that stick.
-    """
+def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str], longest: int) -> Iterator[dict[str, Any]]:
+    """The periodic cells, of the longest run of neighbours of one class first, its middle first."""
     read = ds[list(stored)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
-    moves = ~columns["sticks"].astype(bool) & (impacts > 0) | with_modes
-    fits = (columns[REGIME.name] == PERIODIC) & moves & (impacts <= longest)
+    fits = (columns[REGIME.name] == PERIODIC) & (impacts <= longest)
     classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
     runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda numbered: numbered[1])]
     for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):
@@ -94,9 +88,9 @@ def _cells(
 def _is_covered(tree: Tree, cell: dict[str, Any], value: float) -> bool:
     """Whether a cell's orbit, or its mirror image, is on a branch of a tree."""
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
-    state, halves = np.asarray(cell["state"], dtype=np.float64), {symmetric, int(tree.system.has_modes)}
-    alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in halves}
-    uncounted = p < 0 and tree.system.has_modes  # impacts of a cell that rests on a stop are not
+    state = np.asarray(cell["state"], dtype=np.float64)
+    alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in {symmetric, 1}}
+    uncounted = p < 0  # impacts of a cell that rests on a stop are not
     same = [
         branch for branch in tree.branches if uncounted or alike & {pattern(one) for one in set(branch.itineraries)}
     ]

@@ -184,11 +184,11 @@ class Tree:
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
         """The events of a branch at which another one leaves it, or it leaves another, or continues as another."""
-        own, with_modes = self.branches[number], self.system.has_modes
+        own = self.branches[number]
         return [
             (number, event)
             for event in own.run.events
-            if event.kind in LEAVES or (with_modes and event.kind in GOES_ON and own.ends_at(event))
+            if event.kind in LEAVES or (event.kind in GOES_ON and own.ends_at(event))
         ]
 
     def _is_met(self, event: Event) -> bool:

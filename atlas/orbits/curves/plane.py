@@ -51,11 +51,8 @@ class CurvePlane(OrbitRows):
 
     @cached_property
     def proven(self) -> NDArray[np.bool_]:
-        """Which cells (cells,) have a periodic orbit that is known: impact-free motion too; one that rests or sticks
-        where it is of a machine with modes.
-        """
-        follows = (self.impacts_upper >= 0) | self.system.has_modes
-        return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & follows & (self.period > 0)
+        """Which cells (cells,) have a periodic orbit that is known: impact-free motion too."""
+        return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & (self.period > 0)
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:

@@ -43,7 +43,7 @@ class Links(NamedTuple):
     With a pair its mirror image is one of them, of the same change. Rows from A on are unseen mirror images.
 
     cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
-    known (A,)  which orbits can be followed; of the others impacts alone make no orbit, since they rest on a stop
+    known (A,)  which orbits can be followed: Newton's method finds them
     one_way     pairs omitted: followed from one cell an orbit becomes that of the other cell, but not back
     """
 
@@ -81,10 +81,10 @@ def followed(attractors: Attractors) -> Links:
         pairs, change = np.concatenate([pairs, wanted[both_ways]]), np.concatenate([change, size[both_ways]])
         pairs, change = _mirrored(pairs, change, image)
         one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
-    if attractors.system.has_modes:
-        wanted = _left_over(attractors, pairs)
-        reached, size = follower.along_branches(wanted[known[wanted].all(axis=1)])
-        pairs, change = _mirrored(np.concatenate([pairs, reached]), np.concatenate([change, size]), image)
+    wanted = _left_over(attractors, pairs)
+    wanted = wanted[known[wanted].all(axis=1) & ~still[wanted].any(axis=1)]
+    reached, size = follower.along_branches(wanted)
+    pairs, change = _mirrored(np.concatenate([pairs, reached]), np.concatenate([change, size]), image)
     left = {*map(tuple, one_way.tolist())} - {*map(tuple, pairs.tolist())}
     return Links(pairs, change, cell, image, known, len(left))
 

@@ -43,7 +43,7 @@ class Count:
     """What became of the attractors of an atlas.
 
     attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
-    orbits        attractors that are orbits; followed: orbits without rest
+    orbits        attractors that are orbits; followed: orbits that Newton's method finds
     branches      labels given; alone: labels of a single cell
     links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
                   attractors of one cell on a branch; one_way: pairs that

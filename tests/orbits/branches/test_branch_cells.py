@@ -11,7 +11,6 @@ import atlas
 from atlas.accessor import DrawnBranches
 from atlas.cli.main import main
 from atlas.errors import InputError
-from tests import naive
 from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS
 from workers import Settings
 from workers.continuation import section_states
@@ -116,7 +115,6 @@ CHAOTIC = {"omega": 2.35}
     ("given", "along", "window", "message"),
     [
         (CHAOTIC, "omega", (2.0, 3.0), "this cell is (chaotic|undetermined).*: a branch starts from a periodic one"),
-        (naive.STICKING, "omega", (0.1, 9.0), "rests on a stop: only orbits without rest can be followed"),
         ({"omega": 3.02}, "omga", (2.0, 4.0), "unknown parameter 'omga'; did you mean 'omega'"),
         ({"omega": 3.02}, "x1", (2.0, 4.0), "x1 is an initial state: orbits do not depend on it"),
         ({"omega": 3.02}, "omega", (4.0, 3.0), "omega from 4 to 3: must rise"),

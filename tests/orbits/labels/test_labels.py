@@ -255,11 +255,12 @@ def test_chaos_has_no_label(tmp_path: Path, client: Client) -> None:
     assert np.all(found.values == -1) and found.count.attractors > 0
 
 
-def test_orbits_without_rebound_have_no_label(tmp_path: Path, client: Client) -> None:
+def test_orbits_that_rest_on_a_stop_have_labels(tmp_path: Path, client: Client) -> None:
     spec = spec_of(axes={"omega": {"values": [3.0, 3.05]}}, parameters={"R": 0.0, "b": 0.1}, store=None)
     atlas.run(spec, tmp_path / "out.zarr", client=client)
+    assert np.all(atlas.open(tmp_path / "out.zarr")["sticks"].isel(attractor=0))
     found = labels_of(open_handle(tmp_path / "out.zarr"))
-    assert found.count.followed < found.count.orbits
+    assert found.count.followed == found.count.orbits and found.count.branches == 1
 
 
 # What a store keeps

@@ -14,9 +14,8 @@ from tests.paths import ROOT
 from workers.cell.course import Course
 from workers.cell.exponents import free_exponents
 from workers.history import trace
-from workers.model import build
-from workers.model.free import Structure, structure_of
-from workers.model.oscillator import Machines
+from workers.model import modes
+from workers.model.modes import undamped_modes
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -342,18 +341,18 @@ def test_a_cell_is_the_same_to_the_bit_alone_in_a_tile_and_shuffled() -> None:
 
 
 def test_the_structure_of_a_machine_is_worked_out_once_for_cells_solved_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forcing frequencies and gaps do not change it, masses do."""
+    """Forcing frequencies and gaps do not change it, masses do: in flight, and on a stop."""
     worked_out = []
 
-    def counted(machines: Machines) -> Structure:
-        worked_out.append(machines.mass)
-        return structure_of(machines)
+    def counted(mass: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        worked_out.append(mass)
+        return undamped_modes(mass, stiffness)
 
-    monkeypatch.setattr(build, "structure_of", counted)
+    monkeypatch.setattr(modes, "undamped_modes", counted)
     for mass in (2.03125, 2.0625):
         for omega, b in ((4.0, 5.0), (4.0, 6.0), (3.0, 5.0)):
             cell({"mu_m": mass, "omega": omega, "b": b})
-    assert len(worked_out) == 2
+    assert [mass.shape for mass in worked_out] == [(1, 2, 2), (1, 1, 1)] * 2
 
 
 def test_a_cell_on_an_orbit_goes_through_no_other_stage(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests import naive
 from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
@@ -72,10 +71,23 @@ def test_a_thousand_proven_cells_are_orbits_of_the_equations() -> None:
     assert agree(params, Settings(exponents="spectrum", max_periods=3000, survival=3000, tolerance=0.3)) >= 1000
 
 
-def test_an_orbit_that_rests_is_refused_in_one_line() -> None:
-    found = solve_tile("two-mass", naive.STICKING)
-    with pytest.raises(ValueError, match="rests on a stop"):
-        orbit_from_state(TWO_MASS, naive.STICKING, found["state"], int(found["period"]))
+def test_cells_that_rest_on_a_stop_are_orbits_of_the_equations() -> None:
+    """Truth: the cells' own states and exponents; of the chatter before a rest the equations have the hops alone."""
+    params = drawn(60, 3, omega=(0.5, 2.0), b=(0.1, 0.8), R=(0.05, 0.4))
+    found = solve_tile("two-mass", params, Settings(exponents="spectrum", max_periods=1000, survival=0))
+    cells = np.flatnonzero((found["regime"] == PERIODIC) & found["sticks"])
+    assert len(cells) >= 20
+    for k in cells:
+        values = {name: float(column[k]) for name, column in params.items()}
+        orbit = orbit_from_state(
+            TWO_MASS, values, found["state"][k], int(found["period"][k]), bool(found["symmetric"][k])
+        )
+        motion = motion_of(family_of(TWO_MASS, values, ()).model(np.zeros((1, 0))), many_orbits([orbit]))
+        assert section_state(TWO_MASS, values, orbit) == pytest.approx(found["state"][k], abs=1e-12)
+        lasting = np.isfinite(found["spectrum"][k])
+        assert lasting.sum() == 2
+        assert exponents(motion)[lasting] == pytest.approx(found["spectrum"][k][lasting], abs=1e-9)
+        assert first_fault(motion) is None
 
 
 @pytest.mark.parametrize("name", ["two-mass", "soft-impact"])
