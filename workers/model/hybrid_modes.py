@@ -216,11 +216,11 @@ def structure_of_mode(machines: HybridMachines, code: Code, along: Array, restin
     G, moves = np.zeros((N, 0, n)), np.zeros((N, 0), np.bool_)
     if held or stuck:
         G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
-    inverse_mass = np.asarray(np.linalg.inv(mass), np.float64)
+    inverse_mass = stacked(np.linalg.inv, mass.shape, mass)
     D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
-    kept = inverse_mass - D @ G @ inverse_mass
-    acceleration, drive = kept @ forces, force @ np.ascontiguousarray(kept.swapaxes(1, 2))
+    free = inverse_mass - D @ G @ inverse_mass  # along held rows nothing accelerates
+    acceleration, drive = free @ forces, force @ np.ascontiguousarray(free.swapaxes(1, 2))
     multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the held coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)

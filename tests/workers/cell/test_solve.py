@@ -355,6 +355,19 @@ def test_the_structure_of_a_machine_is_worked_out_once_for_cells_solved_alone(mo
     assert [mass.shape for mass in worked_out] == [(1, 2, 2), (1, 1, 1)] * 2
 
 
+@pytest.mark.parametrize("stop", [{"restitution": 0.8}, {"stiffness": 9.0}], ids=["rigid", "soft"])
+def test_a_machine_without_mass_is_invalid_and_changes_no_other(stop: dict[str, float]) -> None:
+    system = {
+        "name": "own", "coordinates": ["x"], "mass": [["m"]], "damping": [[0.1]], "stiffness": [[1.0]], "force": [1.0],
+        "contacts": [{"name": "stop", "gap": [1.0], "upper": 0.3, **stop}],
+        "parameters": {"omega": {"default": 0.9}, "m": {"default": 1.0}},
+    }  # fmt: skip
+    settings = Settings(max_periods=64, survival=0)
+    both, alone = (solve_tile(system, {"m": masses}, settings) for masses in ([0.0, 2.0], [2.0]))
+    assert both["regime"][0] == INVALID
+    assert all(same(both[name][1:], alone[name]) for name in alone)
+
+
 def test_a_cell_on_an_orbit_goes_through_no_other_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     def unwanted(course: Course, rows: np.ndarray) -> None:
         raise AssertionError(rows)
