@@ -8,7 +8,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from workers.kernel.apart import FLOATS, apart
-from workers.kernel.contact import load_on_stop, to_held
+from workers.kernel.held import load_on_stop, to_held
 from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number, turned, wave
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.lend import whole

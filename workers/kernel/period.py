@@ -18,12 +18,12 @@ from workers.kernel.contact import (
     rest_projection,
     saltation,
     shift,
-    stay_on_stop,
     stop_position,
 )
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
 from workers.kernel.flow import flow_with_tangent
+from workers.kernel.held import stay_on_stop
 from workers.kernel.hybrid.motion import through_events
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lend import rigid

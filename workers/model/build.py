@@ -94,6 +94,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # an infinitely distant stop is valid
     near_ones = oscillators._replace(head=near, held=held._replace(ends=held.offset))
     reasons = np.where(finite(near_ones), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
+    reasons[np.isinf(structure.inverse_gap_mass)] = OUT_OF_DOUBLES  # a push at the stop would move nothing
     reasons[structure.inverse_gap_mass <= 0.0] = NO_OSCILLATOR
     for reason, holds in against_free.items():
         reasons[holds | against_held.get(reason, False)] = reason

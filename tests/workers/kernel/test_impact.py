@@ -14,18 +14,15 @@ from workers.kernel.contact import (
     LEAVE,
     REBOUND,
     REST,
-    from_held,
     kick,
-    load_on_stop,
     outcome,
     rest_projection,
     saltation,
-    stay_on_stop,
     stop_position,
-    to_held,
 )
 from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
+from workers.kernel.held import from_held, load_on_stop, stay_on_stop, to_held
 from workers.kernel.hybrid.state import turned
 from workers.kernel.motion import FLIGHT, motion_at
 from workers.model.hybrid_modes import ON
