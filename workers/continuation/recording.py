@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workers.continuation.itinerary import Itinerary, Leg, Orbit
+from workers.continuation.itinerary import FLYING, Itinerary, Leg, Orbit
 from workers.model.family import OrbitMachines, with_modes
 from workers.model.hybrid_modes import Code
 from workers.model.oscillator import Array
@@ -26,9 +26,11 @@ def recorded(
     state = state - machine.rest[0]
     if cycle is not None:
         return halved(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
-    motions = passed(machine.oscillators, state, periods)
-    legs = [Leg(motion.code, motion.begun, motion.signal, motion.side) for motion in motions]
     phases = machine.elements.starts.shape[1] > 2  # the section is nothing to a machine without them
+    motions = passed(machine.oscillators, state, periods)
+    if not phases and all(motion.code == FLYING for motion in motions):
+        motions = _between_impacts(machine, state, periods)
+    legs = [Leg(motion.code, motion.begun, motion.signal, motion.side) for motion in motions]
     kept = [i for i, leg in enumerate(legs) if phases or leg.signal >= 0]
     first = next((i for i in kept if legs[i].signal >= 0), None)
     if first is None:
@@ -36,6 +38,19 @@ def recorded(
         return Orbit(itinerary, np.zeros(0), np.zeros(0))
     turn = [motions[i] for i in kept if i >= first] + [motions[i] for i in kept if i < first]
     return halved(machine, turned_orbit(turn, legs[first - 1].code, periods), ASKED if symmetric else ALIKE)
+
+
+def _between_impacts(machine: OrbitMachines, state: Array, periods: int) -> list[Passed]:
+    """The impacts of flights in some periods from the middle of the longest flight of the first one on, in order of
+    their phase, after the start. Of an impact at the section itself rounding would count none or two.
+    """
+    start, *motions = passed(machine.oscillators, state, periods + 1)
+    period = 2.0 * np.pi / float(machine.omega[0])
+    times = np.array([0.0, *(m.time for m in motions if m.signal >= 0 and m.time < period), period])
+    longest = int(np.argmax(np.diff(times)))
+    begin, span = 0.5 * (times[longest] + times[longest + 1]), periods * period
+    turn = [m for m in motions if m.signal >= 0 and begin <= m.time < begin + span]
+    return [start, *sorted((m._replace(time=m.time % span) for m in turn), key=lambda m: m.time)]
 
 
 def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
