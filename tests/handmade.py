@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from tests.paths import DATA
 from workers.continuation.events import Event, Point
 from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
-from workers.continuation.itinerary import FLYING, Itinerary, Orbit
+from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import EVENT, MODE, NO_EVENT, fly_leg, saltate
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.oscillator import Family, family_of
 from workers.kernel.borrow import row_of
 from workers.kernel.hybrid.state import turned
 from workers.model.family import OrbitMachines
+from workers.model.hybrid_modes import FLYING
 from workers.model.system import find_system
 
 TWO_MASS = find_system("two-mass")

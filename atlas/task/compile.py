@@ -24,7 +24,7 @@ from workers.settings import Settings
 CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
 MODES = "modes"
 """Parts: kernels that solve cells of machines with one rigid contact; that compare motions with known attractors; of
-orbits as equations of their impacts, for branches, curves and labels; of motion between events, for portraits; that
+orbits as equations of their events, for branches, curves and labels; of motion between events, for portraits; that
 measure motions; that observe them; that solve cells of machines with modes. All others need the first or the last."""
 
 SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 26, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}

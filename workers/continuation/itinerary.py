@@ -8,11 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from workers.model.family import OrbitMachines
-from workers.model.hybrid_modes import OPEN, SIGNALS, Code
+from workers.model.hybrid_modes import FLYING, OPEN, SIGNALS, Code
 from workers.model.oscillator import Array
-
-FLYING = Code(0, (OPEN,), ())
-"""The mode of a machine with a lone rigid contact while nothing rests on it."""
 
 HIT, MOVES, SLIDES, STICKS = range(4)
 """What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""

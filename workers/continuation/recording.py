@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workers.continuation.itinerary import FLYING, Itinerary, Leg, Orbit
+from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.model.family import OrbitMachines, with_modes
-from workers.model.hybrid_modes import Code
+from workers.model.hybrid_modes import FLYING, Code
 from workers.model.oscillator import Array
 from workers.orbit.passed import Passed, passed
 

@@ -13,12 +13,12 @@ from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, kernel
 from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import HybridMachines
-from workers.model.hybrid_modes import OF_PIECES, OPEN, Code
+from workers.model.hybrid_modes import FLYING, OF_PIECES
 from workers.model.oscillator import Mode, Oscillator, empty, map_fields
 
-FLIGHT = Code(0, (OPEN,), ()).number
-"""The mode of a machine with one rigid contact in free flight. It is FLIGHT + ON, or FLIGHT - ON, while a stop holds
-the gap coordinate, and FLIGHT +- DETACHED where the motion is on a stop with v = 0, about to leave."""
+FLIGHT = FLYING.number
+"""The mode of a machine with one rigid contact is FLIGHT +- ON while a stop holds the gap coordinate, and FLIGHT +-
+DETACHED where the motion is on a stop with v = 0, about to leave."""
 
 BEYOND = -1
 """In place of a mode: the motion begins beyond a stop."""

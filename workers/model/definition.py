@@ -183,21 +183,19 @@ class Definition:
     @property
     def used(self) -> set[str]:
         """The names used by its motion or by a measure; names in ``let`` included if they are used."""
-        names = set().union(
-            *(_names(getattr(self, field.name)) for field in dataclasses.fields(self) if field.name != "let")
-        )
+        return self._used_outside("let")
+
+    def _used_outside(self, *left_out: str) -> set[str]:
+        """The names used in all fields but these; names in ``let`` included if they are used, and what they use."""
+        fields = (field.name for field in dataclasses.fields(self) if field.name not in left_out)
+        names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):
             names |= expression.names if name in names else set()
         return names
 
     def changes_with(self, names: Collection[str]) -> bool:
         """Whether anything of its machines besides forcing frequency and phase depends on parameters of these names."""
-        changing = set(names)
-        for name, expression in self.let:
-            if not expression.names.isdisjoint(changing):
-                changing.add(name)
-        fields = (field.name for field in dataclasses.fields(self) if field.name not in ("let", "measures"))
-        return not changing.isdisjoint(set().union(*(_names(getattr(self, name)) for name in fields)))
+        return not self._used_outside("let", "measures").isdisjoint(names)
 
     @np.errstate(all="ignore")
     def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import finite, grows_unseen, phase_of, turns_too_far
-from workers.model.hybrid_machines import HybridMachines, along_contacts, hybrid_faults
+from workers.model.hybrid_machines import HybridMachines, along_contacts, definite, hybrid_faults
 from workers.model.hybrid_modes import OF_PIECES, OPEN, Code, Pieces, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, stacked, symmetric, undamped_modes
@@ -139,7 +139,8 @@ ROOM = 64
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
     """Machines with modes in the form for kernels, no mode built yet, and the reason against each, or NO_REASON."""
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
-    mass, stiffness = _definite(_measuring(machines.mass)), _measuring(machines.stiffness[:, 0])
+    mass, stiffness = _measuring(machines.mass), _measuring(machines.stiffness[:, 0])
+    mass = np.where(definite(mass)[:, None, None], mass, np.eye(n))
     lam, modes = _section_modes(mass, stiffness, machines.drifting)
     lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
     turned = np.ascontiguousarray(modes.swapaxes(1, 2))
@@ -211,12 +212,6 @@ def _measuring(matrices: Array) -> Array:
     """Symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
     even = symmetric(matrices)[:, None, None]
     return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
-
-
-def _definite(mass: Array) -> Array:
-    """Symmetric matrices (N, n, n), with the identity in place of matrices that are not positive definite."""
-    least = np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1)
-    return np.where((least <= 0.0)[:, None, None], np.eye(mass.shape[1]), mass)
 
 
 def _slowest(flow: Array) -> Array:

@@ -63,6 +63,10 @@ class Code(NamedTuple):
         return number
 
 
+FLYING = Code(0, (OPEN,), ())
+"""The mode of a machine with one rigid contact in free flight."""
+
+
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> Code:
     """The code of a number, for these numbers of contacts, frictions and segments of their laws."""
     signs, states = [], []

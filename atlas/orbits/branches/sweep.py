@@ -67,7 +67,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree
         except ValueError:  # of a cell that the equations do not take, a neighbour is tried
             continue
     if tree is None:
-        raise InputError("no cell here has an orbit to follow: none is periodic with impacts")
+        raise InputError(f"no cell here has an orbit to follow: none is periodic with at most {longest} impacts")
     return tree
 
 

@@ -43,8 +43,8 @@ GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
     "vertex",
 )  # fmt: skip
-"""Kinds of events at which the branch of a machine with modes may end, and one of orbits with other contacts or slides
-begin: through continuous ones the branch itself continues."""
+"""Kinds of events at which a branch may end, and one of orbits with other contacts or slides begin: through continuous
+ones the branch itself continues."""
 
 SAME = 1e-6
 """Difference, relative to the size of states, below which two orbits at one parameter are the same."""

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from workers.continuation.itinerary import FLYING
 from workers.continuation.oscillator import family_of
 from workers.model.build import build
 from workers.model.family import NoOscillatorError, machines_over
+from workers.model.hybrid_modes import FLYING
 from workers.model.oscillator import COLUMN, Machines
 from workers.model.system import System, find_system, system_names
 from workers.results import NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
