@@ -65,7 +65,7 @@ def newton(
         exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNCERTAIN)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]
-        ratio = np.minimum(size / before, 1.0) if step > 1 else np.sqrt(size)
+        ratio = np.minimum(size / before if step > 1 else np.sqrt(size), 1.0)
         stalled = (step > 1) & (size > 0.3 * before)
         done = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (stalled & (exact | (good & (size < ROUNDING))))
         converged[rows[done]], last[rows] = True, size

@@ -34,14 +34,18 @@ class PseudoArclength:
         self.newton_steps = 0
 
     def advance(self) -> bool:
-        """One step on, as long as the last one suggests, shorter where it does not converge or turns too much."""
+        """One step on, as long as the last one suggests, shorter where it does not converge or turns too much.
+
+        False where no step is possible, also where the parameter's window is so narrow that a step is rounding.
+        """
         while self.length >= LEAST * self.longest:
             solved = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
             self.newton_steps += solved.steps
             if solved.converged:
                 tangent = tangent_at(self.equations, solved.jacobian, self.tangent)
                 angle = math.acos(min(1.0, float(tangent @ self.tangent)))
-                if angle < MOST_TURN:
+                ahead = float((solved.X - self.X) / self.equations.scale @ self.tangent)
+                if angle < MOST_TURN and abs(ahead - self.length) < 0.5 * self.length:
                     self.former = (self.X, self.tangent, self.length)
                     self.X, self.tangent = solved.X, tangent
                     grow = min(2.0, max(0.5, TURN / max(angle, 1e-6)))

@@ -104,8 +104,9 @@ def test_the_stability_of_a_branch_changes_at_its_events_alone_though_multiplier
     state = solve_tile("two-mass", {"omega": 2.97}, Settings(max_periods=2000, survival=0))["state"]
     orbit = orbit_from_state(TWO_MASS, {"omega": 2.97}, state, 1)
     family = family_of(TWO_MASS, {}, ("omega",))
-    *_, beside, _ = branch(family, orbit, 2.97, (2.95, 3.05)).points
-    value = float(beside.values[0])
+    (event,) = branch(family, orbit, 2.97, (2.95, 3.05)).events
+    value = float(event.point.values[0]) - 3e-6
+    beside = branch(family, orbit, 2.97, (2.95, value)).points[-1]
     run = branch(family, beside.orbit, value, (value - 2e-6, value + 6e-6))
     assert kinds(run) == ["symmetry_breaking"]
     near = [point for point in run.points if np.min(np.abs(point.multipliers - 1.0)) < 1e-5]
@@ -152,6 +153,20 @@ def test_a_branch_passes_the_reference_event(index: int) -> None:
         if found and min(abs(value - exact) for value in found) < 1e-10:
             return
     pytest.fail("the event is not on the branch")
+
+
+@pytest.mark.parametrize("index", [k for k, record in enumerate(CURVES) if record["kind"] == "period_doubling"])
+def test_a_branch_stays_in_a_window_of_neighbouring_doubles(index: int) -> None:
+    """A step of the walk changes no unknown there by more than rounding, and leads nowhere."""
+    record = CURVES[index]
+    family, event, values = reference_event(record, ("omega",))
+    for start in (1.0 + np.linspace(-1e-3, 1e-3, 20)) * values[0]:
+        window = float(start), float(np.nextafter(start, 9.0))
+        try:
+            run = branch(family, event.point.orbit, window[0], window)
+        except ValueError:
+            continue  # the orbit is the halved or the doubled one there
+        assert all(window[0] <= point.values[0] <= window[1] for point in run.points)
 
 
 def test_a_spent_budget_is_told() -> None:

@@ -58,6 +58,20 @@ def test_a_least_value_that_is_no_solution_does_not_converge() -> None:
     assert not found.converged.any()
 
 
+@pytest.mark.parametrize("slope", [1e-4, 1e-250, 5e-324])
+def test_a_first_step_of_any_length_ends_the_method_without_a_warning(slope: float) -> None:
+    """slope x = 1 from x = 0: its only root is farther than roots are looked for, at last beyond all doubles."""
+
+    def values(X: Array, rows: Rows) -> Array:
+        return slope * X - 1.0
+
+    start = np.zeros((1, 1))
+    found = newton(values, lambda X, rows: (values(X, rows), np.full((1, 1, 1), slope)), start, np.ones((1, 1)))
+    assert not found.converged[0]
+    assert found.steps == 1
+    assert found.X[0, 0] == 0.0
+
+
 def test_a_root_at_which_the_jacobian_is_singular_does_not_converge_where_its_steps_are_long() -> None:
     """A condition number of 1e12: what is to vanish is rounding within a thousandth of the root."""
     root = RNG.uniform(0.3, 1.0, (50, SIZE))
