@@ -93,7 +93,7 @@ class StoredOrbits:
 
 
 def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
-    """The orbit of each of N periodic cells, exact; or why there is none, in words, as where it rests on a rigid stop.
+    """The orbit of each of N periodic cells, exact; or why there is none, in words, such as for R = 0.
 
     points (N, free)   their values of the family's free parameters
     cells              the columns NEEDED as the store has them: (N,), of states (N, 2n)

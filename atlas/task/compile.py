@@ -27,9 +27,9 @@ MODES = "modes"
 orbits as equations of their events, for branches, curves and labels; of motion between events, for portraits; that
 measure motions; that observe them; that solve cells of machines with modes. All others need the first or the last."""
 
-SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 26, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
+SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 22, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
 """Approximate seconds of each part: processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 224, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
+FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 175, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
 """Functions that each part compiles in a process that has compiled nothing else."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"

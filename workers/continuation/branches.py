@@ -102,8 +102,8 @@ def branch(
     Neimark-Sacker points, and where the orbit of one itinerary ceases to exist: grazes, lost impacts, changes of stick.
     There the branch continues with another itinerary if that is continuous, or ends.
     Each direction ends at the first event for which ``until`` is true.
-    Raises ValueError, in one line, for R = 0, and for a start that has no orbit nearby, is not admissible, or is a
-    shorter or symmetric orbit repeated.
+    Raises ValueError, in one line, for flight after an impact with R = 0, and for a start that has no orbit nearby, is
+    not admissible, or is a shorter or symmetric orbit repeated.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
     values = np.array([value])

@@ -38,12 +38,12 @@ def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, st
         yield ~lin.mirrored, uneven
     if unknown:
         return
-    rests = "an impact without rebound may rest on its stop, which these orbits exclude"
+    slow = "this orbit leaves a stop at once after an impact without rebound, where others rest"
     reached = plan_of(lin, itinerary).reached
     rebounds = reached[reached[:, ACT] == REBOUNDS]
     for signal, end in {(signal, end) for signal, end in rebounds[:, [SIGNAL, END]].tolist()}:
         contact, name = signal // SIGNALS, ("lower", "upper")[end]
-        yield lin.elements.R[:, contact] <= 0.0, f"R = 0: {rests}; take R > 0"
+        yield lin.elements.R[:, contact] <= 0.0, f"R = 0: {slow}; take R > 0"
         stop = lin.elements.stops[:, contact, end]
         yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
 

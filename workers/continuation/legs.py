@@ -13,6 +13,7 @@ from workers.kernel.hybrid.motion import first_event
 from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side, turned
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, row_in
+from workers.kernel.linalg import copy_into
 from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid_modes import SIGNALS
 
@@ -101,15 +102,17 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
     for r in range(N):
         modes, z, every = row_in(lend(pieces), r), start[r].copy(), np.zeros((size + M, size))
         D, W = every[:size], every[size:]
-        D[:], W[:size] = np.eye(size), np.eye(size)
+        for j in range(size):
+            D[j, j], W[j, j] = 1.0, 1.0
         now, alive, k = 0.0 if m == 0 else t[r, 0], size if m == 0 else size + 1, plan[0, MODE]
         later = turned(tau[r] + omega[r] * now, harmonics)
         if m > 0:
             right_hand_side(modes, k, z, later, f)
-            W[size] = -f
+            for j in range(size):
+                W[size, j] = -f[j]
         for leg in range(legs):
             k, i, g, act = plan[leg, MODE], plan[leg, EVENT], plan[leg, SIGNAL], plan[leg, ACT]
-            states[r, leg] = z
+            copy_into(states[r, leg], z)
             before, later = later, turned(tau[r] + omega[r] * ends[r, leg], harmonics)
             fly_leg(modes, k, ends[r, leg] - now, before, later, z, every[: size + alive], h, V[: size + alive])
             now = ends[r, leg]
@@ -124,11 +127,13 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
             for e in range(own + 1):
                 tangents[r, own, e] = product(row, W[e], 0)
             tangents[r, own, own] += signals[r, 1, i]
-            W[own] += f
+            for j in range(size):
+                W[own, j] += f[j]
             alive = own + 1
             act_on(elements, r, act, g, z, W[:alive])
             right_hand_side(modes, plan[leg + 1, MODE], z, later, late)
-            W[own] -= late
+            for j in range(size):
+                W[own, j] -= late[j]
             signals[r, 2, i] = guard_rate(modes, k, g, late, omega[r], later)
         for j in range(size):
             residuals[r, j], shifts[r, j, j] = sign * z[j] - start[r, j], 1.0
@@ -167,10 +172,12 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
         values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)
         low, high = modes.ends[k, signal, 0], modes.ends[k, signal, 1]
         values[2, r, i], values[3, r, i] = low, high
-        moments[r, i] = z
-        if turn % 2 != 0:
-            moments[r, i] *= sign
-            values[:2, r, i] *= mirror
+        odd = turn % 2 != 0
+        for j in range(size):
+            moments[r, i, j] = sign * z[j] if odd else z[j]
+        if odd:
+            for j in range(2):
+                values[j, r, i] *= mirror
             if mirror < 0.0:
                 values[2, r, i], values[3, r, i] = -high, -low
     return moments, values

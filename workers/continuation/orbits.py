@@ -112,7 +112,7 @@ def orbit_from_state(
 
     values   parameters by name; those left out have their defaults
     periods  of the force in the whole orbit; ``cycle``: the period of a cycle without a force
-    Raises ValueError where the motion from there rests on a rigid stop, where R = 0, or where no orbit is found.
+    Raises ValueError where the motion leaves a stop at once after an impact with R = 0, or no orbit is found.
     """
     if periods < 1:
         raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")

@@ -67,8 +67,9 @@ def start_at(osc, state, h):
 @inline_always
 def mode_at_rest(osc, side, h, turn):
     """The mode of a state at rest on this stop: held if the load presses, else about to leave."""
-    u, nothing = np.empty(h.shape), np.empty((0, h.shape[0], 2))
-    to_held(osc, h, nothing, turn, u, nothing)
+    n = h.shape[0]
+    u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
+    to_held(osc, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
     return FLIGHT + side * (ON if load_on_stop(osc, u, turn, side) > 0.0 else DETACHED)
 
 

@@ -17,13 +17,12 @@ ONLY = np.int64(0)
 
 
 @kernel
-def to_held(osc, h, V, turn, u, U):
+def to_held(osc, h, V, turn, z, W, u, U):
     """Write the block state u (n, 2) and tangent vectors U (m, n, 2) of motion held on a stop, from those of flight.
 
-    The last block is y; its constant state, the stop, is left out of u: see load_on_stop.
+    The last block is y; its constant state, the stop, is left out of u: see load_on_stop. z (2n,), W (m, 2n) are room.
     """
     held, n = osc.held, h.shape[0]
-    z, W = np.empty(2 * n), np.empty((V.shape[0], 2 * n))
     leave_flight(osc, h, turn, z)
     leave_frame(osc.to_physical, V, W)
     enter(held, ONLY, z, W, turn, u, U)
@@ -33,10 +32,9 @@ def to_held(osc, h, V, turn, u, U):
 
 
 @kernel
-def from_held(osc, u, U, turn, side, h, V):
-    """Write the block state h (n, 2) and tangent vectors V (m, n, 2) in flight of a motion held on a stop."""
+def from_held(osc, u, U, turn, side, z, W, h, V):
+    """Write the block state h (n, 2) and tangent vectors V (m, n, 2) in flight of held motion; see to_held."""
     held, n = osc.held, h.shape[0]
-    z, W = np.empty(2 * n), np.empty((U.shape[0], 2 * n))
     u[n - 1, 0] = stop_position(osc, side)
     leave(held, ONLY, u, U, turn, z, W)
     for i in range(2 * n):
@@ -79,7 +77,8 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     blocks, numbers = held.blocks[0, 0], held.numbers[0, 0]
     u, U, scratch = np.empty((n, 2)), np.empty((V.shape[0], n, 2)), np.empty((n - 1, 2))
     turn = turned(phase, held.waves.shape[2])
-    to_held(osc, h, V, turn, u, U)
+    z, W = np.empty(2 * n), np.empty((V.shape[0], 2 * n))
+    to_held(osc, h, V, turn, z, W, u, U)
     upper, lower = (0.0, -np.inf) if side > 0 else (np.inf, 0.0)
     mode = lend(Mode(blocks[: n - 1], held.waves[0, 0], numbers, held.forced[0]))
     inside = np.int64(0)  # typed: a literal would compile the callees once more
@@ -92,5 +91,5 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     else:
         flow_with_tangent(blocks, s, u, U)
     turn_to(phase + numbers[NUMBER.omega] * s, turn)
-    from_held(osc, u, U, turn, side, h, V)
+    from_held(osc, u, U, turn, side, z, W, h, V)
     return s, abs(crossed), evaluations

@@ -35,8 +35,8 @@ _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric",
 def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = LONGEST) -> Tree:
     """The branches of proven orbits in sweeps of one axis, and branches that begin on them, up to MOST and ``longest``.
 
-    A cell whose orbit is on a branch already, or is the mirror image of such an orbit, adds none. Orbits that rest on a
-    stop are passed over. Raises InputError where no parameter is swept, and where an atlas does not hold states.
+    A cell whose orbit is on a branch already, or is the mirror image of such an orbit, adds none. Raises InputError
+    where no parameter is swept, and where an atlas does not hold states.
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds.attrs), axis_names(ds)

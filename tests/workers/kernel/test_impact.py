@@ -189,8 +189,9 @@ def forced(osc: Oscillator, phase: float) -> tuple[float, float, float]:
 
 def onto_stop(osc: Oscillator, u: np.ndarray, phase: float, side: int) -> np.ndarray:
     """The block state in flight of a state u (n - 1, 2) of the blocks that move while y is on a stop."""
-    h, V = np.zeros((len(u) + 1, 2)), np.zeros((0, len(u) + 1, 2))
-    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, turned(phase, len(osc.gap.waves)), side, h, V)
+    n = len(u) + 1
+    h, V, room = np.zeros((n, 2)), np.zeros((0, n, 2)), (np.empty(2 * n), np.empty((0, 2 * n)))
+    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, turned(phase, len(osc.gap.waves)), side, *room, h, V)
     return h
 
 
@@ -201,11 +202,12 @@ def test_held_coordinates_give_a_state_on_the_stop_at_rest(osc: Oscillator, side
     for _ in range(20):
         u, phase, back = rng.normal(size=(n - 1, 2)), rng.uniform(0, 7), np.zeros((n, 2))
         h, V = onto_stop(osc, u, phase, side), np.zeros((0, n, 2))
+        room = np.empty(2 * n), np.empty((0, 2 * n))
         Y, dY, _ = forced(osc, phase)
         rounding = 2e-15 * (1 + np.abs(u).max())
         assert guard_of(osc.gap.blocks, h) + Y == pytest.approx(stop_position(osc, side), abs=rounding)
         assert guard_rate_of(osc.gap.blocks, h) + dY == pytest.approx(0.0, abs=4 * rounding)
-        to_held(osc, h, V, turned(phase, len(osc.gap.waves)), back, V)
+        to_held(osc, h, V, turned(phase, len(osc.gap.waves)), *room, back, V)
         assert back[:-1] == pytest.approx(u, abs=1e-14)
         assert not back[-1].any()
 
