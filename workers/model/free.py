@@ -309,17 +309,26 @@ def balanced(machines: Machines) -> Mask:
 
 def finite(record: Any) -> Mask:
     """Mask of the records that hold finite numbers only."""
-    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
+    fields = rows_of(record)
+    if np.isfinite(np.concatenate([field.ravel() for field in fields])).all():  # nearly always
+        return np.ones(len(fields[0]), dtype=np.bool_)
+    return np.asarray(np.isfinite(np.concatenate(fields, axis=1)).all(axis=1))
 
 
-def numbers_of(record: Any) -> Any:
+def numbers_of(record: Any) -> Array:
     """All numbers of N records, one row (N, .) each."""
-    fields = [
-        numbers_of(field) if isinstance(field, tuple) else field.reshape(len(field), math.prod(field.shape[1:]))
-        for field in record
-        if field is not None
-    ]
-    return np.concatenate(fields, axis=1)
+    return np.concatenate(rows_of(record), axis=1)
+
+
+def rows_of(record: Any) -> list[Array]:
+    """The fields of N records as rows (N, .)."""
+    rows = list[Array]()
+    for field in record:
+        if isinstance(field, tuple):
+            rows += rows_of(field)
+        elif field is not None:
+            rows.append(field.reshape(len(field), math.prod(field.shape[1:])))
+    return rows
 
 
 def derivative(row: Array, modes: Modes) -> Array:
