@@ -309,26 +309,27 @@ def balanced(machines: Machines) -> Mask:
 
 def finite(record: Any) -> Mask:
     """Mask of the records that hold finite numbers only."""
-    fields = rows_of(record)
-    if np.isfinite(np.concatenate([field.ravel() for field in fields])).all():  # nearly always
-        return np.ones(len(fields[0]), dtype=np.bool_)
-    return np.asarray(np.isfinite(np.concatenate(fields, axis=1)).all(axis=1))
+    arrays = arrays_in(record)
+    if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
+        return np.ones(len(arrays[0]), dtype=np.bool_)
+    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
 
 
 def numbers_of(record: Any) -> Array:
     """All numbers of N records, one row (N, .) each."""
-    return np.concatenate(rows_of(record), axis=1)
+    rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
+    return np.concatenate(rows, axis=1)
 
 
-def rows_of(record: Any) -> list[Array]:
-    """The fields of N records as rows (N, .)."""
-    rows = list[Array]()
+def arrays_in(record: Any) -> list[Array]:
+    """The arrays of a record and of the records in it."""
+    arrays = list[Array]()
     for field in record:
         if isinstance(field, tuple):
-            rows += rows_of(field)
+            arrays += arrays_in(field)
         elif field is not None:
-            rows.append(field.reshape(len(field), math.prod(field.shape[1:])))
-    return rows
+            arrays.append(field)
+    return arrays
 
 
 def derivative(row: Array, modes: Modes) -> Array:

@@ -255,8 +255,9 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDAr
     waves = parts + own.direct
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
     sizes = np.hypot(waves[..., 0], waves[..., 1])
-    numbers = np.stack([np.repeat(omega[:, None], every, axis=1),
-                        *(np.sum(sizes * w**power, axis=2) for power in (0, 2, 3, 4))], axis=-1)  # fmt: skip
+    numbers = np.empty((N, every, 5))
+    numbers[..., 0] = omega[:, None]
+    numbers[..., 1:] = np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1).transpose(1, 2, 0)
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
     pieces = Pieces(
