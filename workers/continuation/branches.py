@@ -50,6 +50,8 @@ SHORTEST = 1e-3
 DOUBT = 1e-4
 """Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
 
+NOISE = 1e-6
+"""Share of the largest entry of a null vector up to which another entry, and so its sign, may be rounding."""
 
 OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
 """How many multipliers cross the unit circle at events with these conditions."""
@@ -103,9 +105,11 @@ def branch(
     There the branch continues with another itinerary if that is continuous, or ends.
     Each direction ends at the first event for which ``until`` is true.
     Raises ValueError, in one line, for flight after an impact with R = 0, and for a start that has no orbit nearby, is
-    not admissible, or is a shorter or symmetric orbit repeated.
+    outside of the window, not admissible, or a shorter or symmetric orbit repeated.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
+    if not window[0] <= value <= window[1]:
+        raise ValueError(f"{family.free[0]}: found {value:g}, the branch is followed in {window[0]:g}..{window[1]:g}")
     values = np.array([value])
     equations = Extended(family, orbit, (), values, bounds[1] - bounds[0])
     row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
@@ -127,7 +131,8 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = Extended(family, orbit, event.conditions, values, widths)
     critical = square.critical(square.pack(orbit, none, values))
-    critical = critical * np.copysign(1.0, critical[0])  # either sign is a null vector
+    sizes = np.abs(critical)  # either sign is a null vector: the first entry above rounding decides
+    critical = critical * np.sign(critical[np.argmax(sizes > NOISE * np.max(sizes))])
     whole = doubled(orbit, orbit.span(square.model(values)))
     equations = Extended(family, whole, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])

@@ -169,6 +169,11 @@ def test_a_branch_stays_in_a_window_of_neighbouring_doubles(index: int) -> None:
         assert all(window[0] <= point.values[0] <= window[1] for point in run.points)
 
 
+def test_a_start_outside_of_the_window_is_refused_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"^A: found 1\.2, the branch is followed in 0\.5\.\.1$"):
+        branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.2, 0.5), 1.2, (0.5, 1.0))
+
+
 def test_a_spent_budget_is_told() -> None:
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.2, 0.5), 1.2, (0.5, 3.0), budget=3)
     assert run.ends == (BUDGET, BUDGET)
