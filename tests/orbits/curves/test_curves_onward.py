@@ -21,6 +21,8 @@ from workers.continuation.extended import UNIT, Extended, solve
 from workers.continuation.orbits import refined
 from workers.model.system import System
 
+pytestmark = pytest.mark.slow
+
 WINDOW = {"omega": (0.75, 1.0), "a": (0.6, 0.9)}
 
 
@@ -126,7 +128,6 @@ def folds() -> BranchRun:
     return on(system, fold, corner.point.values + np.array([2e-4, 1.2e-3]), window)
 
 
-@pytest.mark.slow
 def test_a_curve_of_folds_goes_on_through_a_graze_and_may_turn_back_there(folds: BranchRun) -> None:
     assert folds.ends == ("edge", "edge")
     assert [event.kind for event in folds.events] == ["graze_fold", "cusp"]
@@ -135,7 +136,6 @@ def test_a_curve_of_folds_goes_on_through_a_graze_and_may_turn_back_there(folds:
     assert folds.points[0].values[1] == folds.points[-1].values[1] == 1.0
 
 
-@pytest.mark.slow
 def test_branches_across_a_curve_fold_on_it_on_both_sides_of_a_change(folds: BranchRun) -> None:
     """Each from an orbit beside that of the fold: along the direction in which it is not unique."""
     points = inside(folds)

@@ -14,6 +14,8 @@ from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
 from workers.continuation import BranchRun, Family, Point, branch, family_of, leaving_branch, orbit_from_state
 
+pytestmark = pytest.mark.slow
+
 QUICK = Settings(survival=0, max_periods=2000)
 
 
