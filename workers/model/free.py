@@ -181,11 +181,18 @@ def mode_of(flow: Flow, loading: Loading, omega: Array, direct: Any = 0.0) -> tu
     blocks[..., COLUMN.rest0 :] = loading.rest
     row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
     parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
-    waves, numbers = np.empty((N, H, 2)), np.empty((N, 5))
+    waves = np.empty((N, H, 2))
     waves[..., 0], waves[..., 1] = direct.real + parts[..., 0], direct.imag + parts[..., 1]
+    return Mode(blocks, waves, sizes_of(waves, w), forced), resonant
+
+
+def sizes_of(waves: Array, w: Array) -> Array:
+    """The columns of Numbers (..., 5) of forced parts (..., H, 2) at frequencies w (..., H), multiples of the first."""
     sizes = np.hypot(waves[..., 0], waves[..., 1])
-    numbers.T[:] = omega, *np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1)
-    return Mode(blocks, waves, numbers, forced), resonant
+    numbers = np.empty((*sizes.shape[:-1], 5))
+    numbers[..., 0] = w[..., 0]
+    numbers[..., 1:] = np.stack([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-2).sum(axis=-1)
+    return numbers
 
 
 def _response(modes: Modes, waves: Any, frequencies: Array) -> tuple[Array, Mask]:

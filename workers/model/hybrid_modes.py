@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import Flow, Loading, derivative_of, loading_of
+from workers.model.free import Flow, Loading, derivative_of, loading_of, sizes_of
 from workers.model.free import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
 from workers.model.kept import kept
@@ -254,15 +254,11 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDAr
     parts = (seen0.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
     waves = parts + own.direct
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
-    sizes = np.hypot(waves[..., 0], waves[..., 1])
-    numbers = np.empty((N, every, 5))
-    numbers[..., 0] = omega[:, None]
-    numbers[..., 1:] = np.sum([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-1).transpose(1, 2, 0)
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
     pieces = Pieces(
-        blocks, waves, numbers, forced, rows, own.direct, offset, own.ends, to_blocks, to_physical, own.acceleration,
-        own.drive, own.lost, np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        blocks, waves, sizes_of(waves, w), forced, rows, own.direct, offset, own.ends, to_blocks, to_physical,
+        own.acceleration, own.drive, own.lost, np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
     wrong = own.undriven | own.flow.modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))

@@ -227,8 +227,6 @@ class Tree:
         for amplitude in AMPLITUDES:
             try:
                 start = leaving_branch(self.family, event, high - low, amplitude)
-                if not low < start.value < high:
-                    continue
                 run = branch(self.family, start.orbit, start.value, self.window)
             except ValueError:
                 continue
