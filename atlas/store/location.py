@@ -4,6 +4,7 @@ Zarr reads and writes arrays in any place by stores of its own. This module list
 and writes under a condition, which an object store has in place of a rename.
 """
 
+import itertools
 import os
 import pickle
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -210,11 +211,10 @@ class ObjectPlace(Place):
         self._persist(once)
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """See Place. The fence is called once, since all requests begin together."""
-        self.confirm()
-        unfenced = self.behind(None)
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(unfenced.put, objects.keys(), objects.values()))
+        """See Place. The fence is called once for requests that begin together, and again before each repetition."""
+        import obstore
+
+        self._begin_together(objects, lambda key: obstore.put(self.client, key, objects[key]))
 
     def take_all(self, other: Place, keys: Iterable[str]) -> None:
         """See Place. Within a bucket the server copies objects itself."""
@@ -225,11 +225,30 @@ class ObjectPlace(Place):
 
         def take(key: str) -> None:
             with suppress(FileNotFoundError):
-                self._persist(lambda: obstore.copy(bucket, theirs + key, mine + key))
+                obstore.copy(bucket, theirs + key, mine + key)
 
-        self.confirm()
+        self._begin_together(keys, take)
+
+    def _begin_together(self, keys: Iterable[str], change: Callable[[str], object]) -> None:
+        """Change objects, AT_ONCE at a time: there may be an outage before the next ones, or before a repetition."""
+
+        def persist_on(key: str) -> None:
+            begun = False
+
+            def once() -> None:
+                nonlocal begun
+                if begun:
+                    self.confirm()
+                begun = True
+                change(key)
+
+            self._persist(once)
+
+        rest = iter(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(take, keys))
+            while together := list(itertools.islice(rest, AT_ONCE)):
+                self.confirm()
+                list(pool.map(persist_on, together))
 
     def _in_bucket_of(self, other: Place) -> "tuple[ObjectStore | None, str, str]":
         """The client of the bucket of both places, and the prefixes of their keys; None without a common bucket."""
