@@ -88,6 +88,8 @@ def written_whole(target: Path) -> Iterator[Path]:
     try:
         try:
             yield unfinished
+            with unfinished.open("rb+") as file:
+                os.fsync(file.fileno())  # or a rename could outlive the content
             os.replace(unfinished, target)
         finally:
             unfinished.unlink(missing_ok=True)
