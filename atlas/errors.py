@@ -33,6 +33,10 @@ class NetworkError(OSError):
     """A store at a URL that did not answer within the time it was given, in one line."""
 
 
+class UnlistedError(OSError):
+    """A server that does not list its objects, such as a plain web server."""
+
+
 def one_line(message: str) -> str:
     """The message on one line of bounded length: white space as single blanks, the middle left out where too long."""
     line = " ".join(message.split())

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from atlas.arguments import checked_path
-from atlas.errors import InputError, NetworkError, shown
+from atlas.errors import InputError, NetworkError, UnlistedError, shown
 from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
@@ -327,7 +327,15 @@ class ObjectPlace(Place):
         def once() -> list[str]:
             return [entry["path"] for page in obstore.list(self.client, prefix or None) for entry in page]
 
-        yield from self._persist(once)
+        try:
+            yield from self._persist(once)
+        except NetworkError:
+            raise
+        except OSError:
+            if not self.url.startswith("http"):
+                raise
+            said = f"{self}: this web server does not list the objects of the store; copy the store to a disk"
+            raise UnlistedError(said) from None
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
         """Put an object under a condition; False if one of the errors ``refusals`` shows that it does not hold."""
