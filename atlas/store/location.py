@@ -18,8 +18,8 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from atlas.arguments import checked_path
-from atlas.errors import InputError, NetworkError, UnlistedError, shown
-from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder
+from atlas.errors import InputError, NetworkError, UnlistedError, shown, without_secrets
+from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder, signed_in
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
 from atlas.store.place import LocalPlace as LocalPlace
@@ -69,12 +69,15 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     if scheme == "file":
         if storage_options:
             raise InputError("storage_options: need a server, found file://")
-        return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
+        parts = urlsplit(store.rstrip("/"))
+        begin = "" if parts.netloc == "localhost" else parts.netloc  # a relative path, as fsspec reads file://data/x
+        return _place_at(checked_path(begin + url2pathname(parts.path), "store").absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
     options = storage_options or _beyond
     access = access_by(options, store) if options else BY_ENVIRONMENT
-    return _checked(ObjectPlace(store.rstrip("/"), access, patience))
+    url, access = signed_in(store.rstrip("/"), access)
+    return _checked(ObjectPlace(url, access, patience))
 
 
 @contextmanager
@@ -134,6 +137,12 @@ def is_url(store: object) -> TypeGuard[str]:
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
+def url_below(url: str, folder: str) -> str:
+    """The URL of a folder of a URL, with the same query."""
+    parts = urlsplit(url)
+    return parts._replace(path=f"{parts.path}/{folder}").geturl()
+
+
 def _place_at(path: Path) -> Place:
     return ZipPlace(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalPlace(path)
 
@@ -161,7 +170,10 @@ class ObjectPlace(Place):
     patience: float = field(default=BRIEF, compare=False)
 
     def __str__(self) -> str:
-        return self.url
+        return without_secrets(self.url)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
 
     @property
     def client(self) -> "ObjectStore":
@@ -170,7 +182,7 @@ class ObjectPlace(Place):
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
     def inner(self, folder: str) -> "ObjectPlace":
-        return replace(self, url=f"{self.url}/{folder}").behind(self.fence)
+        return replace(self, url=url_below(self.url, folder)).behind(self.fence)
 
     def get(self, key: str) -> bytes | None:
         tagged = self.get_tagged(key)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from atlas.errors import NetworkError
+from atlas.errors import NetworkError, without_secrets
 
 BRIEF = 15.0
 """Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
@@ -64,7 +64,7 @@ def first_line(error: Exception) -> str:
     text = (lines[0].rstrip(": ") if lines else "") or type(error).__name__
     found = [re.search(rf"<{name}>([^<]*)</{name}>", answer) for name in ("Code", "Message")]
     said = ": ".join(" ".join(match[1].split()) for match in found if match)
-    return f"{text} ({said})" if said else text
+    return without_secrets(f"{text} ({said})" if said else text)
 
 
 class _Outage:
@@ -88,7 +88,7 @@ class _Outage:
         self.begin = min(self.begin, now)
         tried = now - self.begin
         if tried >= self.patience:
-            raise NetworkError(f"{self.url}: no answer for {tried:.0f} s ({line})") from None
+            raise NetworkError(f"{without_secrets(self.url)}: no answer for {tried:.0f} s ({line})") from None
         pause = min(self.next * random.uniform(0.5, 1.0), self.patience - tried)  # not all workers at once
         self.next = min(2.0 * self.next, _LONGEST_PAUSE)
         return pause

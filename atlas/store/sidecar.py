@@ -304,7 +304,8 @@ class UrlNotes:
 
 def notes_at_url(store: ObjectPlace) -> UrlNotes:
     """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
-    above, _, name = str(store).rpartition("/")
-    if not urlsplit(str(store)).path.strip("/"):
+    parts = urlsplit(store.url)
+    above, _, name = parts.path.rstrip("/").rpartition("/")
+    if not name:
         raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
-    return UrlNotes(replace(store, url=f"{above}/.{name}.run"))
+    return UrlNotes(replace(store, url=parts._replace(path=f"{above}/.{name}.run").geturl()))
