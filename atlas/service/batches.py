@@ -82,14 +82,14 @@ if TYPE_CHECKING:
 class Attempt(Generic[J]):
     """A job that is to be done: its failures so far, and the workers that may do it, None for any.
 
-    ``since`` is when it was submitted, by the monotonic clock; ``moved``: it was taken from a worker that hangs.
+    ``since`` is when it was submitted, by the monotonic clock; ``is_moved``: it was taken from a worker that hangs.
     """
 
     job: J
     failures: tuple[Failure, ...] = ()
     workers: tuple[str, ...] | None = None
     since: float = 0.0
-    moved: bool = False
+    is_moved: bool = False
 
 
 def work(act: Callable[[J], R], job: J) -> Result[R]:
@@ -148,8 +148,8 @@ class Batches(Generic[J, R]):
         """The attempts under way by the worker that has them, begun or not, by one request to the scheduler."""
         under_way = {future.key: attempt for future, attempt in self._running.items()}
         with loss_reported(self._client):
-            found = self._client.processing()
-        held = {worker: [under_way[key] for key in keys if key in under_way] for worker, keys in found.items()}
+            keys_by_worker = self._client.processing()
+        held = {worker: [under_way[key] for key in keys if key in under_way] for worker, keys in keys_by_worker.items()}
         return {worker: attempts for worker, attempts in held.items() if attempts}
 
     def set_apart(self, worker: str, attempts: Iterable[Attempt[J]]) -> None:

@@ -150,16 +150,16 @@ class Workforce(Generic[J, R]):
         willing = self.threads.keys() - self.fitness.left_out.keys()
         hung = {}
         for worker, attempts in self.running.held().items():
-            old = [attempt for attempt in attempts if not attempt.moved and now - attempt.since > limit]
+            old = [attempt for attempt in attempts if not attempt.is_moved and now - attempt.since > limit]
             if worker in willing and old and now - self.heard[worker] > limit:
-                hung[worker] = [attempt for attempt in attempts if not attempt.moved]
+                hung[worker] = [attempt for attempt in attempts if not attempt.is_moved]
         for worker, attempts in hung.items() if willing - hung.keys() else ():  # else there is no other worker
             silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
             reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
             LOG.debug("%s hangs: %s", worker, reason)
             self.fitness.refuse(Refusal(worker, f"{reason}; others do them"))
             self.running.set_apart(worker, attempts)
-            self.again.extend(replace(attempt, moved=True) for attempt in attempts)
+            self.again.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
     def need(self, memory: int) -> None:
         """Set the bytes that jobs need from now on: workers with less memory are excluded."""

@@ -100,8 +100,8 @@ def signed_in(url: str, access: Access) -> tuple[str, Access]:
     InputError for a bucket's URL that has some, which no client reads.
     """
     parts = urlsplit(url)
-    user, found, host = parts.netloc.rpartition("@")
-    if not found:
+    user, sign, host = parts.netloc.rpartition("@")
+    if not sign:
         return url, access
     if parts.scheme not in ("http", "https"):
         raise InputError(f"{url}: has a user or a password, which must be in storage_options or in the environment")

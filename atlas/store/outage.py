@@ -23,7 +23,7 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)|\(RequestTimeout\b")
 """Messages of obstore for failures that may pass: no connection, a cut one, an overloaded or broken server."""
 _REFUSED = re.compile(r"status code: 40[013]\b")
-"""Messages for requests that the server refuses, whatever their objects are: S3 says 400 of an expired credential."""
+"""Messages for requests that the server refuses, not for one object: S3 answers 400 to an expired credential."""
 _T = TypeVar("_T")
 
 
@@ -62,9 +62,9 @@ def first_line(error: Exception) -> str:
     first, _, answer = str(error).partition("\n\nDebug source")[0].partition("<")
     lines = first.splitlines()
     text = (lines[0].rstrip(": ") if lines else "") or type(error).__name__
-    found = [re.search(rf"<{name}>([^<]*)</{name}>", answer) for name in ("Code", "Message")]
-    said = ": ".join(" ".join(match[1].split()) for match in found if match)
-    return without_secrets(f"{text} ({said})" if said else text)
+    matches = [re.search(rf"<{name}>([^<]*)</{name}>", answer) for name in ("Code", "Message")]
+    reason = ": ".join(" ".join(match[1].split()) for match in matches if match)
+    return without_secrets(f"{text} ({reason})" if reason else text)
 
 
 class _Outage:
