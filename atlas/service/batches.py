@@ -145,12 +145,13 @@ class Batches(Generic[J, R]):
         return min((attempt.since for attempt in self._running.values()), default=math.inf)
 
     def held(self) -> dict[str, list[Attempt[J]]]:
-        """The attempts under way by the worker that has them, begun or not, by one request to the scheduler."""
+        """The attempts under way by the worker that has them, the oldest first, by one request to the scheduler."""
         under_way = {future.key: attempt for future, attempt in self._running.items()}
         with loss_reported(self._client):
             keys_by_worker = self._client.processing()
         held = {worker: [under_way[key] for key in keys if key in under_way] for worker, keys in keys_by_worker.items()}
-        return {worker: attempts for worker, attempts in held.items() if attempts}
+        oldest_first = {w: sorted(held[w], key=lambda attempt: (attempt.since, attempt.job.index)) for w in held}
+        return {worker: attempts for worker, attempts in oldest_first.items() if attempts}
 
     def set_apart(self, worker: str, attempts: Iterable[Attempt[J]]) -> None:
         """Count attempts on a worker as under way no more. They go on, since Dask cannot interrupt them."""

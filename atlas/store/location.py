@@ -224,9 +224,7 @@ class ObjectPlace(Place):
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
         """See Place. The fence is called once for requests that begin together, and again before each repetition."""
-        import obstore
-
-        self._begin_together(objects, lambda key: obstore.put(self.client, key, objects[key]))
+        self._change_together(objects, lambda place, key: place.put(key, objects[key]))
 
     def take_all(self, other: Place, keys: Iterable[str]) -> None:
         """See Place. Within a bucket the server copies objects itself."""
@@ -235,32 +233,28 @@ class ObjectPlace(Place):
             return super().take_all(other, keys)
         import obstore
 
-        def take(key: str) -> None:
-            with suppress(FileNotFoundError):
+        def take(place: ObjectPlace, key: str) -> None:
+            def once() -> None:
+                place.confirm()
                 obstore.copy(bucket, theirs + key, mine + key)
 
-        self._begin_together(keys, take)
+            with suppress(FileNotFoundError):
+                place._persist(once)
 
-    def _begin_together(self, keys: Iterable[str], change: Callable[[str], object]) -> None:
+        self._change_together(keys, take)
+
+    def _change_together(self, keys: Iterable[str], change: "Callable[[ObjectPlace, str], None]") -> None:
         """Change objects, AT_ONCE at a time: there may be an outage before the next ones, or before a repetition."""
 
-        def persist_on(key: str) -> None:
-            begun = False
-
-            def once() -> None:
-                nonlocal begun
-                if begun:
-                    self.confirm()
-                begun = True
-                change(key)
-
-            self._persist(once)
+        def change_one(key: str) -> None:
+            looks = itertools.count()
+            change(self.behind(lambda: self.confirm() if next(looks) else None), key)
 
         rest = iter(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
             while together := list(itertools.islice(rest, AT_ONCE)):
                 self.confirm()
-                list(pool.map(persist_on, together))
+                list(pool.map(change_one, together))
 
     def _in_bucket_of(self, other: Place) -> "tuple[ObjectStore | None, str, str]":
         """The client of the bucket of both places, and the prefixes of their keys; None without a common bucket."""
