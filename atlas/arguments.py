@@ -63,9 +63,9 @@ def checked_suffix(path: Path, formats: Sequence[str]) -> str:
 
 
 def checked_path(given: object, name: str = "path") -> Path:
-    """A path of this machine."""
+    """A path of this machine; a ``~`` at its beginning is the user's home."""
     if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):
-        return Path(given)
+        return Path(os.path.expanduser(given))
     raise InputError(f"{name}: found {shown(given)}, must be a path")
 
 

@@ -1,5 +1,6 @@
 """Errors that a user can correct."""
 
+import re
 import reprlib
 from collections.abc import Iterable, Mapping
 
@@ -33,9 +34,25 @@ class NetworkError(OSError):
     """A store at a URL that did not answer within the time it was given, in one line."""
 
 
+class UnlistedError(OSError):
+    """A server that does not list its objects, such as a plain web server."""
+
+
+_USER, _QUERY = re.compile(r"(\w://)[^/\s]*@"), re.compile(r"(\w://[^\s?]*\?)[^\s)]+")
+"""The user and the password of a URL; its query, in which a signature may be."""
+
+
+def without_secrets(text: str) -> str:
+    """The text with ``***`` in place of users, passwords and queries of URLs."""
+    return _QUERY.sub(r"\1***", _USER.sub(r"\1***@", text))
+
+
 def one_line(message: str) -> str:
-    """The message on one line of bounded length: white space as single blanks, the middle left out where too long."""
-    line = " ".join(message.split())
+    """The message on one line of bounded length: white space as single blanks, the middle left out where too long.
+
+    Secrets of URLs are left out.
+    """
+    line = without_secrets(" ".join(message.split()))
     if len(line) <= LONGEST_LINE:
         return line
     half = (LONGEST_LINE - 5) // 2

@@ -37,6 +37,8 @@ CREDENTIALS = {
 }
 
 
+EXPIRED = b"""<?xml version="1.0" encoding="UTF-8"?>
+<Error><Code>ExpiredToken</Code><Message>The provided token has expired.</Message><Token-0>a-secret</Token-0></Error>"""
 PAGE = 1000
 """Keys per page of a listing, as in real stores."""
 _CONTROL = "/.control"
@@ -59,7 +61,8 @@ class Request:
 class Trouble:
     """A fault: from put number ``after`` of a key beginning with ``mark`` on, the next ``left`` requests fail.
 
-    ``how`` is a status to answer with, "drop" to close the connection, "lost" to do the request and then close it.
+    ``how`` is a status to answer with, "drop" to close the connection, "lost" to do the request and then close it, or
+    "expired" to answer as S3 does to an expired credential.
     """
 
     after: int = 0
@@ -181,6 +184,8 @@ class _Handler(BaseHTTPRequestHandler):
             status, data, generation = trouble, b"", 0
             if trouble is None or trouble == "lost":
                 status, data, generation = self.served.answer(request, query, body)
+        if trouble == "expired":
+            status, data, trouble = 400, EXPIRED, 400
         if isinstance(trouble, str):
             self.connection.shutdown(socket.SHUT_RDWR)
             self.close_connection = True

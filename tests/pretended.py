@@ -29,6 +29,7 @@ class PretendedFuture:
     """Dask's future."""
 
     job: Numbered
+    key: object
     worker: str = ""
     status: str = "pending"
 
@@ -87,12 +88,22 @@ class Cluster:
         self.requests["scheduler_info"] += 1
         return {"workers": {worker: {"memory_limit": 0, "status": "running"} for worker in self.workers}}
 
+    def processing(self) -> dict[str, list[Any]]:
+        self.requests["processing"] += 1
+        return {worker: [future.key for future in queue] for worker, queue in self._queues.items()}
+
     def map(
-        self, work: object, acts: list[object], jobs: list[Numbered], workers: list[str] | None, **_: object
+        self,
+        work: object,
+        acts: list[object],
+        jobs: list[Numbered],
+        workers: list[str] | None,
+        key: list[object],
+        **_: object,
     ) -> list[PretendedFuture]:
         """Each job goes to the worker that has fewest, as Dask gives it."""
         self.requests["map"] += 1
-        futures = [PretendedFuture(job) for job in jobs]
+        futures = [PretendedFuture(*pair) for pair in zip(jobs, key, strict=True)]
         loads = [(len(self._queues[worker]), k, worker) for k, worker in enumerate(workers or self.workers)]
         heapq.heapify(loads)
         for future in futures:
@@ -127,7 +138,8 @@ class Cluster:
 
     def _result(self, future: PretendedFuture) -> object:
         reason = self.fails(future.worker, future.job)
-        return Failure(future.worker, reason) if reason else Done(future.worker, future.job)
+        seconds = self.seconds(future.worker, future.job)
+        return Failure(future.worker, reason) if reason else Done(future.worker, future.job, seconds)
 
 
 def outcomes(

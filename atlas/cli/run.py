@@ -25,7 +25,7 @@ from atlas.cli.options import (
     timing_of,
 )
 from atlas.cli.output import to_json
-from atlas.errors import InputError
+from atlas.errors import InputError, without_secrets
 from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
@@ -300,10 +300,10 @@ def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> 
 
 
 def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
-    """A command line: words, then the options that have a value."""
+    """A command line: words, then the options that have a value; secrets of URLs are left out."""
     given |= {"scheduler": options.scheduler, "workers": options.workers}
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
-    return shlex.join(["atlas", *words, *(word for pair in pairs for word in pair)])
+    return shlex.join(map(without_secrets, ["atlas", *words, *(word for pair in pairs for word in pair)]))
 
 
 def _report(ctx: click.Context, summary: Summary) -> None:

@@ -116,7 +116,8 @@ class Pyramid:
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Indices of the existing chunks of a level, by one of MARKS; from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        indices = (chunk_index(key.removeprefix(root), grid) for key in self.handle.place.list_keys(root))
+        keys = self.handle.place.whole_keys(self.handle.place.list_keys(root))
+        indices = (chunk_index(key.removeprefix(root), grid) for key in keys)
         return {index for index in indices if index is not None}
 
     def create(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.arguments import checked_suffix
+from atlas.arguments import checked_path, checked_suffix
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, within
 from atlas.query.window import columns as columns_of
@@ -44,7 +44,7 @@ def export(
     Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
     that cannot be written.
     """
-    target = Path(path)
+    target = checked_path(path)
     suffix = checked_suffix(target, FORMATS)
     shown = within(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
@@ -88,6 +88,8 @@ def written_whole(target: Path) -> Iterator[Path]:
     try:
         try:
             yield unfinished
+            with unfinished.open("rb+") as file:
+                os.fsync(file.fileno())  # or a rename could outlive the content
             os.replace(unfinished, target)
         finally:
             unfinished.unlink(missing_ok=True)

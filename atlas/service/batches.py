@@ -10,7 +10,7 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from atlas.errors import NetworkError, RunError
@@ -65,10 +65,11 @@ class Labour(Generic[J, R]):
 
 @dataclass(frozen=True)
 class Done(Generic[R]):
-    """The result of a job, and the worker that did it."""
+    """The result of a job, the worker that did it, and its seconds, with those of the worker's setup if it waited."""
 
     worker: str
     result: R
+    seconds: float = 0.0
 
 
 Result: TypeAlias = Done[R] | Refusal | Failure
@@ -79,20 +80,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Attempt(Generic[J]):
-    """A job that is to be done: its failures so far, and the workers that may do it, None for any."""
+    """A job that is to be done: its failures so far, and the workers that may do it, None for any.
+
+    ``since`` is when it was submitted, by the monotonic clock; ``is_moved``: it was taken from a worker that hangs.
+    """
 
     job: J
     failures: tuple[Failure, ...] = ()
     workers: tuple[str, ...] | None = None
+    since: float = 0.0
+    is_moved: bool = False
 
 
 def work(act: Callable[[J], R], job: J) -> Result[R]:
     """A worker's function: it runs the job, and returns an exception as a value that names the worker."""
     from distributed import get_worker
 
-    here = get_worker().address
+    here, begin = get_worker().address, time.perf_counter()
     try:
-        return Done(here, act(job))
+        result = act(job)
+        return Done(here, result, time.perf_counter() - begin)
     except RefusedError as error:
         return Refusal(here, str(error))
     except NetworkError as error:
@@ -110,6 +117,7 @@ class Batches(Generic[J, R]):
         self._client, self._act, self._seconds = client, act, seconds
         self._token, self._submitted = uuid.uuid4().hex[:8], 0
         self._running: dict[Ended[R], Attempt[J]] = {}
+        self._apart: dict[Ended[R], str] = {}
         self._taken = -math.inf
 
     def __len__(self) -> int:
@@ -128,7 +136,35 @@ class Batches(Generic[J, R]):
             acts, names = [self._act] * len(jobs), list(workers) if workers else None
             with loss_reported(self._client):
                 futures = self._client.map(work, acts, jobs, key=keys, workers=names, pure=False)
-            self._running.update(zip(futures, group, strict=True))
+            now = time.monotonic()
+            self._running.update({future: replace(one, since=now) for future, one in zip(futures, group, strict=True)})
+
+    @property
+    def oldest(self) -> float:
+        """When the first of the attempts under way was submitted; infinite without any."""
+        return min((attempt.since for attempt in self._running.values()), default=math.inf)
+
+    def held(self) -> dict[str, list[Attempt[J]]]:
+        """The attempts under way by the worker that has them, the oldest first, by one request to the scheduler."""
+        under_way = {future.key: attempt for future, attempt in self._running.items()}
+        with loss_reported(self._client):
+            keys_by_worker = self._client.processing()
+        held = {worker: [under_way[key] for key in keys if key in under_way] for worker, keys in keys_by_worker.items()}
+        oldest_first = {w: sorted(held[w], key=lambda attempt: (attempt.since, attempt.job.index)) for w in held}
+        return {worker: attempts for worker, attempts in oldest_first.items() if attempts}
+
+    def set_apart(self, worker: str, attempts: Iterable[Attempt[J]]) -> None:
+        """Count attempts on a worker as under way no more. They go on, since Dask cannot interrupt them."""
+        gone = {id(attempt) for attempt in attempts}
+        for future in [future for future, attempt in self._running.items() if id(attempt) in gone]:
+            del self._running[future]
+            self._apart[future] = worker
+
+    def returned(self) -> set[str]:
+        """The workers whose attempts were set apart and have all ended since, each once."""
+        before = {*self._apart.values()}
+        self._apart = {future: worker for future, worker in self._apart.items() if not future.done()}
+        return before - {*self._apart.values()}
 
     def withdraw(self, which: Callable[[Attempt[J]], bool], waiting: bool = False) -> list[Attempt[J]]:
         """Take back attempts; with ``waiting`` only attempts that no worker has begun: Dask cannot interrupt others."""

@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from atlas.arguments import checked_path
 from atlas.errors import InputError, RunError
 from atlas.platform import interrupts_blocked
 from atlas.service.timing import TIMING, Timing
@@ -150,7 +151,7 @@ def performance_reported(
         return
     from distributed import performance_report
 
-    report = performance_report(os.fspath(path), mode="inline")
+    report = performance_report(str(checked_path(path)), mode="inline")
     with loss_reported(client), client.as_current():
         report.__enter__()
     try:

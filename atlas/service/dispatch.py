@@ -35,7 +35,9 @@ SPARE = 1
 ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
 NAMED = 3
-"""Workers named in a line about several."""
+"""Workers, or tiles of a worker, named in a line about several."""
+SLOW = 10.0
+"""Times the longest job so far, after which a worker that has ended none hangs, if ``Timing.hung`` is over too."""
 CHOICES = 64
 """Workers that jobs are restricted to, and four for each job: Dask keeps a copy of the list for each job."""
 
@@ -62,8 +64,9 @@ class Workforce(Generic[J, R]):
     """The workers of a cluster, and the record of their successes and failures.
 
     A job that fails is tried again, on another worker or machine if there is one. A worker is excluded if FAILURES jobs
-    in a row failed there while other workers succeed, or if it has too little memory. ``ahead`` is the number of
-    seconds of work that wait for each thread; with 0 the next job is chosen as late as possible.
+    in a row failed there while other workers succeed, if it has too little memory, or while it hangs. Its jobs are then
+    given to others, each once: a job that is as slow elsewhere is slow. ``ahead`` is the number of seconds of work that
+    wait for each thread; with 0 the next job is chosen as late as possible.
     """
 
     def __init__(
@@ -78,6 +81,8 @@ class Workforce(Generic[J, R]):
         self.threads: dict[str, int] = {}
         self.most_workers = self.done = 0
         self.thread_seconds = 0.0
+        self.longest: float | None = None
+        self.heard: dict[str, float] = {}
         self.last_good = self.last_end = self.looked = time.monotonic()
 
     def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
@@ -127,6 +132,34 @@ class Workforce(Generic[J, R]):
         if lost:
             LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
         self.again.extend(lost)
+        for worker in threads:
+            self.heard.setdefault(worker, now)
+        self.move_jobs(now)
+
+    def move_jobs(self, now: float) -> None:
+        """Take jobs from workers that hang, and give workers that hang no more jobs again."""
+        for worker in self.running.returned():
+            LOG.debug("%s has ended the tiles that were taken from it", worker)
+            self.fitness.readmit(worker)
+            self.heard[worker] = now
+        if self.longest is None:
+            return
+        limit = max(self.timing.hung, SLOW * self.longest)
+        if now - self.running.oldest <= limit:
+            return
+        willing = self.threads.keys() - self.fitness.left_out.keys()
+        hung = {}
+        for worker, attempts in self.running.held().items():
+            old = [attempt for attempt in attempts if not attempt.is_moved and now - attempt.since > limit]
+            if worker in willing and old and now - self.heard[worker] > limit:
+                hung[worker] = [attempt for attempt in attempts if not attempt.is_moved]
+        for worker, attempts in hung.items() if willing - hung.keys() else ():  # else there is no other worker
+            silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
+            reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
+            LOG.debug("%s hangs: %s", worker, reason)
+            self.fitness.refuse(Refusal(worker, f"{reason}; others do them"))
+            self.running.set_apart(worker, attempts)
+            self.again.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
     def need(self, memory: int) -> None:
         """Set the bytes that jobs need from now on: workers with less memory are excluded."""
@@ -148,7 +181,11 @@ class Workforce(Generic[J, R]):
         memory = worker_memory(self.client)
         paused = [f"{worker} (limit {byte_size(limit)})" for worker, (limit, stopped) in memory.items() if stopped]
         if not paused:
-            return ""
+            usual = self.timing.hung if self.longest is None else 2.0 * self.longest
+            held = self.running.held() if silent >= usual else {}
+            shown = [f"{worker} has {_tiles(attempts)}" for worker, attempts in held.items()]
+            more = ", ..." if len(shown) > NAMED else ""
+            return f"nothing has ended for {duration(silent)}: {', '.join(shown[:NAMED])}{more}" if shown else ""
         names = ", ".join(paused[:NAMED]) + (", ..." if len(paused) > NAMED else "")
         return (
             f"nothing has ended for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} for lack of "
@@ -205,9 +242,12 @@ class Workforce(Generic[J, R]):
     def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
+        if result.worker:
+            self.heard[result.worker] = self.last_end
         if isinstance(result, Done):
             self.fitness.finish(result.worker)
             self.done += 1
+            self.longest = max(self.longest or 0.0, result.seconds)
             return result.result
         if isinstance(result, Refusal):
             LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
@@ -239,6 +279,12 @@ class Workforce(Generic[J, R]):
             else:
                 yield _given_up(attempt)
         self.doubtful.clear()
+
+
+def _tiles(attempts: list[Attempt[J]]) -> str:
+    """The first of some attempts' tiles, in words."""
+    names = ", ".join(str(attempt.job.index) for attempt in attempts[:NAMED])
+    return f"tile{'s' * (len(attempts) > 1)} {names}{', ...' * (len(attempts) > NAMED)}"
 
 
 def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...] | None:

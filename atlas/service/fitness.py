@@ -54,6 +54,10 @@ class Fitness:
         if refusal.passing:
             self._away.add(refusal.worker)
 
+    def readmit(self, worker: str) -> None:
+        """A worker that refused may get jobs again."""
+        self.refused.pop(worker, None)
+
     def finish(self, worker: str) -> None:
         """A worker has done a job."""
         self._proven.add(worker)

@@ -98,6 +98,7 @@ class Claim:
         self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
         self._advanced, self._most_silent = time.monotonic(), max(timing.dead, patience)
         self.lost = ""
+        self._failure: OSError | None = None
         self._released, self._one_beat = threading.Event(), threading.Lock()
         self._progress: Mapping[str, Any] = {}
         self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
@@ -121,10 +122,11 @@ class Claim:
         While it is unknown whether another run has replaced the claim, wait; ``waiting`` is called before each pause.
         """
         while (silent := time.monotonic() - self._advanced) > self._timing.dead and not self.lost:
-            if silent > self._most_silent:
+            if silent > self._most_silent or isinstance(self._failure, PermissionError):  # which does not pass
+                reason = f" ({self._failure.strerror or self._failure})" if self._failure else ""
                 self.lost = (
-                    f"this run could not renew its claim of the store for {silent:.0f} s, so that another run may have "
-                    "replaced it; finished tiles are kept, and the same command resumes"
+                    f"this run could not renew its claim of the store for {silent:.0f} s{reason}, so that another run "
+                    "may have replaced it; finished tiles are kept, and the same command resumes"
                 )
                 break
             waiting()
@@ -158,8 +160,10 @@ class Claim:
 
     def _beat_on(self) -> None:
         while not self._released.wait(self._timing.beat) and not self.lost:
-            with suppress(OSError):  # a disk that is away comes back, or another run replaces the claim
+            try:
                 self._beat()
+            except OSError as error:  # a disk that is away comes back, or another run replaces the claim
+                self._failure = error
 
     def _beat(self) -> None:
         with self._one_beat:
@@ -168,6 +172,7 @@ class Claim:
                 begin = time.monotonic()
                 if self._notes.put(CLAIM, advanced.pack(), expected=self._data):
                     self._record, self._data, self._advanced = advanced, advanced.pack(), begin
+                    self._failure = None
                     return
                 data = self._notes.read(CLAIM)
                 record = Record.unpack(data) if data is not None else None

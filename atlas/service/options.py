@@ -6,10 +6,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
-from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
-from atlas.arguments import checked_kind, is_whole
+from atlas.arguments import checked_kind, checked_path, is_whole
 from atlas.errors import InputError, shown
 from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
@@ -71,7 +70,7 @@ class RunOptions:
         if self.performance_report is not None:
             if self.tile is not None:
                 raise InputError("performance_report: is of workers, and a tile is done in this process; give one")
-            path = Path(self.performance_report)
+            path = checked_path(self.performance_report)
             if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
                 raise InputError(f"performance_report {path}: cannot be written; give a file in a folder that is there")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):

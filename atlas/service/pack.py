@@ -84,7 +84,7 @@ def pack(
     _refuse_running(handle, timing)
     if handle.place.local is not None:
         _refuse_links(handle.place.local)
-    tiles, keys = done_tiles(handle), sorted(handle.place.list_keys())
+    tiles, keys = done_tiles(handle), sorted(handle.place.whole_keys(handle.place.list_keys()))
     _refuse_lost(handle, tiles, set(keys))
     with reporting(on_progress) as report:
         size = _pack(handle, keys, target, report or (lambda _: None), timing)

@@ -73,7 +73,7 @@ def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOption
     place = place_of(store)
     refuse_packed(place)
     known = isinstance(place, LocalPlace) or getattr(place, "access", None) == BY_ENVIRONMENT
-    if options.storage_options is not None or not known:
+    if options.storage_options is not None or not known or place_of(str(place)) != place:
         raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
     options.report(Progress(f"connecting to {scheduler}", passing=True))
     with connected(scheduler, options.tls, timing) as client:

@@ -18,6 +18,7 @@ class Timing:
     look      between two looks at the claim of another run
     silent    after which a counter that stands still is reported: one beat may be late, two rarely are
     stalled   after which a run without a finished tile gives the reason, if known
+    hung      after which a worker that ends no job may hang, if it is also many times the longest job so far
     dead      after which the holder of a still counter counts as dead: ten beats, for a busy network disk
     """
 
@@ -29,6 +30,7 @@ class Timing:
     look: float = 0.2
     silent: float = 5.0
     stalled: float = 30.0
+    hung: float = 60.0
     dead: float = 20.0
 
     __repr__ = short_repr

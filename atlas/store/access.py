@@ -4,11 +4,13 @@ A user gives ``storage_options`` in the words of obstore or of fsspec, or an obs
 values, which can be sent to workers, and makes its own clients from them; a client tries every request once.
 """
 
+import base64
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote, urlsplit
 
 from atlas.errors import InputError, shown
 
@@ -90,6 +92,23 @@ def access_by(options: Mapping[str, Any], url: str) -> Access:
     if not isinstance(client, Mapping):
         raise InputError(f"storage_options: {_CLIENT}: found {shown(client)}, must be settings by name")
     return Access(_frozen(config), _frozen(client), options.get(_PROVIDER))
+
+
+def signed_in(url: str, access: Access) -> tuple[str, Access]:
+    """A URL without its user and password, and the access with them, as browsers and curl give them to web servers.
+
+    InputError for a bucket's URL that has some, which no client reads.
+    """
+    parts = urlsplit(url)
+    user, sign, host = parts.netloc.rpartition("@")
+    if not sign:
+        return url, access
+    if parts.scheme not in ("http", "https"):
+        raise InputError(f"{url}: has a user or a password, which must be in storage_options or in the environment")
+    client = _thawed(access.client)
+    basic = "Basic " + base64.b64encode(unquote(user).encode()).decode()
+    client["default_headers"] = {"authorization": basic} | client.get("default_headers", {})
+    return parts._replace(netloc=host).geturl(), replace(access, client=_frozen(client))
 
 
 def is_obstore(store: object) -> bool:

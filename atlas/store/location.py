@@ -4,6 +4,7 @@ Zarr reads and writes arrays in any place by stores of its own. This module list
 and writes under a condition, which an object store has in place of a rename.
 """
 
+import itertools
 import os
 import pickle
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -17,8 +18,8 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from atlas.arguments import checked_path
-from atlas.errors import InputError, NetworkError, shown
-from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder
+from atlas.errors import InputError, NetworkError, UnlistedError, shown, without_secrets
+from atlas.store.access import BY_ENVIRONMENT, Access, access_by, access_of, is_obstore, local_folder, signed_in
 from atlas.store.archive import SUFFIX, ZipPlace
 from atlas.store.outage import BRIEF, first_line, persist
 from atlas.store.place import LocalPlace as LocalPlace
@@ -68,12 +69,15 @@ def place_of(store: Given, patience: float = BRIEF, storage_options: Mapping[str
     if scheme == "file":
         if storage_options:
             raise InputError("storage_options: need a server, found file://")
-        return _place_at(Path(url2pathname(urlsplit(store.rstrip("/")).path)).absolute())
+        parts = urlsplit(store.rstrip("/"))
+        begin = "" if parts.netloc == "localhost" else parts.netloc  # a relative path, as fsspec reads file://data/x
+        return _place_at(checked_path(begin + url2pathname(parts.path), "store").absolute())
     if scheme not in SCHEMES:
         raise InputError(f"{store}: found {scheme}://, must be a path, file:// or one of {', '.join(SCHEMES)}://")
     options = storage_options or _beyond
     access = access_by(options, store) if options else BY_ENVIRONMENT
-    return _checked(ObjectPlace(store.rstrip("/"), access, patience))
+    url, access = signed_in(store.rstrip("/"), access)
+    return _checked(ObjectPlace(url, access, patience))
 
 
 @contextmanager
@@ -133,6 +137,12 @@ def is_url(store: object) -> TypeGuard[str]:
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
+def url_below(url: str, folder: str) -> str:
+    """The URL of a folder of a URL, with the same query."""
+    parts = urlsplit(url)
+    return parts._replace(path=f"{parts.path}/{folder}").geturl()
+
+
 def _place_at(path: Path) -> Place:
     return ZipPlace(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalPlace(path)
 
@@ -160,7 +170,10 @@ class ObjectPlace(Place):
     patience: float = field(default=BRIEF, compare=False)
 
     def __str__(self) -> str:
-        return self.url
+        return without_secrets(self.url)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
 
     @property
     def client(self) -> "ObjectStore":
@@ -169,7 +182,7 @@ class ObjectPlace(Place):
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
     def inner(self, folder: str) -> "ObjectPlace":
-        return replace(self, url=f"{self.url}/{folder}").behind(self.fence)
+        return replace(self, url=url_below(self.url, folder)).behind(self.fence)
 
     def get(self, key: str) -> bytes | None:
         tagged = self.get_tagged(key)
@@ -210,11 +223,8 @@ class ObjectPlace(Place):
         self._persist(once)
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """See Place. The fence is called once, since all requests begin together."""
-        self.confirm()
-        unfenced = self.behind(None)
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(unfenced.put, objects.keys(), objects.values()))
+        """See Place. The fence is called once for requests that begin together, and again before each repetition."""
+        self._change_together(objects, lambda place, key: place.put(key, objects[key]))
 
     def take_all(self, other: Place, keys: Iterable[str]) -> None:
         """See Place. Within a bucket the server copies objects itself."""
@@ -223,13 +233,28 @@ class ObjectPlace(Place):
             return super().take_all(other, keys)
         import obstore
 
-        def take(key: str) -> None:
-            with suppress(FileNotFoundError):
-                self._persist(lambda: obstore.copy(bucket, theirs + key, mine + key))
+        def take(place: ObjectPlace, key: str) -> None:
+            def once() -> None:
+                place.confirm()
+                obstore.copy(bucket, theirs + key, mine + key)
 
-        self.confirm()
+            with suppress(FileNotFoundError):
+                place._persist(once)
+
+        self._change_together(keys, take)
+
+    def _change_together(self, keys: Iterable[str], change: "Callable[[ObjectPlace, str], None]") -> None:
+        """Change objects, AT_ONCE at a time: there may be an outage before the next ones, or before a repetition."""
+
+        def change_one(key: str) -> None:
+            looks = itertools.count()
+            change(self.behind(lambda: self.confirm() if next(looks) else None), key)
+
+        rest = iter(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(take, keys))
+            while together := list(itertools.islice(rest, AT_ONCE)):
+                self.confirm()
+                list(pool.map(change_one, together))
 
     def _in_bucket_of(self, other: Place) -> "tuple[ObjectStore | None, str, str]":
         """The client of the bucket of both places, and the prefixes of their keys; None without a common bucket."""
@@ -308,7 +333,15 @@ class ObjectPlace(Place):
         def once() -> list[str]:
             return [entry["path"] for page in obstore.list(self.client, prefix or None) for entry in page]
 
-        yield from self._persist(once)
+        try:
+            yield from self._persist(once)
+        except NetworkError:
+            raise
+        except OSError:
+            if not self.url.startswith("http"):
+                raise
+            said = f"{self}: this web server does not list the objects of the store; copy the store to a disk"
+            raise UnlistedError(said) from None
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
         """Put an object under a condition; False if one of the errors ``refusals`` shows that it does not hold."""

@@ -31,7 +31,7 @@ from atlas.store.schema import (
     root_attributes,
 )
 from atlas.store.spare import SPARE, packed_spare, remedy
-from atlas.store.store import Atlas, open_handle
+from atlas.store.store import Atlas, open_group, open_handle
 from atlas.store.tiling import Tiling
 from workers import SOLVER_VERSION
 from workers.model.names import NAMES
@@ -140,8 +140,11 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
     """Make a store without a result in a folder of this machine."""
     import zarr
 
+    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+
     variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
-    group = zarr.create_group(path, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
+    store = zarr_store(LocalPlace(path), read_only=False)
+    group = zarr.create_group(store, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
     group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
     for name, coordinate in coordinates(spec).items():
         create_whole(group, name, coordinate)
@@ -175,8 +178,6 @@ def metadata_apart(place: Place, group: str) -> Iterator[Any]:
 
     The group's own metadata are put after its members, and the root's, which contain copies of them, at the end.
     """
-    import zarr
-
     nodes = json.loads(place.get(ROOT) or b"{}").get("consolidated_metadata", {}).get("metadata", {})
     keys = [ROOT, *(f"{name}/{ROOT}" for name in nodes if f"{name}/".partition("/")[0] != group)]
     place.remove(f"{group}/{ROOT}")
@@ -185,7 +186,7 @@ def metadata_apart(place: Place, group: str) -> Iterator[Any]:
         built = LocalPlace(Path(folder))
         for key, data in place.get_all(keys).items():
             built.put(key, data)
-        root = zarr.open_group(built.path, mode="r+", use_consolidated=False, zarr_format=3)
+        root = open_group(built, "r+")
         yield root
         consolidate(root)
         made = {key for key in built.list_keys() if key.partition("/")[0] == group}

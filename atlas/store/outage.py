@@ -13,15 +13,17 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from atlas.errors import NetworkError
+from atlas.errors import NetworkError, without_secrets
 
 BRIEF = 15.0
 """Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
 LONG = 180.0
 """Seconds that a run waits for a store that it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
-_PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)")
+_PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)|\(RequestTimeout\b")
 """Messages of obstore for failures that may pass: no connection, a cut one, an overloaded or broken server."""
+_REFUSED = re.compile(r"status code: 40[013]\b")
+"""Messages for requests that the server refuses, not for one object: S3 answers 400 to an expired credential."""
 _T = TypeVar("_T")
 
 
@@ -56,10 +58,13 @@ async def persist_async(call: Callable[[], Awaitable[_T]], url: str, patience: f
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error, without the server's XML and the library's details."""
-    lines = str(error).splitlines()
-    text = lines[0].partition("<?xml")[0].rstrip(": ") if lines else ""
-    return text or type(error).__name__
+    """The first line of an error, without the library's details; of the server's XML its code and message."""
+    first, _, answer = str(error).partition("\n\nDebug source")[0].partition("<")
+    lines = first.splitlines()
+    text = (lines[0].rstrip(": ") if lines else "") or type(error).__name__
+    matches = [re.search(rf"<{name}>([^<]*)</{name}>", answer) for name in ("Code", "Message")]
+    reason = ": ".join(" ".join(match[1].split()) for match in matches if match)
+    return without_secrets(f"{text} ({reason})" if reason else text)
 
 
 class _Outage:
@@ -74,15 +79,16 @@ class _Outage:
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)
-        if isinstance(error, PermissionDeniedError | UnauthenticatedError):
-            raise PermissionError(errno.EACCES, line) from None
         if not _PASSING.search(line):
+            if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
+                asked = "; are the credentials still valid?" if line.endswith("400 Bad Request") else ""
+                raise PermissionError(errno.EACCES, line + asked) from None
             raise OSError(line) from None
         now = time.monotonic()
         self.begin = min(self.begin, now)
         tried = now - self.begin
         if tried >= self.patience:
-            raise NetworkError(f"{self.url}: no answer for {tried:.0f} s ({line})") from None
+            raise NetworkError(f"{without_secrets(self.url)}: no answer for {tried:.0f} s ({line})") from None
         pause = min(self.next * random.uniform(0.5, 1.0), self.patience - tried)  # not all workers at once
         self.next = min(2.0 * self.next, _LONGEST_PAUSE)
         return pause

@@ -67,6 +67,10 @@ class Place:
         """Whether there is such an object."""
         return self.version(key) is not None
 
+    def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
+        """The keys of the objects among these that are not empty: a crash of a machine may leave empty files."""
+        yield from keys
+
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
         """The bytes of the objects among these that exist, by key; many at once if each takes a while."""
         return {key: data for key in keys if (data := self.get(key)) is not None}
@@ -103,7 +107,7 @@ class Place:
 
 @dataclass(frozen=True)
 class LocalPlace(Place):
-    """A folder. An empty folder under the key of an object is no object, and an object may replace it."""
+    """A folder. An empty folder or file under the key of an object is no object, and an object may replace it."""
 
     path: Path
 
@@ -126,7 +130,14 @@ class LocalPlace(Place):
             raise
 
     def exists(self, key: str) -> bool:
-        return (self.path / key).is_file()
+        try:
+            stat = (self.path / key).stat()
+        except _ABSENT:
+            return False
+        return not S_ISDIR(stat.st_mode) and stat.st_size > 0
+
+    def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
+        yield from filter(self.exists, keys)
 
     def version(self, key: str) -> Hashable:
         try:
@@ -140,7 +151,7 @@ class LocalPlace(Place):
         return LocalPlace(self.path / folder).behind(self.fence)
 
     def put(self, key: str, data: bytes) -> None:
-        with self._written(key, lambda written: written.write_bytes(data)) as written:
+        with self._written(key, lambda written: _write_flushed(written, data)) as written:
             os.replace(written, self.path / key)
 
     def take_all(self, other: Place, keys: Iterable[str]) -> None:
@@ -163,11 +174,21 @@ class LocalPlace(Place):
             os.replace(written, self.path / key)
 
     def put_new(self, key: str, data: bytes) -> bool:
-        with self._written(key, lambda written: written.write_bytes(data)) as written:
+        with self._written(key, lambda written: _write_flushed(written, data)) as written:
             try:
                 os.link(written, self.path / key)  # it appears whole or not at all, on network disks too
             except FileExistsError:
                 return False
+            except OSError:  # a file system without links
+                return self._reserve(key) and bool(written.replace(self.path / key))
+        return True
+
+    def _reserve(self, key: str) -> bool:
+        """Make an empty file, which counts as no object; False if there is a file."""
+        try:
+            (self.path / key).open("xb").close()
+        except FileExistsError:
+            return False
         return True
 
     def remove(self, key: str) -> None:
@@ -199,3 +220,11 @@ class LocalPlace(Place):
         """Remove an empty folder under the key of an object; OSError if it is not empty."""
         if (self.path / key).is_dir():
             (self.path / key).rmdir()
+
+
+def _write_flushed(path: Path, data: bytes) -> None:
+    """Write a file that is to be renamed; its content is on the disk before: else a crash may leave an empty file."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

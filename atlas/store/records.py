@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError, message_of
+from atlas.errors import ChunkError, UnlistedError, message_of
 from atlas.store.record import (
     BY_REASON,
     CELLS,
@@ -207,8 +207,14 @@ def read_record(handle: Atlas, index: Index) -> Rows | None:
 
 
 def single_records(handle: Atlas) -> list[Index]:
-    """The tiles with a record of their own, finished or not, from one listing."""
-    indices = (record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/"))
+    """The tiles with a record of their own, finished or not, from one listing.
+
+    None on a server without listings: a finished atlas has no such record, and no other atlas can be counted there.
+    """
+    try:
+        indices = [record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/")]
+    except UnlistedError:
+        return []
     return sorted(index for index in indices if index is not None)
 
 

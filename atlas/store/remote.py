@@ -1,6 +1,6 @@
 """Zarr's own store of a place. At a URL it waits for the server; damage of a zip file raises OSError.
 
-Behind a fence it calls the fence before each write and each removal.
+Behind a fence it calls the fence before each write and each removal, and at a URL before each attempt at one.
 """
 
 import asyncio
@@ -21,14 +21,27 @@ _P = ParamSpec("_P")
 
 
 def _again(
-    once: Callable[Concatenate[ObjectStore[Any], _P], Awaitable[_T]],
+    once: Callable[Concatenate[ObjectStore[Any], _P], Awaitable[_T]], changes: bool = False
 ) -> Callable[Concatenate["RemoteStore", _P], Coroutine[Any, Any, _T]]:
-    """A method of Zarr's ObjectStore, called again while the server does not answer."""
+    """A method of Zarr's ObjectStore, called again while the server does not answer.
+
+    If it ``changes`` the store, the place's fence is called before each attempt: there may have been a long outage.
+    """
 
     async def persisting(self: "RemoteStore", /, *args: _P.args, **named: _P.kwargs) -> _T:
-        return await self._persist(lambda: once(self, *args, **named))
+        async def attempt() -> _T:
+            if changes:
+                await _confirm(self.place)
+            return await once(self, *args, **named)
+
+        return await self._persist(attempt)
 
     return persisting
+
+
+async def _confirm(place: Place) -> None:
+    if place.fence is not None:
+        await asyncio.to_thread(place.confirm)  # reads a note, perhaps from a server
 
 
 class RemoteStore(ObjectStore[Any]):
@@ -36,20 +49,20 @@ class RemoteStore(ObjectStore[Any]):
 
     def __init__(self, place: ObjectPlace, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)
-        self._place = place
+        self.place = place
 
     def with_read_only(self, read_only: bool = False) -> Self:
-        return type(self)(self._place, read_only)
+        return type(self)(self.place, read_only)
 
     def __str__(self) -> str:
-        return str(self._place)
+        return str(self.place)
 
     get = _again(ObjectStore.get)
     exists = _again(ObjectStore.exists)
-    set = _again(ObjectStore.set)
-    set_if_not_exists = _again(ObjectStore.set_if_not_exists)
-    delete = _again(ObjectStore.delete)
-    delete_dir = _again(ObjectStore.delete_dir)
+    set = _again(ObjectStore.set, changes=True)
+    set_if_not_exists = _again(ObjectStore.set_if_not_exists, changes=True)
+    delete = _again(ObjectStore.delete, changes=True)
+    delete_dir = _again(ObjectStore.delete_dir)  # by delete
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
@@ -76,7 +89,7 @@ class RemoteStore(ObjectStore[Any]):
             yield key
 
     async def _persist(self, call: Callable[[], Awaitable[_T]]) -> _T:
-        return await persist_async(call, self._place.url, self._place.patience)
+        return await persist_async(call, self.place.url, self.place.patience)
 
 
 class PackedStore(ZipStore):
@@ -100,7 +113,7 @@ class PackedStore(ZipStore):
 
 
 class FencedStore(WrapperStore[Any]):
-    """Zarr's store of a place behind a fence, for writing."""
+    """Zarr's store of a folder, for writing: all objects are written and removed by the place."""
 
     def __init__(self, store: Any, place: Place) -> None:
         super().__init__(store)
@@ -110,30 +123,24 @@ class FencedStore(WrapperStore[Any]):
         return type(self)(store, self._place)
 
     async def set(self, key: str, value: Buffer) -> None:
-        await self._confirm()
-        await self._store.set(key, value)
+        await asyncio.to_thread(self._place.put, key, value.to_bytes())
 
     async def set_if_not_exists(self, key: str, value: Buffer) -> None:
-        await self._confirm()
-        await self._store.set_if_not_exists(key, value)
+        await asyncio.to_thread(self._place.put_new, key, value.to_bytes())
 
     async def _set_many(self, values: Iterable[tuple[str, Buffer]]) -> None:
         await asyncio.gather(*(self.set(key, value) for key, value in values))
 
     async def delete(self, key: str) -> None:
-        await self._confirm()
-        await self._store.delete(key)
+        await asyncio.to_thread(self._place.remove, key)
 
     async def delete_dir(self, prefix: str) -> None:
-        await self._confirm()
+        await _confirm(self._place)
         await self._store.delete_dir(prefix)
 
     async def clear(self) -> None:
-        await self._confirm()
+        await _confirm(self._place)
         await self._store.clear()
-
-    async def _confirm(self) -> None:
-        await asyncio.to_thread(self._place.confirm)  # reads a note, perhaps from a server
 
 
 class ReadStore(WrapperStore[Any]):
@@ -152,8 +159,6 @@ class ReadStore(WrapperStore[Any]):
 
 def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | PackedStore | FencedStore | ReadStore":
     """Zarr's store of a place; OSError if a read-only place, such as a zip file, is to be written."""
-    if place.fence is not None and not read_only:
-        return FencedStore(zarr_store(place.behind(None), read_only), place)
     if place.only_read and not read_only:
         place.remove("")
     if isinstance(place, ZipPlace):
@@ -163,4 +168,5 @@ def zarr_store(place: Place, read_only: bool) -> "LocalStore | RemoteStore | Pac
     if isinstance(place, ObjectPlace):
         return RemoteStore(place, read_only)
     assert place.local is not None, "a place is a folder or an object store"
-    return LocalStore(place.local, read_only=read_only)
+    local = LocalStore(place.local, read_only=read_only)
+    return local if read_only else FencedStore(local, place)

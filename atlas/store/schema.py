@@ -153,7 +153,7 @@ def codecs() -> list[Any]:
     """The codecs of every chunk."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    return [ZstdCodec(), Crc32cCodec()]  # writes are atomic but not synced: the checksum finds a torn chunk
+    return [ZstdCodec(), Crc32cCodec()]  # the checksum finds a chunk that a disk has damaged
 
 
 def _described(parameter: Parameter) -> dict[str, Any]:

@@ -4,6 +4,7 @@ A run claims a store by a note, and an attempt at a tile claims the tile by one.
 objects next to a store at a URL.
 """
 
+import errno
 import json
 import os
 import socket
@@ -29,6 +30,8 @@ CLAIM = "claim"
 _LOCK, _PARTIAL = ".lock", ".partial"
 _LOOKS, _BETWEEN_LOOKS = 100, 0.01
 """Attempts to read a note that is being written in place, and the seconds between them."""
+_LOCK_SECONDS = 10.0
+"""Seconds to wait for the lock, which is held for an instant."""
 _BLOCK, _END = 4096, 18
 """Block size of a note's file in bytes, and bytes at its end: length and checksum of the text."""
 
@@ -227,16 +230,23 @@ class Folder:
     def _locked(self, tidy: bool = False) -> Iterator[None]:
         """Hold the lock of writers; on a file system without locks a race of microseconds remains.
 
-        ``tidy`` deletes the folder and its lock after its last note.
+        ``tidy`` deletes the folder and its lock after its last note. TimeoutError if another process keeps the lock:
+        what a stopped process writes when it continues must not come after other writes.
         """
-        lock = file_lock(self.path / _LOCK)
-        with suppress(OSError):
-            lock.acquire()
+        path = self.path / _LOCK
+        lock = file_lock(path)
+        try:
+            lock.acquire(timeout=_LOCK_SECONDS)
+        except TimeoutError:
+            held = f"{path} has been locked for {_LOCK_SECONDS:g} s by another process, which may be stopped; end it"
+            raise TimeoutError(errno.ETIMEDOUT, held) from None
+        except OSError:
+            pass  # a file system without locks
         try:
             yield
         finally:
             with suppress(OSError):
-                files = list(self.path.iterdir()) if tidy and lock.is_locked else []
+                files = list(self.path.iterdir()) if tidy else []
                 if files and all(file.name == _LOCK or file.suffix == _PARTIAL for file in files):
                     for file in files:
                         file.unlink(missing_ok=True)
@@ -294,7 +304,8 @@ class UrlNotes:
 
 def notes_at_url(store: ObjectPlace) -> UrlNotes:
     """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
-    above, _, name = str(store).rpartition("/")
-    if not urlsplit(str(store)).path.strip("/"):
+    parts = urlsplit(store.url)
+    above, _, name = parts.path.rstrip("/").rpartition("/")
+    if not name:
         raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
-    return UrlNotes(replace(store, url=f"{above}/.{name}.run"))
+    return UrlNotes(replace(store, url=parts._replace(path=f"{above}/.{name}.run").geturl()))

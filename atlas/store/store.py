@@ -290,6 +290,7 @@ def done_tiles(handle: Atlas, listed: Iterable[str] | None = None) -> set[tuple[
     """Indices of the finished tiles, whose regime chunk exists, from these keys or from one listing."""
     root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra)
     keys = handle.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
+    keys = handle.place.whole_keys(keys)
     ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
     indices = (chunk_index(key, handle.tiling.grid) for key in ours)
     return {index for index in indices if index is not None}

@@ -2,7 +2,9 @@
 
 import asyncio
 import random
-from collections.abc import Iterator
+import re
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -85,6 +87,58 @@ def test_jobs_are_restricted_to_few_of_many_workers(monkeypatch: pytest.MonkeyPa
     assert 0 < max(restricted) <= dispatch.CHOICES + 4
 
 
+def hanging(jobs: set[tuple[str, int]], seconds: float) -> Callable[[str, Numbered], float]:
+    """Jobs take a second, but so many seconds of one worker for some jobs."""
+    return lambda worker, job: seconds if (worker, job.index[0]) in jobs else 1.0
+
+
+def test_the_tiles_of_a_worker_that_hangs_are_given_to_others_and_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: a worker that never ends a job costs the run 60 s, 10 times the longest job being less."""
+    cluster = Cluster(WORKERS[:3], hanging({(BAD, k) for k in range(3, 300)}, 1e9))
+    found, last = all_outcomes(cluster, 300, monkeypatch)
+    assert {outcome.index for outcome in found} == {(k,) for k in range(300)}
+    assert last.left_out.keys() == {BAD}
+    assert re.fullmatch(
+        r"it has had tiles? \(\d+,\)(, .+)? for 1 min \d s, the longest before took 1\.0 s; others do them",
+        last.left_out[BAD],
+    )
+    assert cluster.now < 300 / 2 + 30
+
+
+def test_a_run_says_which_worker_has_ended_nothing_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster, troubles = Cluster(WORKERS[:2], hanging({(BAD, 8)}, 1e9)), set[str]()
+    monkeypatch.setattr(dispatch, "time", cluster)
+    monkeypatch.setattr(batches, "time", cluster)
+    jobs = (Numbered((k,)) for k in range(10))
+    found = list(outcomes(cluster, LABOUR, jobs, lambda workers: troubles.add(workers.trouble)))  # type: ignore[arg-type]
+    assert {outcome.index for outcome in found} == {(k,) for k in range(10)}
+    assert f"nothing has ended for 40 s: {BAD} has tile (8,)" in troubles
+
+
+def test_a_worker_that_was_only_slow_gets_tiles_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster = Cluster(WORKERS[:2], hanging({(BAD, 4)}, 100.0))
+    found, last = all_outcomes(cluster, 300, monkeypatch)
+    assert sorted(outcome.index for outcome in found) == [(k,) for k in range(300)]
+    assert not last.left_out
+    assert cluster.attempts[BAD] > 20
+
+
+def test_a_tile_that_is_as_slow_elsewhere_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = {(worker, 5) for worker in WORKERS[:4]}
+    cluster = Cluster(WORKERS[:4], hanging(slow, 200.0))
+    found, _ = all_outcomes(cluster, 40, monkeypatch)
+    assert sorted(outcome.index for outcome in found) == [(k,) for k in range(40)]
+    assert 60 + 200 < cluster.now < 60 + 60 + 200
+
+
+def test_the_only_worker_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster = Cluster([BAD], hanging({(BAD, 5)}, 200.0))
+    found, last = all_outcomes(cluster, 20, monkeypatch)
+    assert sorted(outcome.index for outcome in found) == [(k,) for k in range(20)]
+    assert not last.left_out
+    assert cluster.attempts.total() == 20
+
+
 @dataclass(frozen=True)
 class Job:
     index: tuple[int, ...]
@@ -129,6 +183,36 @@ def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
     timing = Timing(connect=0.1)
     found = list(outcomes(client, labour, (Job((k,)) for k in range(20)), lambda _: None, timing))
     assert {outcome.index for outcome in found} == {(k,) for k in range(20)}
+
+
+RELEASE, BEGUN = threading.Event(), list[tuple[int, ...]]()
+
+
+def hang_once(job: Job) -> Job:
+    """Do a job; the first attempt at one of them waits."""
+    BEGUN.append(job.index)
+    if job.index == (3,) and BEGUN.count((3,)) == 1:
+        RELEASE.wait(60)
+    return job
+
+
+def test_dask_gives_the_tiles_of_a_worker_that_hangs_to_another(
+    two_workers: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dispatch, "SLOW", 1.0)
+    seen = list[Workers]()
+    RELEASE.clear()
+    BEGUN.clear()
+    labour: Labour[Job, Job] = Labour("out.zarr", hang_once, nothing, nothing)
+    timing = Timing(tick=0.05, hung=0.5)
+    try:
+        found = list(outcomes(two_workers, labour, (Job((k,)) for k in range(40)), seen.append, timing))
+    finally:
+        RELEASE.set()
+    assert sorted(outcome.index for outcome in found) == [(k,) for k in range(40)]
+    assert BEGUN.count((3,)) == 2
+    (reason,) = seen[-1].left_out.values()
+    assert re.search(r"it has had tiles? .*\(3,\).* for .* s, the longest before took .* s; others do them", reason)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ Truth: the bytes of the store before and after.
 
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import zarr
 from distributed import Client
+from zarr.core.sync import sync
 
 import atlas
 from atlas.check import repair as repairing
@@ -22,17 +23,19 @@ from atlas.service.lease import Claim, Record
 from atlas.service.progress import Progress
 from atlas.spec.grown import refined
 from atlas.store import sidecar
-from atlas.store.location import LocalPlace
+from atlas.store.location import AT_ONCE, LocalPlace, Place, place_of
 from atlas.store.making import create
 from atlas.store.origin import Origin, Retry
 from atlas.store.record import RECORDS
 from atlas.store.records import Records, write_compaction
+from atlas.store.remote import zarr_store
 from atlas.store.sidecar import CLAIM, notes_of
 from atlas.store.store import done_tiles, open_group, open_handle
 from atlas.task import attempt, site
 from atlas.task.attempt import run_job
 from atlas.task.site import RefusedError, Site
 from atlas.task.task import Job
+from rig.loopback import ObjectStore, Trouble, object_store
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.settings import MOST_PERIODS
@@ -235,6 +238,61 @@ def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: P
     with pytest.raises(LostError):
         CHANGES[change](LocalPlace(finished).behind(lost))
     assert contents(finished) == before
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[ObjectStore]:
+    with object_store() as served, pytest.MonkeyPatch.context() as patch:
+        for name, value in served.environment.items():
+            patch.setenv(name, value)
+        yield served
+
+
+AT_A_URL: dict[str, Callable[[Place], object]] = {
+    "put": lambda place: place.put("a", b"2"),
+    "put_all": lambda place: place.put_all({"a": b"2"}),
+    "put_new": lambda place: place.put_new("b", b"2"),
+    "take_all": lambda place: place.take_all(place_of("s3://bucket/origin.zarr"), ["a"]),
+    "remove": lambda place: place.remove("a"),
+    "remove_all": lambda place: place.remove_all(["a"]),
+    "set by Zarr": lambda place: zarr.create_group(zarr_store(place, False), zarr_format=3, overwrite=True),
+    "deletion by Zarr": lambda place: sync(zarr_store(place, False).delete("a")),
+    "deletion of a folder by Zarr": lambda place: sync(zarr_store(place, False).delete_dir("")),
+}
+
+
+@pytest.mark.parametrize("change", AT_A_URL)
+def test_a_claim_lost_while_the_server_was_away_is_seen_before_the_next_attempt(
+    server: ObjectStore, change: str
+) -> None:
+    """Truth: the objects' generations. The fence holds at the first look; the first attempt at the change fails."""
+    server.put({"bucket/fenced.zarr/a": b"1", "bucket/origin.zarr/a": b"2"})
+    before, looks = server.objects, list[int]()
+
+    def fence() -> None:
+        looks.append(1)
+        if len(looks) > 1:
+            raise LostError
+        server.trouble = Trouble(0, 1)
+
+    with pytest.raises(LostError):
+        AT_A_URL[change](place_of("s3://bucket/fenced.zarr").behind(fence))
+    assert server.objects == before
+    assert server.trouble.left == 0
+
+
+def test_objects_beyond_the_first_requests_are_put_after_another_look(server: ObjectStore) -> None:
+    looks = list[int]()
+
+    def fence() -> None:
+        looks.append(1)
+        if len(looks) > 1:
+            raise LostError
+
+    place = place_of("s3://bucket/many.zarr")
+    with pytest.raises(LostError):
+        place.behind(fence).put_all({f"{k:03}": b"1" for k in range(AT_ONCE + 1)})
+    assert len([*place.list_keys()]) == AT_ONCE
 
 
 def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:

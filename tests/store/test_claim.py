@@ -242,13 +242,27 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
         with monkeypatch.context() as away:
             away.setattr(Folder, "put", put)
             with pytest.raises(
-                RunError, match=r"could not renew its claim of the store for \d+ s, so that another run"
+                RunError,
+                match=r"could not renew its claim of the store for \d+ s \(Input/output error\), so that another run",
             ):
                 while True:
                     claim.check()
                     time.sleep(0.02)
         assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
     assert notes.read(CLAIM) is None  # the store is free again
+
+
+def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
+    notes: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **__: object) -> bool:
+        raise PermissionError(13, "ExpiredToken")
+
+    with claimed(notes, "out.zarr", timing=Timing(beat=0.01, dead=0.05), patience=600.0) as claim:
+        monkeypatch.setattr(Folder, "put", refused)
+        time.sleep(0.1)
+        with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
+            claim.check()
 
 
 @pytest.fixture

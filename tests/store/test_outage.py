@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import obstore
@@ -194,6 +195,54 @@ def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(serv
     assert len(server.requests) == before + 1  # waiting would not mend it
     with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
         open_handle(URL)
+
+
+@pytest.mark.parametrize(
+    "operation",
+    [
+        lambda place: place.get("a"),
+        lambda place: place.put("a", b"1"),
+        lambda place: place.put_new("a", b"1"),
+        lambda place: place.remove_all(["a"]),
+        lambda place: [*place.list_keys()],
+    ],
+    ids=["get", "put", "put_new", "remove_all", "list"],
+)
+def test_an_expired_credential_is_named_and_is_no_fault_of_an_object(server: ObjectStore, operation: Any) -> None:
+    server.trouble = Trouble(0, np.inf, "expired")
+    said = r"400 Bad Request \(ExpiredToken: The provided token has expired\.\)$"
+    with pytest.raises(PermissionError, match=said):
+        operation(ObjectPlace(URL))
+    with pytest.raises(PermissionError, match=r"400 Bad Request; are the credentials still valid\?$"):
+        ObjectPlace(URL).exists("a")  # the answer to HEAD has no body
+
+
+def test_a_credential_that_expires_gives_up_no_tile_and_the_same_line_goes_on(
+    server: ObjectStore, solved_plane: Path, client: Client
+) -> None:
+    server.trouble = Trouble(4, np.inf, "expired")
+    words = rf"no worker can do this run: inproc://\S+: {URL}: .*400 Bad Request.*; finished tiles are kept; the same"
+    with pytest.raises(RunError, match=words):
+        atlas.run(plane_of(), URL, client=client)
+    server.trouble = Trouble()
+    kept = len(done_tiles(open_handle(URL)))
+    notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    summary = atlas.run(plane_of(), URL, client=client)
+    assert (summary.tiles_solved, summary.failures) == (9 - kept, ())
+    assert arrays_of(URL) == arrays_of(solved_plane)
+
+
+def test_a_request_that_a_server_timed_out_is_made_again() -> None:
+    """S3 answers 400 to it."""
+    answer = "status code: 400 Bad Request: <?xml ?>\n<Error><Code>RequestTimeout</Code></Error>\n\nDebug source:\nx"
+    answers = iter([GenericError(answer)])
+
+    def upload() -> str:
+        for error in answers:
+            raise error
+        return "done"
+
+    assert outage.persist(upload, URL, patience=30.0) == "done"
 
 
 def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,9 +23,11 @@ from atlas.service.status import read_status
 from atlas.store import location as placing
 from atlas.store import making, store
 from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
+from atlas.store.records import put_together
 from atlas.store.remote import RemoteStore
 from atlas.store.sidecar import notes_at_url
 from atlas.store.spare import SPARE, read_spare
+from atlas.store.store import open_handle
 from atlas.store.tiles import drop_tile
 from tests.object_server import BUCKET, object_server
 from tests.planes import find, plane_of
@@ -389,6 +391,28 @@ def test_a_published_store_is_read_from_a_plain_web_server(web: str, tmp_path: P
     assert arrays_of(f"{web}/plane.zarr") == arrays_of(tmp_path / "plane.zarr")
     with pytest.raises(InputError, match="cannot be written"):
         find(f"{web}/other.zarr", plane_of())
+
+
+def test_a_finished_atlas_on_a_plain_web_server_has_the_status_and_the_answers_of_its_folder(
+    web: str, finished: Path
+) -> None:
+    url = f"{web}/{finished.name}"
+    here, there = read_status(open_handle(finished)), read_status(open_handle(url))
+    assert (there.tiles_done, there.regimes, there.trouble) == (9, here.regimes, "")
+    assert str(there) == str(here)
+    answers = [CliRunner().invoke(main, ["query", str(where), "--json"]) for where in (finished, url)]
+    assert [answer.exit_code for answer in answers] == [0, 0]
+    assert answers[0].stdout == answers[1].stdout
+
+
+@pytest.mark.parametrize("command", ["status", "verify"])
+def test_what_needs_a_listing_says_so_in_one_line_on_a_plain_web_server(web: str, finished: Path, command: str) -> None:
+    drop_tile(open_handle(finished), (1, 1))
+    put_together(open_handle(finished))
+    url = f"{web}/{finished.name}"
+    ended = CliRunner().invoke(main, [command, url])
+    said = f"Error: {url}: this web server does not list the objects of the store; copy the store to a disk"
+    assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, said)
 
 
 @pytest.mark.parametrize("given", ["x.zarr", "./x.zarr", "file:///tmp/a%20b/x.zarr"])

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from atlas.arguments import checked_suffix
+from atlas.arguments import checked_path, checked_suffix
 from atlas.orbits.curves.table import Curve, Curves
 from atlas.query.export import check_writable, written_whole
 
@@ -20,7 +20,7 @@ def export(curves: Curves, path: str | Path) -> None:
     codimension two is a row of its own kind at its place in the curve. JSON: one object, as ``as_json``.
     Raises InputError for another suffix and for a path that cannot be written.
     """
-    target = Path(path)
+    target = checked_path(path)
     suffix = check_path(target)
     with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         if suffix == ".csv":

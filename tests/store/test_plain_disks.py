@@ -1,0 +1,122 @@
+"""Disks without hard links or locks, a lock that is never released, and files that a crash has emptied.
+
+Truth: the bits of a store on an ordinary disk, and the calls to the operating system.
+"""
+
+import errno
+import fcntl
+import os
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+
+import atlas
+from atlas.errors import InputError
+from atlas.overview.pyramid import GROUP
+from atlas.overview.upkeep import Overviews
+from atlas.service.lease import claimed
+from atlas.service.timing import Timing
+from atlas.store import sidecar
+from atlas.store.location import LocalPlace
+from atlas.store.making import create
+from atlas.store.sidecar import notes_of
+from atlas.store.store import done_tiles, is_done, open_handle
+from atlas.task.attempt import run_job
+from atlas.task.site import Site
+from atlas.task.task import Job
+from tests.planes import plane_of
+
+
+def refused(code: int, *_: object, **__: object) -> None:
+    raise OSError(code, os.strerror(code))
+
+
+def arrays_of(store: Path) -> dict[str, bytes]:
+    ds = atlas.open(store)
+    return {str(name): ds[name].values.tobytes() for name in ds.variables}
+
+
+@pytest.mark.parametrize("lock", [errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK])
+def test_a_run_on_a_disk_without_links_and_locks_has_the_same_bits_and_leaves_nothing_beside_its_store(
+    tmp_path: Path, solved_plane: Path, client: Client, monkeypatch: pytest.MonkeyPatch, lock: int
+) -> None:
+    monkeypatch.setattr(os, "link", partial(refused, errno.EPERM))
+    monkeypatch.setattr(fcntl, "flock", partial(refused, lock))
+    atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
+    assert os.listdir(tmp_path) == ["out.zarr"]
+    monkeypatch.undo()
+    assert arrays_of(tmp_path / "out.zarr") == arrays_of(solved_plane)
+
+
+def test_an_object_is_put_new_only_once_where_there_are_no_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "link", partial(refused, errno.ENOTSUP))
+    place = LocalPlace(tmp_path)
+    assert [place.put_new("a", b"1"), place.put_new("a", b"2")] == [True, False]
+    assert place.get("a") == b"1"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+def test_a_lock_that_a_stopped_process_holds_ends_a_run_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sidecar, "_LOCK_SECONDS", 0.1)
+    (tmp_path / ".out.zarr.run").mkdir()
+    words = f"{tmp_path}/.out.zarr.run/.lock has been locked for 0.1 s by another process, which may be stopped"
+    with (tmp_path / ".out.zarr.run/.lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        taken = claimed(notes_of(tmp_path / "out.zarr"), "out.zarr")
+        with pytest.raises(InputError, match=f"^out.zarr: cannot be written: {words}"):
+            taken.__enter__()
+    with claimed(notes_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(beat=60.0)):
+        pass
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
+    finished: Path, solved_plane: Path, client: Client
+) -> None:
+    (finished / "regime/c/1/1").write_bytes(b"")
+    handle = open_handle(finished)
+    assert not is_done(handle, (1, 1))
+    assert len(done_tiles(handle)) == 8
+    assert atlas.status(finished).tiles_done == 8
+    assert atlas.run(plane_of(), finished, client=client).tiles_solved == 1
+    assert arrays_of(finished) == arrays_of(solved_plane)
+
+
+def test_an_overview_whose_regime_a_crash_has_emptied_is_made_again(finished: Path) -> None:
+    shutil.rmtree(finished / GROUP, ignore_errors=True)
+    Overviews(open_handle(finished), side=2, least=1).finish()
+    (key, *_) = [key for key in LocalPlace(finished).list_keys(f"{GROUP}/") if "/regime/c/" in key]
+    before = (finished / key).read_bytes()
+    (finished / key).write_bytes(b"")
+    Overviews(open_handle(finished), side=2, least=1).finish()
+    assert (finished / key).read_bytes() == before
+
+
+def test_every_file_of_a_store_is_flushed_before_it_gets_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed, named = set[int](), dict[str, bool]()
+    fsync, replace, link = os.fsync, os.replace, os.link
+
+    def look(rename: Callable[..., None], source: Any, target: Any) -> None:
+        if ".run/" not in str(target):  # notes: they have a checksum, and end with their run
+            named[str(target)] = os.stat(source).st_ino in flushed
+        rename(source, target)
+
+    monkeypatch.setattr(os, "fsync", lambda file: (fsync(file), flushed.add(os.fstat(file).st_ino)))
+    monkeypatch.setattr(os, "replace", partial(look, replace))
+    monkeypatch.setattr(os, "link", partial(look, link))
+    handle = create(tmp_path / "out.zarr", plane_of(), (2, 3))
+    run_job(Job((0, 0), Site(str(handle.place), handle.run_id, handle.solver_version)))
+    assert all(named.values()), named
+    names = {name.rpartition(".partial/")[2].removeprefix(f"{tmp_path}/out.zarr/") for name in named}
+    assert {*LocalPlace(tmp_path / "out.zarr").list_keys()} <= names
