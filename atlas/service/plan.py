@@ -146,8 +146,9 @@ class Plan:
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
     """The plan of a spec for a number of workers; ``tile`` is the shape of tiles in an existing store, and wins.
 
-    Raises InputError if a tile is too large for a store.
+    Raises InputError if a tile is too large for a store, and if a store of the spec could not be read.
     """
+    spec.check_stored_form()
     count = processors() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
