@@ -1,5 +1,6 @@
 """Checks of the groups beside cells and overviews: tables, curves, records of machines."""
 
+import json
 from collections.abc import Iterator
 
 from atlas.check.metadata import copy_faults
@@ -9,6 +10,7 @@ from atlas.store.groups import groups_of, read_group
 from atlas.store.machines import machine_keys, recorded_machine
 from atlas.store.parts import damaged_parts
 from atlas.store.schema import OVERVIEWS
+from atlas.store.spare import form_fault
 from atlas.store.store import ROOT, Atlas
 
 
@@ -35,7 +37,11 @@ def _group_faults(handle: Atlas, group: str) -> list[str]:
         lost = read_group(handle, group) is None and any(handle.place.list_keys(f"{group}/"))
     except ChunkError as error:
         return error.lines
-    return [f"{group}/{ROOT} is missing"] if lost else []
+    if lost:
+        return [f"{group}/{ROOT} is missing"]
+    metadata = handle.place.get(f"{group}/{ROOT}")
+    fault = metadata is not None and form_fault(json.loads(metadata))
+    return [f"{group}/{ROOT} {fault}"] if fault else []
 
 
 def _remedy(handle: Atlas, group: str) -> str:

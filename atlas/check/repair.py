@@ -17,8 +17,7 @@ from atlas.check.report import CHUNK, COORDINATES, COPY, FOREIGN, GROUP, MACHINE
 from atlas.errors import MADE_BY
 from atlas.overview.pyramid import Pyramid, drop_all
 from atlas.store.groups import drop_group
-from atlas.store.machine import UNKNOWN
-from atlas.store.machines import record_machine, recorded_machine
+from atlas.store.machines import mend_record, recorded_machine
 from atlas.store.place import Place
 from atlas.store.record import RECORDS, WIDTH
 from atlas.store.records import write_compaction
@@ -72,7 +71,7 @@ def _repaired(findings: Findings) -> Report:
     dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.over(tile)) for tile in tiles)})
     for index in tiles:
         drop_tile(handle, index)
-    removed = tuple(str(key) for (key,) in names(FOREIGN))
+    removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
     for key in removed:
         handle.place.remove(key)
     mended = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
@@ -127,9 +126,8 @@ def _mend_machines(findings: Findings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (key,) in names:
         if recorded_machine(handle.place, key) is None:
-            record_machine(handle, UNKNOWN)  # verification still has to know that there was another machine
-            handle.place.remove(key)
-            yield f"{key} replaced by the record of an unknown machine"
+            whole = mend_record(handle, key)
+            yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown machine"
 
 
 def _write_records(findings: Findings, _: Names) -> Iterator[str]:
