@@ -10,8 +10,8 @@ from atlas.text import html_table, plural
 SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
 
-METADATA, COORDINATES, CHUNK, GROUP, COPY, PART, FOREIGN, MACHINE = (
-    "metadata", "coordinates", "chunk", "group", "copy", "part", "foreign", "machine",
+METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
+    "metadata", "coordinates", "chunk", "group", "copy", "copies", "part", "foreign", "machine",
 )  # fmt: skip
 """Kinds of faulty parts beside tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 

@@ -6,7 +6,7 @@ groups do not list.
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -95,6 +95,15 @@ def copy_metadata(place: Place, root: Json) -> None:
         except (ValueError, AttributeError, RecursionError):
             continue  # damaged, as a verification reports
     place.put(ROOT, json.dumps({**FORM, "attributes": root["attributes"]} | _copies(copies)).encode())
+
+
+def copy_members(place: Place, group: str, names: Iterable[str]) -> None:
+    """Write the metadata of a group, if it has copies, with copies of its arrays' present metadata, then the root's."""
+    own = json.loads(place.get(f"{group}/{ROOT}") or b"{}")
+    if "consolidated_metadata" in own:
+        nodes = {name: json.loads(place.get(f"{group}/{name}/{ROOT}") or b"{}") for name in names}
+        place.put(f"{group}/{ROOT}", json.dumps(alone(own) | _copies(nodes)).encode())
+    copy_metadata(place, json.loads(place.get(ROOT) or b"{}"))
 
 
 def _parents(key: str) -> set[str]:

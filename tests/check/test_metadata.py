@@ -4,6 +4,7 @@ Truth is the metadata before they were changed, and what plain Zarr opens.
 """
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -136,6 +137,25 @@ def opened(path: Path) -> dict[str, Any]:
     return {name: str(metadata) for name, metadata in sorted(alone.items())}
 
 
+@pytest.mark.parametrize(
+    ("file", "at"),
+    [
+        (ROOT, ("consolidated_metadata", "metadata", "stability/w")),
+        (ROOT, ("consolidated_metadata", "metadata", "stability")),
+        ("stability/zarr.json", ("consolidated_metadata", "metadata", "w")),
+        ("stability/zarr.json", ("consolidated_metadata",)),
+    ],
+)
+def test_a_sound_table_outlives_its_damaged_copies(store: Path, file: str, at: tuple[str, ...]) -> None:
+    """Its checksum shows that it is sound; measuring it again may take hours."""
+    before = opened(store)
+    change(store, file, at, "kind" if at[-1] == "consolidated_metadata" else "node_type", {"kine": 1})
+    fault, *_ = verify(store, sample=0, repair=True).faults
+    assert "stability" in str(fault) or str(fault).startswith("zarr.json has"), fault
+    assert verify(store, sample=0).faults == ()
+    assert opened(store) == before
+
+
 @pytest.mark.parametrize("spare", [True, False])
 def test_an_unknown_key_of_the_root_is_refused_in_one_line(store: Path, spare: bool) -> None:
     change(store, ROOT, (), "", {"x": 1})
@@ -179,3 +199,9 @@ def test_what_killed_writes_have_left_is_no_fault_and_a_repair_removes_it(store:
     assert sorted(verify(store, sample=0, repair=True).removed) == sorted(report.leftovers)
     assert not any(path.exists() for path in left)
     assert verify(store, sample=0).leftovers == ()
+
+
+def test_a_pipe_in_place_of_a_zip_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "plane.zip")
+    with pytest.raises(InputError, match=r"plane.zip: cannot be read: not a regular file"):
+        atlas.open(tmp_path / "plane.zip")
