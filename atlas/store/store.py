@@ -249,7 +249,7 @@ def _open_handle(place: Place) -> Atlas:
         layout = shown(attrs.get("format_version"))
         raise InputError(f"{place}: format version {layout}, this program reads version {FORMAT_VERSION}")
     version = attrs.get("solver_version")
-    if spare is None and not objects.get(f"{RECORD}/{ROOT}"):
+    if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
         if type(version) is int and version < FIRST_RELEASED:
             old = f"made by solver version {version}, before the first release, in a layout that is not read any more"
             raise InputError(f"{place}: {old}")
