@@ -235,7 +235,7 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
     """Most bytes of an array on a disk: its chunks, in files of their own, its folders and its metadata.
 
-    ``inner`` is the number of its dimensions beside the grid's; each of them makes the path of a chunk longer.
+    ``inner`` is the number of its dimensions beside the grid's, by which the path of a chunk is longer.
     """
     files, path = math.prod(grid), (*grid, *(1,) * inner)
     folders = 2 + sum(math.prod(path[:depth]) for depth in range(1, len(path)))
