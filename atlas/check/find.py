@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.check.foreign import foreign_keys
+from atlas.check.foreign import foreign_keys, leftovers
 from atlas.check.groups import check_groups
 from atlas.check.metadata import coordinate_faults, metadata_faults
 from atlas.check.overviews import check_overviews
@@ -128,6 +128,7 @@ def _read(handle: Atlas, sample: int, seed: int, notify: Callable[[Progress], No
         sheets=sheet_count,
         faults=(*faults, *zoom_faults),
         doubts=(*doubts, *zoom_doubts),
+        leftovers=tuple(leftovers(handle.place)),
     )
     return Findings(handle, report, {index: row for index, row in rows.items() if index not in bad})
 

@@ -1,11 +1,24 @@
 """Names among a store's chunks that belong to no chunk, such as a tile beyond the grid or ``05``."""
 
+import re
 from collections.abc import Iterator
 
 from atlas.overview.pyramid import GROUP, Pyramid
+from atlas.store.place import Place
 from atlas.store.store import Atlas
 from atlas.store.tiling import chunk_index
 from workers.results import Variable
+
+_PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
+"""The end of the name of a file that is being written, by this package or by Zarr."""
+
+
+def leftovers(place: Place) -> list[str]:
+    """The files that killed writes have left in a folder. Nothing reads them."""
+    if place.local is None:
+        return []
+    files = (path for path in place.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
+    return sorted(path.relative_to(place.local).as_posix() for path in files)
 
 
 def foreign_keys(handle: Atlas) -> Iterator[str]:

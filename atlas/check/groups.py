@@ -1,25 +1,31 @@
 """Checks of the groups beside cells and overviews: tables, curves, records of machines."""
 
+import json
 from collections.abc import Iterator
 
 from atlas.check.metadata import copy_faults
-from atlas.check.report import COPY, GROUP, MACHINE, PART, StoreFault
+from atlas.check.report import COPIES, COPY, GROUP, MACHINE, PART, StoreFault
 from atlas.errors import MADE_BY, ChunkError
 from atlas.store.groups import groups_of, read_group
 from atlas.store.machines import machine_keys, recorded_machine
 from atlas.store.parts import damaged_parts
 from atlas.store.schema import OVERVIEWS
+from atlas.store.spare import alone, form_fault
 from atlas.store.store import ROOT, Atlas
 
 
 def check_groups(handle: Atlas) -> Iterator[StoreFault]:
     """Read all groups, and compare the metadata of other groups with their copies."""
     tables = groups_of(handle)
-    for group in tables:
-        for text in _group_faults(handle, group):
+    faulty = {group: texts for group in tables if (texts := _group_faults(handle, group))}
+    for group, texts in faulty.items():
+        for text in texts:
             yield StoreFault(None, f"{text}{_remedy(handle, group)}", (GROUP, group))
     for key in copy_faults(handle):
         group = key.partition("/")[0]
+        if group in tables and group not in faulty:  # its checksum is correct
+            yield StoreFault(None, f"{key} differs from its copy, which is damaged", (COPIES, group))
+            continue
         part = (GROUP, group) if group in (*tables, OVERVIEWS) else (COPY, key)
         yield StoreFault(None, f"{key} is damaged, or its copy is{_remedy(handle, group)}", part)
     for key in (key for group in tables for key in damaged_parts(handle, group)):
@@ -35,7 +41,11 @@ def _group_faults(handle: Atlas, group: str) -> list[str]:
         lost = read_group(handle, group) is None and any(handle.place.list_keys(f"{group}/"))
     except ChunkError as error:
         return error.lines
-    return [f"{group}/{ROOT} is missing"] if lost else []
+    if lost:
+        return [f"{group}/{ROOT} is missing"]
+    metadata = handle.place.get(f"{group}/{ROOT}")
+    fault = metadata is not None and form_fault(alone(json.loads(metadata)))  # its copies: see copy_faults
+    return [f"{group}/{ROOT} {fault}"] if fault else []
 
 
 def _remedy(handle: Atlas, group: str) -> str:

@@ -10,11 +10,11 @@ from atlas.errors import ChunkError, message_of
 from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
-from atlas.store.groups import TABLES
+from atlas.store.groups import CURVES, TABLES
 from atlas.store.machine import MACHINES
 from atlas.store.record import RECORD, TILES
 from atlas.store.schema import OVERVIEWS
-from atlas.store.spare import alone
+from atlas.store.spare import alone, form_fault
 from atlas.store.store import ROOT, ZOOM, Atlas, arrays_by, open_arrays, own_nodes
 from atlas.store.tiles import covered_variables, object_shape
 
@@ -34,7 +34,7 @@ def metadata_faults(handle: Atlas) -> list[str]:
             f"{ROOT}: axis {a['name']} differs from its coordinate" for a in handle.outline["axes"] if a not in ends
         ]
     try:
-        own, copied = arrays_by(handle, own_nodes(handle)), arrays_by(handle, handle.nodes)
+        own, copied = arrays_by(handle, own_nodes(handle, handle.array_names)), arrays_by(handle, handle.nodes)
     except ChunkError as error:
         return [*faults, *error.lines]
     sizes, variables = spec.extra_sizes, handle.variables
@@ -48,6 +48,10 @@ def metadata_faults(handle: Atlas) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
+    groups = (TILES, MACHINES, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped ones may be left
+    tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
+    lost = sorted(top for top in tops if not handle.place.exists(f"{top}/{ROOT}"))
+    faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
     try:
         covered_variables(handle, handle.record["attributes"])
     except KeyError as error:
@@ -85,7 +89,7 @@ def copy_faults(handle: Atlas) -> dict[str, dict[str, Any]]:
         group = _json(handle, f"{where}{ROOT}")
         copies = _copies_in(group)
         known = {name.removeprefix(where) for name in handle.nodes if where and name.startswith(where)}
-        if group is not None and known and known != copies.keys():
+        if group is not None and ((known and known != copies.keys()) or form_fault(group)):
             different[f"{where}{ROOT}"] = group
             continue
         for name, copy in copies.items():

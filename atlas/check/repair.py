@@ -13,17 +13,25 @@ import numpy as np
 
 from atlas.check.find import Findings
 from atlas.check.metadata import copy_faults
-from atlas.check.report import CHUNK, COORDINATES, COPY, FOREIGN, GROUP, MACHINE, PART, Report
+from atlas.check.report import CHUNK, COORDINATES, COPIES, COPY, FOREIGN, GROUP, MACHINE, PART, Report
 from atlas.errors import MADE_BY
 from atlas.overview.pyramid import Pyramid, drop_all
-from atlas.store.groups import drop_group
-from atlas.store.machine import UNKNOWN
-from atlas.store.machines import record_machine, recorded_machine
+from atlas.store.groups import ARRAYS, drop_group, group_attributes
+from atlas.store.machines import mend_record, recorded_machine
 from atlas.store.place import Place
 from atlas.store.record import RECORDS, WIDTH
 from atlas.store.records import write_compaction
 from atlas.store.schema import OVERVIEWS
-from atlas.store.spare import SPARE, alone, copy_metadata, mend_by_spare, packed_spare, read_spare, spare_faults
+from atlas.store.spare import (
+    SPARE,
+    alone,
+    copy_members,
+    copy_metadata,
+    mend_by_spare,
+    packed_spare,
+    read_spare,
+    spare_faults,
+)
 from atlas.store.store import ROOT, ZOOM, open_arrays
 from atlas.store.tiles import drop_tile, encoded
 from atlas.store.zoom import describe_planes, drop_sheet
@@ -72,7 +80,7 @@ def _repaired(findings: Findings) -> Report:
     dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.over(tile)) for tile in tiles)})
     for index in tiles:
         drop_tile(handle, index)
-    removed = tuple(str(key) for (key,) in names(FOREIGN))
+    removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
     for key in removed:
         handle.place.remove(key)
     mended = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
@@ -123,13 +131,20 @@ def _mend_copies(findings: Findings, names: Names) -> Iterator[str]:
         yield f"{key} written again, as its copy has it"
 
 
+def _mend_members(findings: Findings, names: Names) -> Iterator[str]:
+    """Write the copies of the metadata of sound tables again."""
+    handle = findings.handle
+    for (group,) in names:
+        copy_members(handle.place, group, (group_attributes(handle, group) or {})[ARRAYS])
+        yield f"the copies of the metadata of {group} written again"
+
+
 def _mend_machines(findings: Findings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (key,) in names:
         if recorded_machine(handle.place, key) is None:
-            record_machine(handle, UNKNOWN)  # verification still has to know that there was another machine
-            handle.place.remove(key)
-            yield f"{key} replaced by the record of an unknown machine"
+            whole = mend_record(handle, key)
+            yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown machine"
 
 
 def _write_records(findings: Findings, _: Names) -> Iterator[str]:
@@ -167,6 +182,7 @@ MENDERS: dict[str, Callable[[Findings, Names], Iterator[str]]] = {
     GROUP: _drop_groups,
     PART: _drop_parts,
     COPY: _mend_copies,
+    COPIES: _mend_members,
     MACHINE: _mend_machines,
     RECORDS: _write_records,
     ZOOM: _drop_zoom,

@@ -10,8 +10,8 @@ from atlas.text import html_table, plural
 SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
 
-METADATA, COORDINATES, CHUNK, GROUP, COPY, PART, FOREIGN, MACHINE = (
-    "metadata", "coordinates", "chunk", "group", "copy", "part", "foreign", "machine",
+METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
+    "metadata", "coordinates", "chunk", "group", "copy", "copies", "part", "foreign", "machine",
 )  # fmt: skip
 """Kinds of faulty parts beside tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 
@@ -47,6 +47,7 @@ class Report:
     removed                      names among the chunks that belong to none
     mended                       other repairs, one line each
     sheets                       of the zoom levels, verified as the stores that they are
+    leftovers                    files of killed writes, which nothing reads: no faults, but a repair removes them
     """
 
     store: str
@@ -65,6 +66,7 @@ class Report:
     removed: tuple[str, ...] = ()
     mended: tuple[str, ...] = ()
     sheets: int = 0
+    leftovers: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -98,8 +100,12 @@ class Report:
             ("cells", f"{self.cells_checked} checked against the rules"),
             ("sample", sample),
         ]
-        zoom = ("zoom", f"{plural(self.sheets, 'sheet')} of explored cells checked likewise")
-        return [*counts, zoom] if self.sheets else counts
+        if self.sheets:
+            counts.append(("zoom", f"{plural(self.sheets, 'sheet')} of explored cells checked likewise"))
+        if self.leftovers and self.repaired is None:
+            rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
+            counts.append(("left", rest))
+        return counts
 
     @property
     def findings(self) -> list[str]:

@@ -38,7 +38,8 @@ def verify(
     ``repair`` holds the store's claim throughout and drops faulty parts, so that the next run makes them again: a tile
     with a fault becomes unfinished; faulty overviews, tables, curves, zoom levels and foreign names among the chunks
     are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written again.
-    A tile that is only in doubt stays; without a fault nothing is written.
+    Files that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing is
+    written.
     Raises InputError without a store to verify, OSError if it cannot be read or repaired.
 
     >>> import atlas

@@ -2,6 +2,7 @@
 
 import json
 
+from atlas.store.spare import form_fault
 from atlas.store.store import ROOT, ZOOM, Atlas
 from atlas.store.zoom import ABOUT
 
@@ -17,7 +18,7 @@ def plane_faults(handle: Atlas) -> dict[str, str]:
             group = json.loads(handle.place.get(key) or b"")
             own = group["attributes"]
             wrong = {0: own != ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
-            if wrong or (group["zarr_format"], group["node_type"]) != (3, "group"):
+            if wrong or form_fault(group):
                 damage[key] = "is damaged"
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             damage[key] = "is missing or damaged"

@@ -89,8 +89,25 @@ def pairs_option(
     )
 
 
+_STORAGE = "atlas.storage_options"
+"""The key of the storage options in the ``meta`` of a command's context."""
+_SECRET = ("key", "secret", "token", "password", "sas", "credential")
+"""A storage option with one of these in its name is not printed."""
+
+
+def storage_words() -> list[str]:
+    """The storage options of the current command as words of a command line, with dots in place of secrets."""
+    words = []
+    for item in click.get_current_context().meta.get(_STORAGE, ()):
+        name, _, value = item.partition("=")
+        secret = any(part in name.lower() for part in _SECRET)
+        words += ["--storage-option", f"{name}={'...' if secret else value}"]
+    return words
+
+
 def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
     """Set the storage options of this command's URLs."""
+    ctx.meta[_STORAGE] = given
     if given:
         ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
 

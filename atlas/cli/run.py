@@ -21,6 +21,7 @@ from atlas.cli.options import (
     say,
     spec_argument,
     storage_option,
+    storage_words,
     store_argument,
     timing_of,
 )
@@ -216,7 +217,7 @@ def _check_submit(ctx: click.Context, scheduler: str | None) -> None:
 
 def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:
     """Hand a run to a cluster and print the coordinating worker; ``hand_over`` returns its address."""
-    store = shlex.quote(out)
+    store = shlex.join([out, *storage_words()])
     advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
         with progress.reporter(sys.stderr) as show:
@@ -303,7 +304,8 @@ def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
     """A command line: words, then the options that have a value; secrets of URLs are left out."""
     given |= {"scheduler": options.scheduler, "workers": options.workers}
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
-    return shlex.join(map(without_secrets, ["atlas", *words, *(word for pair in pairs for word in pair)]))
+    line = ["atlas", *words, *storage_words(), *(word for pair in pairs for word in pair)]
+    return shlex.join(map(without_secrets, line))
 
 
 def _report(ctx: click.Context, summary: Summary) -> None:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, InputError, message_of
+from atlas.spec.resolved import outlined
+from atlas.store.axes import changed_values
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
 from atlas.store.location import Given
 from atlas.store.store import ROOT, Atlas, open_handle
@@ -44,6 +46,9 @@ def open_atlas(
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
         raise ChunkError(handle.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
+    stored = {name: tuple(opened[name].values.tolist()) for name in outlined(handle.outline)}
+    if changed := changed_values(handle.place, handle.outline, stored, lambda: handle.values):
+        raise ChunkError(handle.place, {f"coordinate {name}": "is not the spec's" for name in changed})
     if handle.spec.coexistence and group_attributes(handle, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
     if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:

@@ -321,6 +321,8 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
     if str(chosen) in mpl_style.library:
         settings = mpl_style.library[str(chosen)]
     else:
+        if os.path.exists(chosen) and not os.path.isfile(chosen) and not os.path.isdir(chosen):
+            raise InputError(f"style {chosen}: not a regular file")  # a device or a pipe may never end
         try:
             settings = mpl.rc_params_from_file(chosen, use_default_template=False)
         except (OSError, UnicodeDecodeError) as error:

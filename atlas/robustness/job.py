@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.orbits.finished import columns_of, must_be_finished, params_of
-from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names
+from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names, of_family
 from atlas.spec.spec import Spec
 from atlas.spec.system import must_have_force
-from atlas.store.groups import STABILITY
+from atlas.store.groups import STABILITY, check_table_size
 from atlas.store.store import Atlas
 from atlas.task.compile import compile_once
 from atlas.task.site import PartReceipt, Site, file_errors, stored_part
@@ -90,6 +90,7 @@ def check_store(handle: Atlas) -> None:
     held = {variable.name for variable in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
         raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
+    check_table_size(handle, of_family(LINEAR))  # no measure is larger
     must_be_finished(handle)
 
 

@@ -10,10 +10,12 @@ from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.system import must_offer
 from atlas.store.archive import refuse_packed
+from atlas.store.groups import check_table_size
 from atlas.store.location import Given
 from atlas.store.store import Atlas
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.text import duration, plural, text_repr
+from workers.results import LABEL
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def label_attractors(
             return LabelSummary(str(handle.place), stored)
         refuse_packed(handle.place)
         must_offer(handle.spec.record, "labels")
+        check_table_size(handle, [LABEL])
         begin = time.monotonic()
         with claimed_place(handle.place, options) as claim:
             prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))

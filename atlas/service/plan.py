@@ -16,6 +16,8 @@ from atlas.platform import processors
 from atlas.spec.spec import MOST_AXES, Spec
 from atlas.spec.system import unused_lines
 from atlas.store.location import Place
+from atlas.store.record import WIDTH
+from atlas.store.schema import LARGEST_CHUNK, coordinate_names
 from atlas.store.store import Atlas
 from atlas.store.tiling import Index, Tiling
 from atlas.text import byte_size, duration, html_table, plural, text_repr
@@ -29,10 +31,14 @@ TILES_PER_WORKER = 16
 """Costs of tiles differ a hundredfold; with fewer tiles, one worker is busy with the last tile while others wait."""
 CLEAR_RANGE = 1.5
 """An expected time is printed as a range if the ratio of its ends exceeds this."""
-LARGEST_CHUNK = 2**31 - 1
-"""Largest chunk in bytes that the codecs of a store accept."""
 FILE_BLOCK = 4096
-"""Bytes that a small file takes on a disk."""
+"""Bytes that a small file or folder takes on a disk."""
+NAME_BYTES = 64
+"""Bytes of a name in a large folder."""
+COPIED_BYTES = 3 * FILE_BLOCK
+"""Most bytes of the copies of an array's metadata: in the root, in its spare, and in an overview's level."""
+OTHER_BYTES = 32 * FILE_BLOCK
+"""Bytes of the groups, of the root's own attributes and of the records of machines."""
 NO_BASINS = (
     "all axes are initial states, and each cell is solved by itself; for basins of attraction "
     "add a table [attractors], and give another store"
@@ -70,15 +76,25 @@ class Plan:
 
     @cached_property
     def bytes(self) -> int:
-        """An upper bound of the store's size: every chunk in whole file blocks, coordinates and overviews, unpacked."""
+        """An upper bound of the store's size on a disk, as ``du`` has it: files and folders in whole blocks, unpacked.
+
+        It counts results, records, coordinates, overviews, and the metadata and folders of all of them.
+        """
         spec, tiling = self.spec, self.tiling
-        total = 8 * sum(spec.shape) * (1 + len(spec.points))
-        for chunk in _chunks(spec, tiling.tile).values():
-            total += tiling.count * -(-chunk // FILE_BLOCK) * FILE_BLOCK
+        results = _chunks(spec, tiling.tile)
+        sizes = {v.name: len(v.extra) for v in spec.variables}
+        total = sum(_array_bytes(tiling.grid, size, sizes[name]) for name, size in results.items())
+        total += _array_bytes(tiling.grid, 8 * WIDTH) + _array_bytes((1,), 8 * WIDTH * tiling.count)
+        coordinates = len(coordinate_names(spec))
+        total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
         levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
-        cells = sum(math.prod(levels.shape_of(level)) for level in range(1, levels.count + 1))
-        sizes = (np.dtype(v.dtype).itemsize * len(REGIMES) ** len(v.extra) for v in level_variables(spec.variables))
-        return total + cells * sum(sizes)
+        for level in range(1, levels.count + 1):
+            cells = math.prod(map(min, levels.chunk, levels.shape_of(level)))
+            for variable in level_variables(spec.variables):
+                size = cells * np.dtype(variable.dtype).itemsize * len(REGIMES) ** len(variable.extra)
+                total += _array_bytes(levels.grid(level), size, len(variable.extra))
+            total += (coordinates + 2 * len(spec.axes)) * _array_bytes((1,), 0) + 3 * 8 * sum(levels.shape_of(level))
+        return total + OTHER_BYTES
 
     @property
     def note(self) -> str:
@@ -146,8 +162,9 @@ class Plan:
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
     """The plan of a spec for a number of workers; ``tile`` is the shape of tiles in an existing store, and wins.
 
-    Raises InputError if a tile is too large for a store.
+    Raises InputError if a tile is too large for a store, and if a store of the spec could not be read.
     """
+    spec.check_stored_form()
     count = processors() if workers is None else workers
     chosen = tile or spec.tile or _default_tile(spec, count)
     chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
@@ -213,6 +230,17 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
             break
         tile[longest] = -(-tile[longest] // 2)
     return tuple(tile)
+
+
+def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
+    """Most bytes of an array on a disk: its chunks, in files of their own, its folders and its metadata.
+
+    ``inner`` is the number of its dimensions beside the grid's, by which the path of a chunk is longer.
+    """
+    files, path = math.prod(grid), (*grid, *(1,) * inner)
+    folders = 2 + sum(math.prod(path[:depth]) for depth in range(1, len(path)))
+    names = NAME_BYTES * (files + folders)
+    return files * -(-chunk // FILE_BLOCK) * FILE_BLOCK + (folders + 1) * FILE_BLOCK + names + COPIED_BYTES
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:

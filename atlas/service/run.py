@@ -190,6 +190,10 @@ class _Run:
             if isinstance(outcome, Made):
                 for index, row in outcome.records:
                     self.records.add(index, row)
+            failed = outcome.message if isinstance(outcome, TileFailure) else ""
+            if fault := outcome.fault if isinstance(outcome, Made) else failed:
+                note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process makes it at the end"
+                self.crew.options.report(replace(self.totals.progress(self.doing), note=note))
 
     def _tick(self, workers: Workers) -> None:
         totals = self.totals

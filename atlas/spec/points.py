@@ -19,6 +19,9 @@ POINT = "point"
 FILE = "file"
 """The key of a spec's [points] with the file name."""
 
+MAX_FILE = 10**9
+"""Largest file of a table in bytes: its numbers take some four times as much memory."""
+
 Columns = Values
 """The columns of a table by name."""
 
@@ -98,7 +101,11 @@ def differing(stored: Columns, given: Columns) -> list[str]:
 
 def _read_file(path: Path, record: System) -> Columns:
     """The columns of a CSV file."""
+    if path.exists() and not path.is_dir() and not path.is_file():  # a device or a pipe may never end
+        raise InputError(f"{path}: cannot be read: not a regular file")
     try:
+        if (size := path.stat().st_size) > MAX_FILE:
+            raise InputError(f"{path}: found {size} bytes, must be at most {MAX_FILE}; make several atlases")
         with path.open(newline="", encoding="utf-8-sig") as file:
             return _read_rows(str(path), csv.reader(file, strict=True), record)
     except OSError as error:

@@ -223,6 +223,16 @@ class Spec:
         columns = None if points is None else StoredColumns(points["columns"], checked_num("points", points), read)
         return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
 
+    def check_stored_form(self) -> None:
+        """Raise InputError unless an equal spec can be read from its ``outline`` as a store keeps it."""
+        values: Values = self.points or {axis.name: axis.values for axis in self.axes}
+        try:
+            again = Spec.from_outline(json.loads(json.dumps(self.outline())), lambda: values)
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"a store of this spec could not be read: {error}") from None
+        if again.outline() != self.outline():
+            raise InputError("a store of this spec could not be read: its spec would be another one")
+
     @classmethod
     def from_dataset(cls, ds: Any) -> "Spec":
         """The spec of an atlas opened, exported or loaded whole as an xarray Dataset, except for the tile shape.

@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from stat import S_ISREG
 
 from atlas.errors import InputError
 from atlas.platform import file_lock
@@ -60,6 +61,8 @@ class ZipPlace(Place):
             stat = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
             return None
+        if not S_ISREG(stat.st_mode):  # a pipe could block its reader forever
+            raise OSError(errno.EINVAL, "not a regular file", str(self.path))
         with reading(self.path):
             return _opened(self.path, stat.st_ino, stat.st_size, stat.st_mtime_ns, os.getpid())
 

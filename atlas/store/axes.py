@@ -18,14 +18,16 @@ from atlas.store.location import Place
 
 ROOT = "zarr.json"
 """The name of the object with the metadata of an array or a group. A store exists once its root has one."""
+MOST_MIXED = 64
+"""Most sets of values that are tried, some of them stored and others copied: each takes a digest of all."""
 _DTYPE = np.dtype("<f8")
 
 
 def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
     """The values of all axes or columns of a spec's outline, the same to the bit as in its digest.
 
-    A damaged coordinate is replaced by its copy, or computed if it was evenly spaced, as the digest shows. Otherwise
-    ChunkError, which names the damaged object.
+    A damaged or changed coordinate is replaced by its copy, or computed if it was evenly spaced, as the digest shows.
+    Otherwise ChunkError, which names the damaged object.
     """
     faults: dict[str, str] = {}
     candidates: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
@@ -37,9 +39,11 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
     )
     for read in sources:
         for name, of_axis in candidates.items():
-            if (values := read(name)) is not None:
+            if (values := read(name)) is not None and values not in of_axis:
                 of_axis.append(values)
-        for chosen in itertools.product(*candidates.values()):
+        newest = [of_axis[-1] for of_axis in candidates.values() if of_axis]  # all of them may have been changed
+        mixed = itertools.product(*candidates.values()) if len(newest) == len(candidates) else ()
+        for chosen in (newest, *itertools.islice(mixed, MOST_MIXED)) if mixed else ():
             together = dict(zip(candidates, chosen, strict=True))
             if resolved_digest(with_values(outline, together)) == digest:
                 return together
@@ -51,6 +55,19 @@ def goes_with(place: Place, outline: Mapping[str, Any], digest: str) -> bool:
     stored = {name: _stored(place, name, {}) for name in outlined(outline)}
     known = {name: values for name, values in stored.items() if values is not None}
     return known.keys() == stored.keys() and resolved_digest(with_values(outline, known)) == digest
+
+
+def changed_values(place: Place, outline: Mapping[str, Any], stored: Values, read: Callable[[], Values]) -> list[str]:
+    """The names of the axes or columns whose stored values are not the spec's.
+
+    Equal to the copies or to even spacing they are right. ``read``, see ``read_values``, decides all other cases.
+    """
+    axes = {axis["name"]: axis for axis in outline["axes"]}
+    others = ((_made(axes[name]) if name in axes else None) or _copied(place, name) for name in stored)
+    if all(values == other for values, other in zip(stored.values(), others, strict=True)):
+        return []
+    right = read()
+    return [name for name, values in stored.items() if values != right[name]]
 
 
 def copies(spec: Spec) -> dict[str, bytes]:

@@ -6,15 +6,17 @@ absent.
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError, message_of
-from atlas.store.schema import StoredArray, consolidate, coordinates, create_whole
+from atlas.errors import ChunkError, InputError, message_of
+from atlas.store.schema import LARGEST_CHUNK, StoredArray, consolidate, coordinates, create_whole
 from atlas.store.store import ROOT, Atlas, open_group
+from workers.results import Variable
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
 """The groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors; stability
@@ -29,6 +31,18 @@ def groups_of(handle: Atlas) -> tuple[str, ...]:
     """The groups that a store of this spec may have."""
     spec = handle.spec
     return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
+
+
+def check_table_size(handle: Atlas, variables: Iterable[Variable]) -> None:
+    """InputError if an array of a table with a value of these for every attractor of every cell would be too large."""
+    spec = handle.spec
+    count = math.prod(spec.shape) * (spec.attractors.keep if spec.coexistence and spec.attractors else 1)
+    for variable in variables:
+        if (size := count * np.dtype(variable.dtype).itemsize) > LARGEST_CHUNK:
+            raise InputError(
+                f"{handle.place}: {variable.name} would take {size} bytes in one chunk, at most {LARGEST_CHUNK} are "
+                "possible; take an atlas of fewer cells"
+            )
 
 
 def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:

@@ -3,9 +3,11 @@
 import json
 from contextlib import suppress
 from functools import lru_cache
+from typing import Any
 
 from atlas.store.location import Place
 from atlas.store.machine import MACHINES, UNKNOWN, Machine, machine_of
+from atlas.store.spare import FORM, form_fault
 from atlas.store.store import ROOT, Atlas
 
 
@@ -41,8 +43,32 @@ def machine_keys(handle: Atlas) -> list[str]:
 
 def recorded_machine(place: Place, key: str) -> Machine | None:
     """The machine of a record, None if it is damaged."""
+    group = _group(place, key)
+    machine = _machine(group, key)
+    return None if form_fault(group) else machine
+
+
+def mend_record(handle: Atlas, key: str) -> bool:
+    """Write a damaged record again from its facts; False if the facts are damaged: then it is an unknown machine's."""
+    if (machine := _machine(_group(handle.place, key), key)) is not None:
+        handle.place.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
+        return True
+    record_machine(handle, UNKNOWN)  # verification still has to know that there was another machine
+    handle.place.remove(key)
+    return False
+
+
+def _group(place: Place, key: str) -> Any:
+    """The metadata of a record; None if they are no JSON."""
+    with suppress(ValueError, RecursionError):
+        return json.loads(place.get(key) or b"")
+    return None
+
+
+def _machine(group: Any, key: str) -> Machine | None:
+    """The machine with the facts of a record; None if its name, in the key, is another's."""
     try:
-        machine = machine_of(json.loads(place.get(key) or b"")["attributes"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+        machine = machine_of(group["attributes"])
+    except (KeyError, TypeError):
         return None
     return machine if machine.name == key.split("/")[1] else None

@@ -48,6 +48,7 @@ def check_run(place: Place, spec: Spec, handle: Atlas | None, origin: Origin | N
     """
     refuse_packed(place)
     if handle is None:
+        spec.check_stored_form()
         with refused(place, "written"):
             if place.local is None:
                 _refuse_foreign(place, spec)

@@ -25,6 +25,8 @@ FORMAT_VERSION = 1
 """The only version that this program reads."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""
+LARGEST_CHUNK = 2**31 - 1
+"""Largest chunk in bytes that the codecs of a store accept."""
 ZOOM = "zoom"
 """The group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"

@@ -6,7 +6,7 @@ groups do not list.
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -18,6 +18,8 @@ from atlas.store.schema import COMPONENT, ZOOM
 
 SPARE = f"{COMPONENT}/spare"
 """The key of the spare: a checksum in the first line, then the root's metadata."""
+FORM = {"zarr_format": 3, "node_type": "group"}
+"""The metadata of every group, beside its attributes and its copies of others."""
 Json = Mapping[str, Any]
 
 
@@ -92,7 +94,16 @@ def copy_metadata(place: Place, root: Json) -> None:
             copies[key.removesuffix(f"/{ROOT}")] = node | (_copies({}) if node.get("node_type") == "group" else {})
         except (ValueError, AttributeError, RecursionError):
             continue  # damaged, as a verification reports
-    place.put(ROOT, json.dumps(alone(root) | _copies(copies)).encode())
+    place.put(ROOT, json.dumps({**FORM, "attributes": root["attributes"]} | _copies(copies)).encode())
+
+
+def copy_members(place: Place, group: str, names: Iterable[str]) -> None:
+    """Write the metadata of a group, if it has copies, with copies of its arrays' present metadata, then the root's."""
+    own = json.loads(place.get(f"{group}/{ROOT}") or b"{}")
+    if "consolidated_metadata" in own:
+        nodes = {name: json.loads(place.get(f"{group}/{name}/{ROOT}") or b"{}") for name in names}
+        place.put(f"{group}/{ROOT}", json.dumps(alone(own) | _copies(nodes)).encode())
+    copy_metadata(place, json.loads(place.get(ROOT) or b"{}"))
 
 
 def _parents(key: str) -> set[str]:
@@ -108,6 +119,36 @@ def _copies(nodes: Json) -> dict[str, Any]:
 def alone(metadata: Json) -> dict[str, Any]:
     """Metadata without copies of others."""
     return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
+
+
+def form_fault(group: Any) -> str:
+    """The fault of the form of a group's metadata, in words; "" if Zarr can read them.
+
+    Zarr refuses metadata with an unknown key.
+    """
+    if not isinstance(group, dict) or not isinstance(group.get("attributes"), dict):
+        return "has no attributes"
+    for name, must in FORM.items():
+        if group.get(name) != must:
+            return f"has {name} {shown(group.get(name))}, must be {shown(must)}"
+    for name in group:
+        if name not in (*FORM, "attributes", "consolidated_metadata"):
+            return f"has an unknown key {shown(name)}"
+    copies = group.get("consolidated_metadata")
+    if copies is None:
+        return ""
+    nodes = copies.get("metadata") if isinstance(copies, dict) else None
+    if not isinstance(nodes, dict) or {"consolidated_metadata": {**copies, "metadata": {}}} != _copies({}):
+        return "has consolidated metadata of an unknown form"
+    damaged = (name for name, node in nodes.items() if not _is_node(node))
+    return next((f"has consolidated metadata that differ from those of {name}/{ROOT}" for name in damaged), "")
+
+
+def _is_node(copy: Any) -> bool:
+    """Whether the copy of the metadata of an array or a group says which of the two it is of."""
+    if not isinstance(copy, dict) or copy.get("zarr_format") != FORM["zarr_format"]:
+        return False
+    return copy.get("node_type") == "array" or not form_fault(copy)
 
 
 def root_fault(data: bytes | None, spare: Json) -> str:
@@ -127,27 +168,28 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
         yield "is missing"
         return
     try:
-        stored = alone(json.loads(data))
-    except (ValueError, AttributeError, RecursionError) as error:
+        stored = json.loads(data)
+    except (ValueError, RecursionError) as error:
         yield f"is damaged ({message_of(error)})"
         return
-    try:
-        copies = {} if whole else nodes_of(json.loads(data))
-    except (AttributeError, TypeError) as error:
-        yield f"is damaged ({message_of(error)})"
-        return
-    attributes = stored.get("attributes")
-    if not isinstance(attributes, dict):
+    if not isinstance(stored, dict) or not isinstance(stored.get("attributes"), dict):
         yield "is damaged (it has no attributes)"
         return
-    pairs = [(f"attribute {name}", attributes.get(name), value) for name, value in right["attributes"].items()]
+    attributes, pairs = stored["attributes"], list[tuple[str, Any, Any]]()
     if whole:
-        fields = [name for name in alone(right) if name != "attributes"]
-        pairs = [(name, stored.get(name), right[name]) for name in fields] + pairs
+        unknown = [f"key {shown(name)}" for name in alone(stored).keys() - right.keys()]
+        unknown += [f"attribute {shown(name)}" for name in attributes.keys() - right["attributes"].keys()]
+        yield from (f"has an unknown {name}" for name in unknown)
+        pairs = [(name, stored.get(name), value) for name, value in alone(right).items() if name != "attributes"]
+    pairs += [(f"attribute {name}", attributes.get(name), value) for name, value in right["attributes"].items()]
     for pair in pairs:
         yield from _unlike(*pair)
     if not whole:
-        wrong = (key for key, node in nodes_of(right).items() if alone(copies.get(key, {})) != alone(node))
+        if fault := form_fault(stored):
+            yield fault
+            return
+        copies = nodes_of(stored)
+        wrong = (key for key, node in nodes_of(right).items() if unlike_copy(node, copies.get(key)))
         yield from (f"has consolidated metadata that differ from those of {key}" for key in wrong)
 
 

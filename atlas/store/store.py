@@ -21,7 +21,7 @@ from atlas.store.origin import Allowance, Origin, allowances_in
 from atlas.store.record import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
 from atlas.store.schema import ZOOM as ZOOM
-from atlas.store.spare import SPARE, remedy, root_fault, spare_by, unlike_copy
+from atlas.store.spare import SPARE, form_fault, remedy, root_fault, spare_by, unlike_copy
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     import zarr
 
 _T = TypeVar("_T")
+FIRST_RELEASED = 13
+"""The first solver version that was released; stores of earlier ones may have another layout."""
+COPY_BY_XARRAY = (
+    "a copy of an atlas that is no store itself, as xarray's to_zarr makes it: read it with xarray.open_zarr; "
+    "ds.atlas answers questions and draws pictures; no run or repair can complete it"
+)
 READERS = 8
 """Tiles read at the same time: a disk or a network answers several requests as soon as one."""
 
@@ -222,6 +228,8 @@ def open_handle(store: "Given | Atlas", storage_options: Mapping[str, Any] | Non
 def _open_handle(place: Place) -> Atlas:
     regime = f"{REGIME.name}/{ROOT}"
     objects = place.get_all([ROOT, regime, SPARE])
+    if SPARE not in objects:
+        objects |= place.get_all([f"{RECORD}/{ROOT}"])
     content = objects.get(ROOT)
     spare = spare_by(place, content, objects.get(SPARE))
     if spare is not None and (fault := root_fault(content, spare)):
@@ -238,8 +246,16 @@ def _open_handle(place: Place) -> Atlas:
     if not ours:
         raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     if attrs.get("format_version") != FORMAT_VERSION:
-        version = shown(attrs.get("format_version"))
-        raise InputError(f"{place}: format version {version}, this program reads version {FORMAT_VERSION}")
+        layout = shown(attrs.get("format_version"))
+        raise InputError(f"{place}: format version {layout}, this program reads version {FORMAT_VERSION}")
+    version = attrs.get("solver_version")
+    if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
+        if type(version) is int and version < FIRST_RELEASED:
+            old = f"made by solver version {version}, before the first release, in a layout that is not read any more"
+            raise InputError(f"{place}: {old}")
+        raise InputError(f"{place}: {COPY_BY_XARRAY}")
+    if spare is None and (fault := form_fault(root)):
+        raise InputError(f"{place}: {ROOT} {fault}, and its second copy, {SPARE}, is missing or damaged, too")
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
@@ -306,13 +322,14 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
 
 
-def open_arrays(handle: Atlas) -> dict[str, Any]:
-    """All Zarr arrays of the store's root by name, results and coordinates, for reading.
+def open_arrays(handle: Atlas, names: Iterable[str] | None = None) -> dict[str, Any]:
+    """Zarr arrays of the store's root by name, results and coordinates, for reading: all, or those of these names.
 
     ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
     """
-    own, faults = own_nodes(handle), dict[str, str]()
-    for name in handle.array_names:
+    asked = handle.array_names if names is None else [name for name in handle.array_names if name in {*names}]
+    own, faults = own_nodes(handle, asked), dict[str, str]()
+    for name in asked:
         if fault := unlike_copy(own.get(name), handle.nodes.get(name)):
             faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
     if faults:
@@ -342,10 +359,10 @@ def array_by(place: Place, path: str, node: Any) -> Any:
     return Array(AsyncArray(node, StorePath(zarr_store(place, read_only=True), path)))
 
 
-def own_nodes(handle: Atlas) -> dict[str, Any]:
-    """The own metadata of the arrays of the store's root, by name. ChunkError if they are damaged."""
+def own_nodes(handle: Atlas, names: Iterable[str]) -> dict[str, Any]:
+    """The own metadata of arrays of the store's root, by name. ChunkError if they are damaged."""
     nodes = {}
-    for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in handle.array_names).items():
+    for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in names).items():
         try:
             nodes[key.removesuffix(f"/{ROOT}")] = json.loads(data)
         except (ValueError, RecursionError) as error:

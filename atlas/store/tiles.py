@@ -133,8 +133,8 @@ def read_tile(
 
     Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
     """
-    arrays = open_arrays(handle) if arrays is None else arrays
     wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
+    arrays = open_arrays(handle, wanted) if arrays is None else arrays
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*handle.variables, *ALLOWANCES):

@@ -112,6 +112,7 @@ def test_a_file_has_the_width_that_was_asked_for(tmp_path: Path, width: str | fl
         ({"vmin": 2.0, "vmax": 1.0}, "the scale must rise: found 2 to 1"),
         ({"vmin": 0.5, "vmax": 1.0}, "zero in its middle"),
         ({"style": "no-such-style"}, "style no-such-style: neither a style of matplotlib's nor a file to read"),
+        ({"style": "/dev/zero"}, "style /dev/zero: not a regular file"),
         ({"colour": 1}, "unknown option 'colour'; possible: width, height"),
     ],
 )

@@ -17,9 +17,13 @@ import atlas
 from atlas import Spec
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.overview.levels import LEAST, SIDE
 from atlas.service import plan
+from atlas.store.record import WIDTH
+from atlas.store.tiles import put_record
 from tests.paths import ROOT
 from tests.planes import plane_of
+from tests.synthetic import complete
 from workers.results import result_variables
 
 
@@ -66,6 +70,21 @@ def test_bytes_bound_the_arrays_themselves() -> None:
         np.dtype(v.dtype).itemsize * math.prod(shape[dim] for dim in v.extra) for v in result_variables(spec.settings)
     )
     assert plan.make_plan(spec, workers=1).bytes >= 300 * 200 * cell
+
+
+def disk_use(path: Path) -> int:
+    """Bytes of a folder as ``du`` counts them on a disk with blocks of 4096 bytes, one for each folder."""
+    sizes = (entry.stat().st_size for entry in path.rglob("*") if entry.is_file())
+    return sum(-(-size // 4096) * 4096 for size in sizes) + 4096 * sum(entry.is_dir() for entry in path.rglob("*"))
+
+
+@pytest.mark.parametrize(("spec", "tile"), [(wide(45, 38), (8, 8)), (wide(200, 9), (3, 50)), (wide(12, 10), (64, 64))])
+def test_a_store_takes_no_more_of_a_disk_than_its_plan_says(tmp_path: Path, spec: Spec, tile: tuple[int, int]) -> None:
+    handle = complete(tmp_path / "out.zarr", tile, spec, SIDE, LEAST)
+    for index in (cells.index for cells in handle.tiling.tiles()):
+        put_record(handle, index, np.zeros(WIDTH))
+    bound = plan.make_plan(spec, 1, tile).bytes
+    assert bound / 2 <= disk_use(handle.path) <= bound
 
 
 @pytest.fixture

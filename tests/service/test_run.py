@@ -18,13 +18,17 @@ import workers
 from atlas.cli.main import main
 from atlas.cli.progress import LogReporter, reporter
 from atlas.errors import InputError, RunError
+from atlas.overview.pyramid import Pyramid
 from atlas.platform import peak_memory
 from atlas.service.probe import CELLS, with_time
 from atlas.service.progress import Progress
+from atlas.store import making
 from atlas.store.store import done_tiles, open_handle
 from tests.paths import ROOT
 from tests.planes import plane_of
+from tests.synthetic import fill, spec_of
 from workers import tile as solving
+from workers.results import REGIME
 
 
 def arrays_of(path: Path) -> dict[str, tuple[str, bytes]]:
@@ -276,3 +280,23 @@ def test_the_memory_of_a_worker_is_its_own_and_not_that_of_the_process_that_star
     child = [sys.executable, "-c", "from atlas.platform import peak_memory; print(peak_memory())"]
     own = int(subprocess.run(child, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
     assert 20e6 < own < ballast.nbytes < peak_memory()
+
+
+def test_an_overview_that_fails_on_a_worker_is_told_and_made_at_the_end(
+    tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec, make, failures = spec_of(200, 2), Pyramid.make, iter([ValueError("no such codec")])
+
+    def failing(pyramid: Pyramid, level: int, index: tuple[int, ...]) -> None:
+        for failure in failures:
+            raise failure
+        make(pyramid, level, index)
+
+    handle = making.create(tmp_path / "out.zarr", spec, (2, 200))
+    fill(handle)
+    monkeypatch.setattr(Pyramid, "make", failing)
+    notes = list[str]()
+    atlas.run(spec, handle.path, client, on_progress=lambda progress: notes.append(progress.note))
+    told = "overview 1, chunk (0, 0): no such codec; this process makes it at the end"
+    assert [note for note in notes if note] == [told]
+    assert Pyramid(handle).stored(1, REGIME) == {(0, 0)}

@@ -19,6 +19,7 @@ from atlas.errors import InputError
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
 from atlas.spec.system import checked_system
+from atlas.store import making
 from atlas.store.store import open_handle
 from tests.workers.model.test_systems import MACHINE, table
 from workers import System, solve_tile, trace
@@ -208,3 +209,23 @@ def test_an_example_that_describes_its_own_system_has_its_name_and_others_have_n
     assert Spec.from_toml("shaken-base").record == own
     with pytest.raises(InputError, match="unknown system 'fig6'"):
         checked_system("fig6")
+
+
+LONG = "1" + "+k" * 149  # 299 characters, 599 with blanks
+
+
+def test_a_long_expression_without_blanks_makes_a_store_that_is_read(tmp_path: Path) -> None:
+    spec = Spec(System.from_toml(MACHINE.replace('"1 + k"', f'"{LONG}"')), {"omega": [2.0, 3.0]})
+    assert atlas.plan(spec, probe=False).tiling.cells == 2
+    making.create(tmp_path / "out.zarr", spec, (2,))
+    assert open_handle(tmp_path / "out.zarr").spec == spec
+    assert verify(tmp_path / "out.zarr", sample=0).faults == ()
+
+
+def test_a_spec_whose_store_could_not_be_read_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    machine = replace(System.from_toml(MACHINE), name="no name")
+    spec = Spec(machine, {"omega": [2.0, 3.0]})
+    for use in (lambda: atlas.plan(spec, probe=False), lambda: atlas.run(spec, tmp_path / "out.zarr")):
+        with pytest.raises(InputError, match=r"a store of this spec could not be read: system.name: found 'no name'"):
+            use()
+    assert not list(tmp_path.iterdir())

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.testing import CliRunner
 from distributed import Client
 
@@ -17,9 +18,11 @@ import atlas
 import workers
 from atlas.check.rules import law_of
 from atlas.cli.main import main
-from atlas.errors import InputError
+from atlas.errors import ChunkError, InputError
 from atlas.service.plan import make_plan
 from atlas.spec.points import checked_points
+from atlas.spec.resolved import resolved_digest
+from atlas.store import axes, making
 from atlas.store.store import done_tiles, open_handle
 from workers import Settings
 from workers.model.system import find_system
@@ -255,3 +258,36 @@ def test_a_table_has_no_overviews(tmp_path: Path) -> None:
     from atlas.store.making import create
 
     assert Pyramid(create(tmp_path / "out.zarr", spec, (64,))).levels.count == 0
+
+
+def test_a_table_that_never_ends_or_does_not_fit_in_memory_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match=f"{path}: cannot be read: not a regular file"):
+            atlas.Spec("two-mass", points={"file": path})
+    with (tmp_path / "large.csv").open("wb") as file:
+        file.truncate(10**9 + 1)
+    with pytest.raises(InputError, match=r"large.csv: found 1000000001 bytes, must be at most 1000000000"):
+        atlas.Spec("two-mass", points={"file": tmp_path / "large.csv"})
+
+
+COLUMNS = ("omega", "b", "R", "zeta", "mu_m", "mu_k", "f2", "tau", "x1", "v1")
+
+
+@pytest.mark.parametrize("edited", [("b", "tau"), COLUMNS])
+def test_changed_columns_are_told_after_few_digests_and_a_repair_restores_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edited: tuple[str, ...]
+) -> None:
+    spec = atlas.Spec("two-mass", points={name: [0.1, 0.2, 0.3] for name in COLUMNS})
+    path = making.create(tmp_path / "out.zarr", spec, (2,)).path
+    for name in edited:
+        zarr.open_group(path, mode="r+", use_consolidated=False)[name][1] = 0.25
+    digests: list[object] = []
+    monkeypatch.setattr(axes, "resolved_digest", lambda given: digests.append(given) or resolved_digest(given))
+    with pytest.raises(ChunkError) as error:
+        atlas.open(path)
+    assert len(digests) <= 3  # of the stored values, and of the copies
+    assert list(error.value.faults) == [f"coordinate {name}" for name in edited]
+    found = [str(fault) for fault in atlas.verify(path, sample=0, repair=True).faults]
+    assert sorted(found) == sorted(f"coordinate {name} is not the spec's, or missing" for name in edited)
+    assert atlas.open(path)["b"].values.tolist() == [0.1, 0.2, 0.3]

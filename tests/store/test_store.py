@@ -9,12 +9,14 @@ import zarr
 
 import atlas
 from atlas.errors import ChunkError, InputError, RunError
-from atlas.store import making, store
+from atlas.store import groups, making, store
+from atlas.store.place import LocalPlace
+from atlas.store.tiles import read_tile
 from atlas.task.attempt import run_job
 from atlas.task.site import Site
 from atlas.task.task import Job
 from tests.planes import find, plane_of
-from tests.synthetic import set_attribute
+from tests.synthetic import complete, set_attribute, spec_of
 from workers.results import REGIMES, result_variables
 
 
@@ -230,3 +232,26 @@ def test_open_reads_nothing_before_it_is_used(handle: store.Atlas) -> None:
     os.remove(handle.path / "state" / "c" / "0" / "0" / "0")
     with pytest.raises(ChunkError, match="state/c/0/0/0 is missing"):
         ds.state.load()
+
+
+def test_reading_four_variables_of_a_tile_reads_four_metadata(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    handle = complete(tmp_path / "out.zarr", spec=spec_of(8, 8))
+    asked, get = list[str](), LocalPlace.get
+    monkeypatch.setattr(LocalPlace, "get", lambda place, key: asked.append(key) or get(place, key))
+    names = ["largest", "period", "sticks", "regime"]
+    assert read_tile(handle, (0, 0), names).keys() == {*names}
+    assert sorted(asked) == sorted(f"{name}/zarr.json" for name in names)
+
+
+def test_a_table_that_no_chunk_can_hold_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tables are stored in one chunk, of which the codecs accept 2 GiB."""
+    axes = {"omega": [2.0, 3.0, 4.0], "b": [0.1, 0.2]}
+    spec = atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 3})
+    handle = making.create(tmp_path / "out.zarr", spec, (2, 3))
+    monkeypatch.setattr(groups, "LARGEST_CHUNK", 71)
+    with pytest.raises(InputError, match=r"out.zarr: label would take 72 bytes in one chunk, at most 71 are possible"):
+        atlas.label_attractors(handle.path)
+    with pytest.raises(InputError, match=r"out.zarr: return_time would take 144 bytes in one chunk, at most 71"):
+        atlas.measure_attractors(handle.path)

@@ -25,6 +25,8 @@ from workers.model.parameter import OMEGA, near_name, unknown_name
 
 LONGEST = 500
 """Longest expression, in characters."""
+LONGEST_NORMAL = 20 * LONGEST
+"""No normal form is longer: a number of one character takes four with its blank, one such as 1e15 takes 19."""
 DEEPEST = 40
 """Deepest nesting of parentheses, signs and powers."""
 LARGEST_POWER = 16
@@ -111,12 +113,16 @@ _kept = lru_cache(maxsize=1024)(_sorted)
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
-    """The expression of a text with known names; ExpressionError otherwise."""
-    if len(text) > LONGEST:
+    """The expression of a text with known names; ExpressionError otherwise.
+
+    The normal form of an expression is one too, although it may be longer than LONGEST.
+    """
+    tokens = _tokens(text) if len(text) <= LONGEST_NORMAL else []
+    normal = " ".join(repr(float(token)) if _is_number(token) else token for token in tokens)
+    if len(text) > LONGEST and (text != normal or len(tokens) > LONGEST):
         raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
-    tokens = _tokens(text)
     _check_order(tokens)
-    expression = Expression(" ".join(repr(float(token)) if _is_number(token) else token for token in tokens))
+    expression = Expression(normal)
     _check_names(_tree(expression.text), known)
     return expression
 

@@ -192,3 +192,16 @@ def test_the_longest_expression_is_pickled_and_evaluated() -> None:
     expression = parse("1" + "+a" * ((LONGEST - 1) // 2), NAMES)
     arrays = {name: np.ones(2) for name in NAMES}
     assert pickle.loads(pickle.dumps(expression))(arrays)[0] == 250.0
+
+
+@pytest.mark.parametrize("text", ["a" + "+a" * 249, "1" + "*1" * 249, "1e15" + "-1e15" * 99, "a+" * 149 + "a"])
+def test_the_normal_form_of_an_expression_is_that_expression(text: str) -> None:
+    """As stores have it: one of up to 500 characters may be longer there."""
+    expression = parse(text, NAMES)
+    assert len(text) <= LONGEST < len(expression.text)
+    assert parse(expression.text, NAMES) == expression
+
+
+def test_a_longer_text_is_refused_in_its_normal_form_too() -> None:
+    with pytest.raises(ExpressionError, match=f"found 1001 characters, must be at most {LONGEST}"):
+        parse("a" + " + a" * 250, NAMES)

@@ -1,0 +1,207 @@
+"""Claims about the metadata of a store: a change of any part of them is found, and a repair writes them again.
+
+Truth is the metadata before they were changed, and what plain Zarr opens.
+"""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from click.testing import CliRunner
+
+import atlas
+from atlas.check.verify import verify
+from atlas.cli.main import main
+from atlas.errors import InputError
+from atlas.overview.upkeep import Overviews
+from atlas.store import making
+from atlas.store.groups import CURVES, STABILITY, write_group, write_table
+from atlas.store.machine import machine_of
+from atlas.store.machines import record_machine
+from atlas.store.schema import StoredArray
+from atlas.store.spare import SPARE
+from tests.synthetic import spec_of
+
+SPEC = spec_of(8, 7)
+MACHINE = machine_of({"processor": "Z80", "software": "numpy 2"})
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store without a tile, and with every kind of group."""
+    handle = making.create(tmp_path_factory.mktemp("made") / "plane.zarr", SPEC, (4, 4))
+    Overviews(handle, side=4, least=4)
+    column = {"w": StoredArray(np.arange(3.0), ("row",), {"units": "1"})}
+    write_table(handle, STABILITY, column, {})
+    write_group(handle, CURVES, column, {})
+    record_machine(handle, MACHINE)  # the root has no copy of it
+    return handle.path
+
+
+@pytest.fixture
+def store(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "plane.zarr"))
+
+
+def flips(data: bytes) -> Iterator[bytes]:
+    """Metadata with a bit flipped in a key: of every key once, at its last place."""
+    last = {match.group(1): match for match in re.finditer(rb'"([^"\\\\]+)":', data)}
+    for match in last.values():
+        middle = (match.start(1) + match.end(1)) // 2
+        yield data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+SPARED = (
+    "zarr.json", "largest/zarr.json", "omega/zarr.json", "tiles/zarr.json", "tiles/record/zarr.json",
+    "machines/zarr.json", f"machines/{MACHINE.name}/zarr.json",
+)  # fmt: skip
+DERIVED = (
+    "curves/zarr.json", "curves/w/zarr.json", "stability/zarr.json", "overviews/zarr.json", "overviews/1/zarr.json",
+    "overviews/1/regime_share/zarr.json",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("file", [*SPARED, *(pytest.param(file, marks=pytest.mark.slow) for file in DERIVED)])
+def test_a_bit_flipped_in_any_key_is_found(store: Path, file: str) -> None:
+    before = (store / file).read_bytes()
+    assert verify(store, sample=0).faults == ()
+    for after in flips(before):
+        (store / file).write_bytes(after)
+        assert verify(store, sample=0).faults, [line for line in after.splitlines() if line not in before.splitlines()]
+
+
+def change(path: Path, file: str, at: tuple[str, ...], key: str, new: dict[str, Any]) -> None:
+    """Replace a key of an object within the metadata of a file."""
+    metadata = node = json.loads((path / file).read_text())
+    for name in at:
+        node = node[name]
+    node.pop(key, None)
+    node.update(new)
+    (path / file).write_text(json.dumps(metadata))
+
+
+ROOT = "zarr.json"
+CHANGES: list[tuple[str, tuple[str, ...], str, dict[str, Any]]] = [
+    (ROOT, ("consolidated_metadata",), "kind", {"kine": "inline"}),
+    (ROOT, ("consolidated_metadata",), "kind", {"kind": "inlinf"}),
+    (ROOT, ("consolidated_metadata",), "must_understand", {"must_understand": True}),
+    (ROOT, ("consolidated_metadata", "metadata", "machines"), "node_type", {"node_typf": "group"}),
+    (ROOT, ("consolidated_metadata", "metadata", "machines", "consolidated_metadata"), "kind", {"kine": "inline"}),
+    (ROOT, ("consolidated_metadata", "metadata", "overviews"), "node_type", {"node_typf": "group"}),
+    (ROOT, ("consolidated_metadata", "metadata"), "largest", {"largest": [1]}),
+    (ROOT, ("consolidated_metadata", "metadata"), "", {"overwiews": {"zarr_format": 3, "node_type": "array"}}),
+    (ROOT, (), "node_type", {"node_typd": "group"}),
+    (ROOT, (), "node_type", {"node_type": "groun"}),
+    (ROOT, (), "zarr_format", {"zarr_format": 2}),
+    (ROOT, (), "", {"x": 1}),
+    ("machines/zarr.json", (), "", {"x": 1}),
+    ("machines/zarr.json", ("attributes",), "", {"x": 1}),
+    (f"machines/{MACHINE.name}/zarr.json", (), "", {"x": 1}),
+    (f"machines/{MACHINE.name}/zarr.json", (), "node_type", {"node_type": "array"}),
+    ("largest/zarr.json", (), "", {"x": 1}),
+    ("largest/zarr.json", ("attributes",), "", {"x": 1}),
+    ("largest/zarr.json", ("attributes",), "units", {"units": "s"}),
+]
+
+
+@pytest.mark.parametrize(("file", "at", "key", "new"), CHANGES)
+def test_changed_metadata_are_found_and_a_repair_writes_them_again(
+    store: Path, file: str, at: tuple[str, ...], key: str, new: dict[str, Any]
+) -> None:
+    before = opened(store)
+    change(store, file, at, key, new)
+    found = CliRunner().invoke(main, ["verify", str(store), "--sample", "0"])
+    assert found.exit_code == 1
+    assert f"found: {file} " in found.output
+    verify(store, sample=0, repair=True)
+    assert opened(store) == before
+    assert verify(store, sample=0).faults == ()
+
+
+def opened(path: Path) -> dict[str, Any]:
+    """All metadata of a store, as plain Zarr reads them with the root's copies, and without."""
+    consolidated, own = (
+        dict(zarr.open_group(path, mode="r", use_consolidated=use).members(None)) for use in (True, False)
+    )
+    late = (CURVES, f"machines/{MACHINE.name}")  # a repair copies what was added after the root was written
+    nodes = {f"copy of {name}": node for name, node in consolidated.items() if not name.startswith(late)} | own
+    alone = {name: node.metadata.to_dict() | {"consolidated_metadata": None} for name, node in nodes.items()}
+    return {name: str(metadata) for name, metadata in sorted(alone.items())}
+
+
+@pytest.mark.parametrize(
+    ("file", "at"),
+    [
+        (ROOT, ("consolidated_metadata", "metadata", "stability/w")),
+        (ROOT, ("consolidated_metadata", "metadata", "stability")),
+        ("stability/zarr.json", ("consolidated_metadata", "metadata", "w")),
+        ("stability/zarr.json", ("consolidated_metadata",)),
+    ],
+)
+def test_a_sound_table_outlives_its_damaged_copies(store: Path, file: str, at: tuple[str, ...]) -> None:
+    """Its checksum shows that it is sound; measuring it again may take hours."""
+    before = opened(store)
+    change(store, file, at, "kind" if at[-1] == "consolidated_metadata" else "node_type", {"kine": 1})
+    fault, *_ = verify(store, sample=0, repair=True).faults
+    assert "stability" in str(fault) or str(fault).startswith("zarr.json has"), fault
+    assert verify(store, sample=0).faults == ()
+    assert opened(store) == before
+
+
+@pytest.mark.parametrize("spare", [True, False])
+def test_an_unknown_key_of_the_root_is_refused_in_one_line(store: Path, spare: bool) -> None:
+    change(store, ROOT, (), "", {"x": 1})
+    if not spare:
+        (store / SPARE).unlink()
+    for use in (atlas.open, lambda path: atlas.run(SPEC, path)):
+        with pytest.raises(InputError, match=r"plane.zarr: zarr.json has an unknown key 'x'"):
+            use(store)
+
+
+def test_a_copy_by_xarray_is_called_one_and_answers_questions_as_a_dataset(store: Path, tmp_path: Path) -> None:
+    ds = atlas.open(store)
+    ds.to_zarr(tmp_path / "copy.zarr", consolidated=True)
+    for command in ("status", "verify", "query"):
+        answer = CliRunner().invoke(main, [command, str(tmp_path / "copy.zarr")])
+        assert answer.exit_code == 2
+        assert "copy.zarr: a copy of an atlas that is no store itself, as xarray's to_zarr makes it" in answer.stderr
+    with xr.open_zarr(tmp_path / "copy.zarr") as copy:
+        assert copy.atlas.fractions() == ds.atlas.fractions() == {"pending": 1.0}
+
+
+def test_a_store_from_before_the_first_release_is_called_one(store: Path) -> None:
+    for folder in ("tiles", "machines"):
+        shutil.rmtree(store / folder)
+    (store / SPARE).unlink()
+    change(store, ROOT, ("attributes",), "", {"solver_version": 7})
+    with pytest.raises(
+        InputError, match=r"plane.zarr: made by solver version 7, before the first release, in a layout"
+    ):
+        atlas.open(store)
+
+
+def test_what_killed_writes_have_left_is_no_fault_and_a_repair_removes_it(store: Path) -> None:
+    left = [store / f"{name}.{'0a' * 16}.partial" for name in ("regime/c/0/0", "zarr")]
+    for path in left:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+    report = verify(store, sample=0)
+    assert report.faults == ()
+    assert "left     2 files of killed writes, which nothing reads: --repair removes them" in str(report)
+    assert sorted(verify(store, sample=0, repair=True).removed) == sorted(report.leftovers)
+    assert not any(path.exists() for path in left)
+    assert verify(store, sample=0).leftovers == ()
+
+
+def test_a_pipe_in_place_of_a_zip_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "plane.zip")
+    with pytest.raises(InputError, match=r"plane.zip: cannot be read: not a regular file"):
+        atlas.open(tmp_path / "plane.zip")
