@@ -66,7 +66,7 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
             ds = ds.sortby(name)
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
-        log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
+        log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # plain, as JSON wants it
         axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
     return ds, tuple(axes)
 
