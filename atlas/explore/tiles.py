@@ -87,7 +87,8 @@ class TileStore:
 
     def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
-        known = bool(self.memory.get(self, plane, key)) or self.outside(key) or self.keeper.has(plane, key)
+        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # of some the rest may be lost
+        known = held or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def get(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
