@@ -11,6 +11,7 @@ from atlas.explore.subject import Arrays, SubjectPlane
 from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
+from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
 DEPTH = 12
@@ -84,8 +85,11 @@ class KnownCells:
         subject = self.subject
         if subject.ds is None or plane != subject.plane:
             return None
+        point = dict(zip(subject.axes, (x, y), strict=True))
         try:
-            results = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
+            places = {name: nearest(subject.ds, name, value) for name, value in point.items()}
+            around = {name: slice(max(0, place - 1), place + 2) for name, place in places.items()}
+            results = at(subject.part(around), point)
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
         if results[REGIME.name] == REGIME.meaning(PENDING).name:

@@ -83,7 +83,7 @@ class TileStore:
             lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
         )
         self._done: NDArray[np.bool_] | None = None
-        self._looked = float("-inf")
+        self._looked, self._complete = float("-inf"), False
 
     def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
@@ -170,17 +170,18 @@ class TileStore:
 
         In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
         """
-        ds, subject = self.subject.ds, self.subject
-        if ds is None or subject.stored is None:
+        subject = self.subject
+        if subject.ds is None or subject.stored is None:
             return None
-        if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
+        if time.monotonic() - self._looked > LOOK and not self._complete:
             self._looked = time.monotonic()
             tiling = subject.stored.tiling
             done = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.stored):
                 done[tiling.at(index).slices] = True
             done = done[subject.layer] if done.ndim > 2 else done
-            self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
+            self._complete = bool(done.all())
+            self._done = done if subject.every is None else done & (subject.part({})[REGIME.name].values != PENDING)
         return self._done
 
 
