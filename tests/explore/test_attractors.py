@@ -167,6 +167,20 @@ def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_doe
     assert (sought is None) == (table == "")
 
 
+def test_the_thousandth_spec_of_a_new_atlas_is_written_into_the_file_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("atlas.explore.actions.probe", lambda *_: None)
+    path = tmp_path / "plane.toml"
+    path.write_text(PLANE, encoding="utf-8")
+    subject = subject_of(str(path))
+    for number in range(1, 1000):
+        (tmp_path / f"{Path(subject.name).stem}-{number}.toml").touch()
+    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    assert made.file.name.endswith("-1000.toml") and made.file.read_text(encoding="utf-8") == made.text
+    assert made.file.name in made.line
+
+
 def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
     coexistence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
