@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from atlas.errors import InputError, RunError
@@ -16,6 +17,10 @@ from workers.results import PENDING, REASON, REGIME, in_words
 
 DEPTH = 12
 """Coarser levels that are looked through for kept tiles."""
+MOST_VIEWS = 4
+"""Views of which the atlas's own cells are held, as they were when it was last looked at: a page draws them again with
+each tile that is solved.
+"""
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,7 @@ class KnownCells:
 
     def __init__(self, tiles: TileStore) -> None:
         self.tiles, self.subject = tiles, tiles.subject
+        self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
 
     def look(self, plane: SubjectPlane, sight: Sight, names: Collection[str]) -> None:
         """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
@@ -44,7 +50,7 @@ class KnownCells:
     def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> InView:
         """The cells in view as far as they are known."""
         wanted = list(names)
-        base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
+        base = self._base(sight, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
         return composed(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
 
     def cell(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> Cell | None:

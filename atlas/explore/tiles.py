@@ -165,6 +165,12 @@ class TileStore:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
+    @property
+    def looked(self) -> float:
+        """When the atlas itself was last looked at, by ``time.monotonic``: never again once all of it is solved."""
+        self.atlas_done()
+        return self._looked
+
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Which cells (y, x) of the atlas itself are solved; None without an atlas.
 
