@@ -88,18 +88,17 @@ class PageServer:
         from bokeh.server.server import BaseServer
         from tornado.httpserver import HTTPServer
         from tornado.ioloop import IOLoop
-        from tornado.netutil import bind_sockets
 
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
-            sockets = bind_sockets(self.port or self._asked, self._host)
-        except OSError as error:
+            sockets = listening(self.port or self._asked, self._host)
+        except InputError as error:
             if self._ready.is_set():
                 raise
-            self._error = f"host {self._host}, port {self._asked}: cannot be used: {error.strerror or error}"
+            self._error = str(error)
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
@@ -118,6 +117,18 @@ class PageServer:
             loop.add_callback(self._ready.set)
             if not self._stopped.is_set():
                 loop.start()
+
+
+def listening(port: int, host: str) -> "list[socket.socket]":
+    """Sockets that listen at an address; InputError where it cannot be used."""
+    from tornado.netutil import bind_sockets
+
+    if not 0 <= port <= 65535:
+        raise InputError(f"port: found {port}, must be 0 to 65535")
+    try:
+        return bind_sockets(port, host)
+    except OSError as error:
+        raise InputError(f"host {host}, port {port}: cannot be used: {error.strerror or error}") from None
 
 
 def own_hosts(port: int) -> list[str]:

@@ -1,5 +1,6 @@
 """A running explorer: its cluster, its pages, and how all of it ends."""
 
+import math
 import os
 import secrets
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from urllib.parse import urlencode
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
-from atlas.explore.server import HOST, PageServer
+from atlas.explore.server import HOST, PageServer, listening
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.open import handle_of
@@ -106,9 +107,11 @@ def explore(
         raise InputError("explore needs Bokeh: pip install bokeh") from None
     if workers is not None and workers < 1:
         raise InputError(f"workers: found {workers!r}, must be 1 or more")
-    if not tolerance > 0:
+    if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    for free in listening(port, host):  # before kernels are compiled, which takes long
+        free.close()
     if prepare is not None:
         prepare()
     connect = _connection(client, scheduler, workers, timing)
