@@ -319,5 +319,5 @@ def _range(name: str, value: str, lattice: Lattice) -> Range:
     for end in ends:
         _check_reach(name, lattice, end)
     if not lattice.parts(*ends):
-        raise InputError(f"{name}: found {value!r}, ends too close to be told apart")
+        raise InputError(f"{name}: found {value!r}, must be wider than rounding")
     return ends

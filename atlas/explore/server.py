@@ -140,7 +140,7 @@ def own_hosts(port: int) -> list[str]:
 def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -> int | None:
     """The HTTP status with which a request is refused, None for one that is served.
 
-    ``hosts`` are those that it may name, None for any. Bokeh's own scripts need no token, and its websocket checks the
+    It may name one of these ``hosts``, with None any. Bokeh's own scripts need no token, and its websocket checks the
     signature of a page.
     """
     origin = request.headers.get("Origin")

@@ -100,7 +100,7 @@ class Subject:
         return None if self.ds is None or self.attractors is None else self.ds
 
     def part(self, cells: Mapping[str, Any]) -> "xr.Dataset":
-        """Cells of the store by their indices along axes, of all attractors those that their own initial states reach.
+        """Cells of the store by their indices along axes, each with the attractor that its own initial state reaches.
 
         A run may be filling the store: its cells are those of this moment.
         """

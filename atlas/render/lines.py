@@ -51,10 +51,10 @@ def names_on(layers: Layers, plane: Plane, size: Size) -> list[dict[str, Any]]:
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
     names = []
-    for found in places([(cells[place], name) for cells, name, _ in layers.names], step, [NAME_SIZE]):
-        _, text, under = layers.names[found.number]
-        at = x.values[found.cell[1]], y.values[found.cell[0]]
-        names.append(_name(text, at, found.angle, style.ink_on(under)))
+    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, [NAME_SIZE]):
+        _, text, under = layers.names[spot.number]
+        at = x.values[spot.cell[1]], y.values[spot.cell[0]]
+        names.append(_name(text, at, spot.angle, style.ink_on(under)))
     return names
 
 
