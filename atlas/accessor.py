@@ -234,8 +234,8 @@ class AtlasAccessor:
         Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
         of this machine, by default one a processor; ``tolerance`` is the standard error of their exponents, by default
         0.05. With ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the
-        working directory. ``port`` is the port of the page, by default any free one; on another ``host`` its address
-        has a token.
+        working directory. ``port`` is the port of the page, by default any free one. Its address has a token, and
+        opens for those who have it alone.
         """
         from atlas.explore.session import explore_dataset
         from atlas.explore.subject import TOLERANCE

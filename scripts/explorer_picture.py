@@ -33,7 +33,7 @@ def main() -> None:
     given = parser.parse_args()
     running = explore(given.store)
     try:
-        with started() as browser, opened(browser, f"{running.url}?{WINDOW}", *SIZE) as tab:
+        with started() as browser, opened(browser, f"{running.url}&{WINDOW}", *SIZE) as tab:
             end = time.monotonic() + given.seconds
             tab.until(tab.image, 120.0)
             painters = [who for who in running.explorer.listeners if isinstance(who, Painter)]

@@ -62,9 +62,7 @@ GB = 10**9
     help="GB to keep at most; then the oldest go.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
-@click.option(
-    "--host", default="127.0.0.1", show_default=True, help="Of the page; on any other its address has a token."
-)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Of the page; its address has a token.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @click.pass_context
 def explore(

@@ -8,6 +8,7 @@ from urllib.parse import parse_qsl, urlencode
 
 from atlas.errors import InputError, check_names
 from atlas.explore.explorer import Explorer
+from atlas.explore.lattice import Lattice
 from atlas.explore.subject import Subject, SubjectPlane
 from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, has_scale, needs
 from atlas.render.kinds import CURVES as CURVE_KINDS
@@ -19,6 +20,8 @@ Range = tuple[float, float]
 Ends = tuple[float | None, float | None]
 """Of a scale; None is an end that a picture chooses for itself."""
 
+FARTHEST = 1e100
+"""Greatest size of a value of an axis that a page shows, and the inverse of the least one on a logarithmic axis."""
 CURVES = "curves"
 """The overlay that draws what a store keeps."""
 CHART = "regions"
@@ -238,9 +241,9 @@ def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str
     """The fields of a choice that an argument of an address changes."""
     (x, y), listed = subject.axes, value.split(",") if value else []
     if name == x:
-        return {"x": _range(name, value, subject.x.log)}
+        return {"x": _range(name, value, subject.x)}
     if name == y:
-        return {"y": _range(name, value, subject.y.log)}
+        return {"y": _range(name, value, subject.y)}
     if name in dict(chosen.plane.parameters):
         return {"plane": subject.plane_with(chosen.plane, name, _number(name, value))}
     if name == "kind":
@@ -254,15 +257,15 @@ def _fields(subject: Subject, chosen: Chosen, name: str, value: str) -> dict[str
     if name == "without":
         return {"hidden": tuple(sorted(_possible(name, listed, CURVE_KINDS), key=CURVE_KINDS.index))}
     if name == "cell":
-        return {name: (chosen.plane, *_numbers(name, value, 2))}
+        return {name: (chosen.plane, *_points(subject, name, value, 1))}
     if name == "follow.orbit":
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))
         low, high, step, at = _numbers(name, numbers, 4)
         return {"follow": FollowedOrbit(along, low, high, round(step), at)}
     if name == "cut":
-        ends = _numbers(name, value, 4)
-        if ends[:2] == ends[2:]:
+        ends = _points(subject, name, value, 2)
+        if not (subject.x.parts(ends[0], ends[2]) or subject.y.parts(ends[1], ends[3])):
             raise InputError(f"cut: found {value!r}, which begins and ends at one point")
         return {name: ends}
     return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
@@ -293,9 +296,28 @@ def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:
     return numbers
 
 
-def _range(name: str, value: str, log: bool) -> Range:
+def _points(subject: Subject, name: str, value: str, count: int) -> tuple[float, ...]:
+    """Points of a plane, x and y of each."""
+    numbers = _numbers(name, value, 2 * count)
+    for k, number in enumerate(numbers):
+        _check_reach(name, (subject.x, subject.y)[k % 2], number)
+    return numbers
+
+
+def _check_reach(name: str, lattice: Lattice, value: float) -> None:
+    """InputError unless a value of an axis is near enough to be drawn."""
+    least = 1.0 / FARTHEST if lattice.log else -FARTHEST
+    if not least <= value <= FARTHEST:
+        raise InputError(f"{name}: found {value:g}, must be {least:g} to {FARTHEST:g}")
+
+
+def _range(name: str, value: str, lattice: Lattice) -> Range:
     low, colon, high = value.partition(":")
     ends = _number(name, low), _number(name, high if colon else "")
-    if not (ends[0] < ends[1] and (ends[0] > 0 or not log)):
-        raise InputError(f"{name}: found {value!r}, must be LOW:HIGH{' above zero' if log else ''}")
+    if not (ends[0] < ends[1] and (ends[0] > 0 or not lattice.log)):
+        raise InputError(f"{name}: found {value!r}, must be LOW:HIGH{' above zero' if lattice.log else ''}")
+    for end in ends:
+        _check_reach(name, lattice, end)
+    if not lattice.parts(*ends):
+        raise InputError(f"{name}: found {value!r}, must be wider than rounding")
     return ends

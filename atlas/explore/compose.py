@@ -94,8 +94,7 @@ def dataset(
 
 def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Dataset | None":
     """The cells of the atlas itself in view and around it, on the overview that suits the density; None outside."""
-    ds = subject.ds
-    if ds is None:
+    if subject.ds is None:
         return None
     part: dict[str, slice] = {}
     pixels = []
@@ -107,15 +106,14 @@ def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Data
             return None
         part[axis.name] = slice(low, high)
         pixels.append(max(1, round((high - low) * 2.0 ** min(seen.level, 0))))
-    held = [name for name in names if name in ds]
-    return read_view(ds.isel(part), held, None, pixels).load()
+    held = [name for name in names if name in subject.ds]
+    return read_view(subject.part(part), held, None, pixels).load()
 
 
 def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
     """Variables of cells of the atlas itself (y, x), by their numbers."""
-    assert subject.ds is not None
     across, up = subject.axes
-    part = subject.ds[[*names]].isel({across: columns, up: rows}).load()
+    part = subject.part({across: columns, up: rows})[[*names]].load()
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 

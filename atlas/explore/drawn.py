@@ -2,8 +2,9 @@
 
 import json
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,7 +66,7 @@ def message(
 
     The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
     """
-    plane, (lines, arrays, lacking) = Plane.of(seen.ds, ()), _lines(seen, subject, chosen, size)
+    plane, (lines, arrays, lacking) = _plane(seen, subject, ()), _lines(seen, subject, chosen, size)
     packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(seen.stages)}
     described, names = [], dict[str, Any]()
     for made in maps:
@@ -87,6 +88,12 @@ def message(
     return _joined(about, packed), "; ".join(lacking)
 
 
+def _plane(seen: InView, subject: Subject, names: Sequence[str]) -> Plane:
+    """The cells in view on the scales of the page, which are logarithmic in windows of any width."""
+    plane = Plane.of(seen.ds, names)
+    return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
+
+
 def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
     """The ends of a bar: the held ones of its scale, if any."""
     if ends is None or not bar["main"]:
@@ -101,7 +108,7 @@ def _lines(
     why = chosen.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
     names = [LARGEST.name] if LARGEST.name in seen.ds else []
-    view = View(TABLE["period"], seen.ds, Plane.of(seen.ds, names), Wanted(STANDARD))
+    view = View(TABLE["period"], seen.ds, _plane(seen, subject, names), Wanted(STANDARD))
     for name in chosen.overlays:
         drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
         if name not in chosen.drawn(subject):

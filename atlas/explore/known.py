@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from atlas.errors import InputError, RunError
@@ -11,10 +12,15 @@ from atlas.explore.subject import Arrays, SubjectPlane
 from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES, TILE, Sight, Stretch, TileKey
 from atlas.query.queries import at
+from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
 DEPTH = 12
 """Coarser levels that are looked through for kept tiles."""
+MOST_VIEWS = 4
+"""Views of which the atlas's own cells are held, as they were when it was last looked at: a page draws them again with
+each tile that is solved.
+"""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class KnownCells:
 
     def __init__(self, tiles: TileStore) -> None:
         self.tiles, self.subject = tiles, tiles.subject
+        self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
 
     def look(self, plane: SubjectPlane, sight: Sight, names: Collection[str]) -> None:
         """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
@@ -43,7 +50,7 @@ class KnownCells:
     def seen(self, plane: SubjectPlane, sight: Sight, names: Iterable[str]) -> InView:
         """The cells in view as far as they are known."""
         wanted = list(names)
-        base = seen_atlas(self.subject, sight, wanted) if plane == self.subject.plane else None
+        base = self._base(sight, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
         return composed(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
 
     def cell(self, plane: SubjectPlane, sight: Sight, x: float, y: float) -> Cell | None:
@@ -84,8 +91,11 @@ class KnownCells:
         subject = self.subject
         if subject.ds is None or plane != subject.plane:
             return None
+        point = dict(zip(subject.axes, (x, y), strict=True))
         try:
-            results = at(subject.ds, dict(zip(subject.axes, (x, y), strict=True)))
+            places = {name: nearest(subject.ds, name, value) for name, value in point.items()}
+            around = {name: slice(max(0, place - 1), place + 2) for name, place in places.items()}
+            results = at(subject.part(around), point)
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
         if results[REGIME.name] == REGIME.meaning(PENDING).name:

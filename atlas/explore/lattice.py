@@ -68,6 +68,11 @@ class Lattice:
         share = np.log(values / low) / np.log(high / low) if self.log else (values - low) / (high - low)
         return np.asarray(cell + share)
 
+    def parts(self, one: float, other: float) -> bool:
+        """Whether two values differ by more than rounding."""
+        first, last = self.positions(np.array([one, other]))
+        return bool(abs(last - first) * 2.0**self.deepest * LEAST_STEP > 1.0)
+
     def nearest(self, level: int, value: float) -> int:
         """The point of a level whose cell holds a value."""
         return math.floor(float(self.positions(np.array([value]))[0]) * 2.0**level + 0.5)

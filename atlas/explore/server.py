@@ -1,11 +1,11 @@
-"""The server of the page, in a thread of its own: on this machine's loopback, or for those who have its token.
+"""The server of the page, in a thread of its own, for those who have its token.
+
+Every user of this machine can reach its loopback, and others another address or a proxy. So a page goes only to
+requests with the server's token, and a websocket only to sessions that such a page signed.
 
 Any web page that the user has open can send requests here, and by a name of its own that resolves to this machine it
-may read the answers. So pages, scripts and websockets go only to requests that name this server's
-own address as the host and, where they say which page they come from, as their origin.
-
-Where others are to reach it, on another address or through a proxy, no host tells who may. Then a page goes only to
-requests with the server's token, and a websocket only to sessions that such a page signed.
+may read the answers. So on the loopback, without a proxy, requests must also name this server's own address as the
+host and, where they say which page they come from, as their origin.
 """
 
 import asyncio
@@ -37,14 +37,16 @@ FORGOTTEN = 4000
 class PageServer:
     """Serves documents that ``make`` fills, one for each page that is opened, until ``stop``.
 
-    ``port`` 0 is any free one; ``token`` opens the pages to all who have it. InputError where the port is taken.
+    ``port`` 0 is any free one. ``token`` is one that a proxy leads here with, by any host; by default it is made here.
+    InputError where the port is taken.
     """
 
     def __init__(
         self, make: "Callable[[Document], None]", port: int = 0, host: str = HOST, token: str | None = None
     ) -> None:
         self._make, self._asked, self._host = make, port, host
-        self.token = token or ("" if host == HOST else secrets.token_urlsafe(16))
+        self._any_host = token is not None or host != HOST
+        self.token = token or secrets.token_urlsafe(16)
         self._ready, self._stopped, self._error = threading.Event(), threading.Event(), ""
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
@@ -86,18 +88,17 @@ class PageServer:
         from bokeh.server.server import BaseServer
         from tornado.httpserver import HTTPServer
         from tornado.ioloop import IOLoop
-        from tornado.netutil import bind_sockets
 
         for name in ("bokeh", "tornado"):
             logging.getLogger(name).setLevel(logging.ERROR)
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         try:
-            sockets = bind_sockets(self.port or self._asked, self._host)
-        except OSError as error:
+            sockets = listening(self.port or self._asked, self._host)
+        except InputError as error:
             if self._ready.is_set():
                 raise
-            self._error = f"host {self._host}, port {self._asked}: cannot be used: {error.strerror or error}"
+            self._error = str(error)
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])
@@ -105,7 +106,7 @@ class PageServer:
             ending.callback(loop.close, all_fds=False)
             for bound in sockets:
                 ending.callback(bound.close)
-            pages = _guarded_pages(self._make, own_hosts(self.port), self.token)
+            pages = _guarded_pages(self._make, None if self._any_host else own_hosts(self.port), self.token)
             http = HTTPServer(pages)
             http.add_sockets(sockets)
             ending.callback(http.stop)
@@ -118,25 +119,38 @@ class PageServer:
                 loop.start()
 
 
+def listening(port: int, host: str) -> "list[socket.socket]":
+    """Sockets that listen at an address; InputError where it cannot be used."""
+    from tornado.netutil import bind_sockets
+
+    if not 0 <= port <= 65535:
+        raise InputError(f"port: found {port}, must be 0 to 65535")
+    try:
+        return bind_sockets(port, host)
+    except OSError as error:
+        raise InputError(f"host {host}, port {port}: cannot be used: {error.strerror or error}") from None
+
+
 def own_hosts(port: int) -> list[str]:
     """The hosts that a request to a port of this machine's loopback may name: browsers leave out port 80."""
     names = (HOST, "localhost")
     return [f"{name}:{port}" for name in names] + [name for name in names if port == 80]
 
 
-def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> int | None:
+def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -> int | None:
     """The HTTP status with which a request is refused, None for one that is served.
 
-    Without a token it is decided by the hosts that are served. With one, Bokeh's own scripts are for all, and its
-    websocket checks the signature of a page.
+    It may name one of these ``hosts``, with None any. Bokeh's own scripts need no token, and its websocket checks the
+    signature of a page.
     """
     origin = request.headers.get("Origin")
-    if token:
-        given = request.query_arguments.get("token", [b""])[-1]
-        for_all = request.path.startswith("/static/") or request.path in ("/ws", "/favicon.ico")
-        if not for_all and not hmac.compare_digest(given, token.encode()):
-            return 403
-    elif request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts):
+    if hosts is not None and (
+        request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts)
+    ):
+        return 403
+    given = request.query_arguments.get("token", [b""])[-1]
+    for_all = request.path.startswith("/static/") or request.path in ("/ws", "/favicon.ico")
+    if not for_all and not hmac.compare_digest(given, token.encode()):
         return 403
     try:
         for value in (given for values in request.query_arguments.values() for given in values):
@@ -146,7 +160,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str], token: str = "") -> 
     return None
 
 
-def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str], token: str) -> "Any":
+def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, token: str) -> "Any":
     """The application that serves pages, to requests that are not refused."""
     from bokeh.application import Application as Pages
     from bokeh.application.handlers.function import FunctionHandler
@@ -165,9 +179,9 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str], token: 
 
     return Guarded(
         {"/": Pages(FunctionHandler(make))},
-        extra_websocket_origins=["*"] if token else hosts,
-        sign_sessions=bool(token),
-        secret_key=secrets.token_bytes(32) if token else None,
+        extra_websocket_origins=["*"] if hosts is None else hosts,
+        sign_sessions=True,
+        secret_key=secrets.token_bytes(32),
         include_headers=[],  # else the source of a page has the headers of its request, and the cookies of a hub
         include_cookies=[],
         unused_session_lifetime_milliseconds=FORGOTTEN,

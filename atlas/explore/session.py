@@ -1,5 +1,6 @@
 """A running explorer: its cluster, its pages, and how all of it ends."""
 
+import math
 import os
 import secrets
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from urllib.parse import urlencode
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
-from atlas.explore.server import HOST, PageServer
+from atlas.explore.server import HOST, PageServer, listening
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.open import handle_of
@@ -46,13 +47,12 @@ class Exploration:
         token = secrets.token_urlsafe(16) if self._proxy else None
         make = partial(fill, explorer=explorer, folder=folder, pages=self._pages)
         self._server = PageServer(make, port, host, token)
-        parts = [query, f"token={self._server.token}" if self._server.token else ""]
-        self._query = "&".join(filter(None, parts))
+        self._query = "&".join(filter(None, [query, f"token={self._server.token}"]))
 
     @property
     def url(self) -> str:
-        """The address of a new page."""
-        return f"{self._server.url}?{self._query}" if self._query else self._server.url
+        """The address of a new page, with the token that opens it."""
+        return f"{self._server.url}?{self._query}"
 
     def stop(self) -> None:
         """Close the pages, end the work, keep the solved tiles."""
@@ -96,8 +96,8 @@ def explore(
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
     open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
     first. With ``keep``, solved tiles lie in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
-    written into ``folder``, by default the working directory. Pages on another ``host`` than this machine's loopback go
-    to addresses with their token alone.
+    written into ``folder``, by default the working directory. Pages go to addresses with their token alone; ``host`` is
+    this machine's loopback by default.
     ``prepare`` is called once the input has been checked, before anything starts.
     Raises InputError for what cannot be explored, and where Bokeh is not installed.
     """
@@ -107,9 +107,11 @@ def explore(
         raise InputError("explore needs Bokeh: pip install bokeh") from None
     if workers is not None and workers < 1:
         raise InputError(f"workers: found {workers!r}, must be 1 or more")
-    if not tolerance > 0:
+    if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    for free in listening(port, host):  # before kernels are compiled, which takes long
+        free.close()
     if prepare is not None:
         prepare()
     connect = _connection(client, scheduler, workers, timing)

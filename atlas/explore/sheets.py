@@ -18,7 +18,8 @@ from atlas.explore.subject import Arrays, Subject, SubjectPlane
 from atlas.explore.view import TILE, Stretch, TileKey
 from atlas.store.location import Place
 from atlas.store.making import create, remove_half_made
-from atlas.store.store import Atlas, done_tiles, open_arrays, open_handle
+from atlas.store.store import Atlas, chunk_key, done_tiles, open_arrays, open_handle
+from atlas.store.tiles import is_blank
 from atlas.store.zoom import drop_sheet, make_plane, sheet_place
 
 SHEET = 16
@@ -205,22 +206,36 @@ class Sheets:
         places = np.array([sheet.index(key) for key in tiles]) * TILE
         low, high = places.min(axis=0), places.max(axis=0) + TILE
         box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        tiles_read, bad = dict[TileKey, Arrays](), set[tuple[int, int]]()
         try:
             blocks = {name: np.asarray(sheet.arrays[name][box]) for name in names if name in sheet.arrays}
+            for key, place in zip(tiles, places - low, strict=True):
+                part = tuple(slice(int(a), int(a) + TILE) for a in place)
+                arrays = {name: block[part].copy() for name, block in blocks.items()}
+                if self._is_lost(sheet, sheet.index(key), arrays):
+                    bad.add(sheet.index(key))
+                else:
+                    tiles_read[key] = arrays
         except Exception as error:  # a codec that meets bytes it never wrote may raise anything
             with self._lock:
                 if self._was_refused(error):
                     sheet.refused = time.monotonic()
                     return {}
-                bad = {sheet.index(key) for key in tiles}
-                sheet.bad |= bad
-                sheet.done -= bad
-            return {}
-        tiles_read = {}
-        for key, place in zip(tiles, places - low, strict=True):
-            part = tuple(slice(int(a), int(a) + TILE) for a in place)
-            tiles_read[key] = {name: block[part].copy() for name, block in blocks.items()}
+            tiles_read, bad = {}, {sheet.index(key) for key in tiles}
+        with self._lock:
+            sheet.bad |= bad
+            sheet.done -= bad
         return tiles_read
+
+    def _is_lost(self, sheet: Sheet, index: tuple[int, int], arrays: Arrays) -> bool:
+        """Whether a chunk of a tile is missing, which Zarr reads as fill values."""
+        return any(
+            not variable.sparse
+            and is_blank(arrays[name], variable)
+            and not sheet.handle.place.exists(chunk_key(variable, index))
+            for name, variable in self._subject.variables.items()
+            if name in arrays
+        )
 
     def span(self, key: SheetKey) -> Span | None:
         """The rows and columns of a sheet's tiles whose cells all lie in the valid ranges; None without any."""

@@ -79,11 +79,9 @@ class Subject:
     """The subject of a page: a spec of two axes, its store if it has one, and the settings for its depths.
 
     stored     the handle of the store; None where a spec is explored that has none
-    ds         the plane of the store as a dataset
+    ds         the plane of the store as a dataset, with all attractors of its cells where the store has them
     layer      the number of that plane in a stack
     attractors from which initial states the spec seeks all attractors of a cell; None where it does not
-    every      that plane with all attractors of its cells, where the store has them; ``ds`` has the motion from each
-               cell's own initial state
     third      the axis of a stack that is no axis of its planes; ``of_layer`` gives the subject of one of its values
     """
 
@@ -93,9 +91,22 @@ class Subject:
     ds: "xr.Dataset | None" = None
     layer: int = 0
     attractors: Starts | None = None
-    every: "xr.Dataset | None" = None
     third: Axis | None = None
     of_layer: "Callable[[float], Subject] | None" = None
+
+    @property
+    def every(self) -> "xr.Dataset | None":
+        """The plane of the store with all attractors of its cells; None where it does not have them."""
+        return None if self.ds is None or self.attractors is None else self.ds
+
+    def part(self, cells: Mapping[str, Any]) -> "xr.Dataset":
+        """Cells of the store by their indices along axes, each with the attractor that its own initial state reaches.
+
+        A run may be filling the store: its cells are those of this moment.
+        """
+        assert self.ds is not None
+        part = self.ds.isel(cells)
+        return part if self.every is None else own(part)
 
     @property
     def starts(self) -> Starts:
@@ -159,7 +170,7 @@ class Subject:
         made = {name: own.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
         fixed = {name: value for name, value in values.items() if name not in axes}
         spec = Spec(self.system, made, fixed, self.spec.settings)
-        return replace(self, spec=spec, stored=None, ds=None, every=None)
+        return replace(self, spec=spec, stored=None, ds=None)
 
     @cached_property
     def plane(self) -> SubjectPlane:
@@ -292,8 +303,7 @@ def _subject(
     if attractors is None:
         return Subject(spec, settings, handle, ds, layer, third=third, of_layer=of_layer)
     alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
-    leading = None if ds is None else own(ds)
-    return Subject(alone, settings, handle, leading, layer, attractors, ds, third, of_layer)
+    return Subject(alone, settings, handle, ds, layer, attractors, third, of_layer)
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:

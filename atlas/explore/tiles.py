@@ -83,11 +83,12 @@ class TileStore:
             lambda along, level, number: bool(subject.admitted(along, level, number, 1).any())
         )
         self._done: NDArray[np.bool_] | None = None
-        self._looked = float("-inf")
+        self._looked, self._complete = float("-inf"), False
 
     def has(self, plane: SubjectPlane, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
-        known = bool(self.memory.get(self, plane, key)) or self.outside(key) or self.keeper.has(plane, key)
+        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # of some the rest may be lost
+        known = held or self.outside(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def get(self, plane: SubjectPlane, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
@@ -164,22 +165,29 @@ class TileStore:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
+    @property
+    def looked(self) -> float:
+        """When the atlas itself was last looked at, by ``time.monotonic``: never again once all of it is solved."""
+        self.atlas_done()
+        return self._looked
+
     def atlas_done(self) -> NDArray[np.bool_] | None:
         """Which cells (y, x) of the atlas itself are solved; None without an atlas.
 
         In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
         """
-        ds, subject = self.subject.ds, self.subject
-        if ds is None or subject.stored is None:
+        subject = self.subject
+        if subject.ds is None or subject.stored is None:
             return None
-        if time.monotonic() - self._looked > LOOK and (self._done is None or not self._done.all()):
+        if time.monotonic() - self._looked > LOOK and not self._complete:
             self._looked = time.monotonic()
             tiling = subject.stored.tiling
             done = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.stored):
                 done[tiling.at(index).slices] = True
             done = done[subject.layer] if done.ndim > 2 else done
-            self._done = done if subject.every is None else done & (ds[REGIME.name].values != PENDING)
+            self._complete = bool(done.all())
+            self._done = done if subject.every is None else done & (subject.part({})[REGIME.name].values != PENDING)
         return self._done
 
 

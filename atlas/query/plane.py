@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
+_STEPS = 400
+"""Least number of steps that take the place of cells which are not drawn equally wide."""
+
 
 class Meaning(NamedTuple):
     """A coordinate's meaning: words, symbol as mathtext, CF unit; empty where unknown."""
@@ -50,12 +53,19 @@ class PlaneAxis:
         """Whether all cells are drawn equally wide on a linear scale."""
         return not self.log and is_uniform(self.values)
 
-    def finer(self, times: int) -> "PlaneAxis":
-        """The axis with each cell cut into ``times`` that are drawn equally wide."""
+    def even(self, count: int | None = None) -> "tuple[PlaneAxis, NDArray[np.intp]]":
+        """The axis in ``count`` steps that are drawn equally wide, and the cell that has the middle of each.
+
+        By default these are the cells themselves where they are drawn so, and else at least _STEPS.
+        """
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
-        at = np.arange(2 * times * self.values.size + 1) / (2 * times)
-        every = back(np.interp(at, np.arange(self.edges.size), scale(self.edges)))
-        return replace(self, values=every[1::2], edges=every[::2])
+        cuts, own = scale(self.edges), self.values.size
+        every = np.linspace(cuts[0], cuts[-1], 2 * (count or own) + 1)
+        cells = np.clip(np.searchsorted(cuts, every[1::2], side="right") - 1, 0, own - 1)
+        if count is None and not np.array_equal(cells, np.arange(own)):
+            return self.even(max(own, _STEPS))
+        at = back(every)
+        return replace(self, values=at[1::2], edges=at[::2]), cells
 
 
 def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
@@ -66,7 +76,7 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
             ds = ds.sortby(name)
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
-        log = is_log(ds, name) and values[-1] / values[0] >= LOG_SPAN
+        log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # plain, as JSON wants it
         axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
     return ds, tuple(axes)
 
@@ -103,8 +113,9 @@ class Plane:
         """The values of a variable where the class of motion is known, NaN elsewhere."""
         return np.where(self.determined, self[name], np.nan)
 
-    def finer(self, times: int) -> "Plane":
-        """The plane with each cell cut into ``times`` x ``times``."""
-        whole = {**self.values, REGIME.name: self.regime}
-        cut = {name: values.repeat(times, axis=0).repeat(times, axis=1) for name, values in whole.items()}
-        return Plane(self.x.finer(times), self.y.finer(times), cut.pop(REGIME.name), cut)
+    def even(self, times: int | None = None) -> "Plane":
+        """The plane in steps that are drawn equally wide, ``times`` as many as cells along each axis: see the axis."""
+        x, columns = self.x.even(times and times * self.x.values.size)
+        y, rows = self.y.even(times and times * self.y.values.size)
+        place = np.ix_(rows, columns)
+        return Plane(x, y, self.regime[place], {name: values[place] for name, values in self.values.items()})

@@ -48,19 +48,19 @@ def lines_over(view: View, name: str, size: Size) -> Lines:
 
 def names_on(layers: Layers, plane: Plane, size: Size) -> list[dict[str, Any]]:
     """The names that fit into the regions of a map, each with its place, its angle and its colour."""
-    step = np.array(size[::-1]) / plane.regime.shape
-    fitting = places([named[:2] for named in layers.names], step, [NAME_SIZE])
-    return [
-        _name(
-            layers.names[place.number][1], plane, place.cell, place.angle, style.ink_on(layers.names[place.number][2])
-        )
-        for place in fitting
-    ]
+    (x, columns), (y, rows) = plane.x.even(), plane.y.even()
+    step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
+    names = []
+    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, [NAME_SIZE]):
+        _, text, under = layers.names[spot.number]
+        at = x.values[spot.cell[1]], y.values[spot.cell[0]]
+        names.append(_name(text, at, spot.angle, style.ink_on(under)))
+    return names
 
 
-def _name(text: str, plane: Plane, cell: tuple[int, int], angle: float, color: str) -> dict[str, Any]:
-    at = {"x": float(plane.x.values[cell[1]]), "y": float(plane.y.values[cell[0]])}
-    return at | {"text": text, "angle": angle, "color": color, "size": NAME_SIZE}
+def _name(text: str, at: Iterable[float], angle: float, color: str) -> dict[str, Any]:
+    x, y = map(float, at)
+    return {"x": x, "y": y, "text": text, "angle": angle, "color": color, "size": NAME_SIZE}
 
 
 def _grazing(view: View, size: Size) -> Lines:
@@ -79,13 +79,13 @@ def _boundaries(view: View, size: Size) -> Lines:
 def _isolines(view: View, size: Size) -> Lines:
     plane, kept, names = view.plane, list[Array](), list[dict[str, Any]]()
     for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
-        at, along = dense(_placed(plane, line, size))
+        placed = _placed(plane, line, size)
+        dots, along = dense(placed)
         if along[-1] >= overlays.LEAST_LINE:
             kept.append(line)
         if along[-1] >= _NAMED:
-            x, y = at[at.shape[0] // 2] / size * (plane.x.values.size, plane.y.values.size)
-            cell = min(int(y), plane.y.values.size - 1), min(int(x), plane.x.values.size - 1)
-            names.append(_name(f"{level:g}".replace("-", "−"), plane, cell, 0.0, "#000000") | {"halo": True})
+            middle = np.argmin(np.hypot(*(placed - dots[dots.shape[0] // 2]).T))
+            names.append(_name(f"{level:g}".replace("-", "−"), line[middle], 0.0, "#000000") | {"halo": True})
     look = {"label": "λ₁ constant", "color": "#ffffff", "dashes": [], "width": 1.0, "edge": overlays.SHADOW}
     drawn = _polylines(plane, "isolines", look, kept)
     return Lines(drawn.described | {"names": names})

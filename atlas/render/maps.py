@@ -98,15 +98,18 @@ def name_regions(
 
     ``named``: cells, name, and the colour under the name.
     """
-    if not all(axis.uniform or axis.log for axis in (plane.x, plane.y)):
-        return  # cells differ in size, so distances in cells have no meaning
+    (x, columns), (y, rows) = plane.x.even(), plane.y.even()
+    place = np.ix_(rows, columns)
     extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
-    step = np.array([extent.height, extent.width]) / dots / plane.regime.shape  # points per cell
+    step = np.array([extent.height / rows.size, extent.width / columns.size]) / dots  # points between the places tried
 
     def at(cell: tuple[int, int]) -> tuple[float, float]:
-        return plane.x.values[cell[1]], plane.y.values[cell[0]]
+        return x.values[cell[1]], y.values[cell[0]]
 
-    for number, cell, size, angle, region in places([region[:2] for region in named], step, type_sizes, most, free):
+    cells = [(region[place], name) for region, name, _ in named]
+    for number, cell, size, angle, region in places(
+        cells, step, type_sizes, most, None if free is None else free[place]
+    ):
         _, name, color = named[number]
         look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
         if region is None:

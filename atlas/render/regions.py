@@ -47,7 +47,7 @@ def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
             return drawn
         page.settle(drawn)
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))
-        fine = plane.finer(times)
+        fine = plane.even(times)
         marked = [np.asarray(line.get_xydata()) for line in ax.lines if line.get_gid() == "corner"]
         places = [dense(raster.in_points(ax, line, size))[0] for curve in curves for line in curve.stable_lines]
         places += [raster.in_points(ax, at, size) + _CORNER for at in marked]

@@ -28,7 +28,7 @@ const name = (each) => (each.ariaLabel || [...(each.labels ?? [])].map((label) =
 @pytest.fixture
 def phone(running: Exploration, browser: Any) -> Iterator[Tab]:
     """The page on a phone."""
-    with opened(browser, f"{running.url}?{WINDOW}", **PHONE) as made:
+    with opened(browser, f"{running.url}&{WINDOW}", **PHONE) as made:
         made.until(made.image)
         made.until(lambda: "kind=" in made.address())
         yield made
@@ -38,7 +38,7 @@ def phone(running: Exploration, browser: Any) -> Iterator[Tab]:
 @pytest.fixture
 def desk(running: Exploration, browser: Any) -> Iterator[Tab]:
     """The page on a wide screen."""
-    with opened(browser, f"{running.url}?{WINDOW}", 1440, 900) as made:
+    with opened(browser, f"{running.url}&{WINDOW}", 1440, 900) as made:
         made.until(made.image)
         made.page.wait_for_timeout(1500)  # what has no label gets its name
         yield made
@@ -103,9 +103,16 @@ def test_a_tap_chooses_the_cell_and_controls_unfold_between_the_plane_and_its_de
     assert phone.page.evaluate("() => document.documentElement.scrollWidth") == 390
 
 
+def go(tab: Tab, query: str) -> None:
+    """Open another address of the page, with its token."""
+    address, _, given = tab.page.url.partition("?")
+    (token,) = parse_qs(given)["token"]
+    tab.page.goto(f"{address}?{query}&token={token}")
+
+
 def cut(tab: Tab) -> list[tuple[float, float, float, float]]:
     """Open a cut by its link, and give the plot areas of the plane and of the two diagrams."""
-    tab.page.goto(tab.page.url.split("?")[0] + f"?{WINDOW}&cut=3.2,0.4,4.2,0.4")
+    go(tab, f"{WINDOW}&cut=3.2,0.4,4.2,0.4")
     tab.until(lambda: "257 cells along the cut" in tab.text(), 120.0)
     return [tab.plot(label) for label in ("map of", "section states along", "exponent along")]
 
@@ -132,7 +139,7 @@ def test_nothing_but_the_page_is_to_be_scrolled_to(desk: Tab) -> None:
 
 
 def test_a_finger_drags_an_orbit_along_its_branch(phone: Tab) -> None:
-    phone.page.goto(phone.page.url.split("?")[0] + "?omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125")
+    go(phone, "omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125")
     follow = phone.page.get_by_role("button", name="follow", exact=True)
     follow.wait_for(timeout=120_000)
     follow.tap()
@@ -204,7 +211,7 @@ def test_enter_on_the_plane_chooses_the_cell_in_the_middle(desk: Tab) -> None:
 
 
 def test_the_focus_is_seen_on_the_plane_and_in_the_dark(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url}?{WINDOW}", 1440, 900, color_scheme="dark") as tab:
+    with opened(browser, f"{running.url}&{WINDOW}", 1440, 900, color_scheme="dark") as tab:
         tab.until(tab.image)
         tab.page.wait_for_timeout(1500)
         found = stops(tab)
@@ -224,7 +231,7 @@ def test_everything_that_can_be_used_has_a_name(desk: Tab) -> None:
 
 
 def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url}?omega=3.3:4.3&b=0.31:0.51", 1440, 900) as tab:
+    with opened(browser, f"{running.url}&omega=3.3:4.3&b=0.31:0.51", 1440, 900) as tab:
         bar = tab.page.get_by_role("progressbar")
         share = int(tab.until(lambda: bar.count() and bar.get_attribute("aria-valuenow")))
         assert 0 <= share < 100
@@ -236,7 +243,7 @@ def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Explorat
 def test_in_dark_mode_the_key_has_a_dark_paper_and_the_colours_of_the_map(running: Exploration, browser: Any) -> None:
     shots = {}
     for scheme in ("light", "dark"):
-        with opened(browser, f"{running.url}?{WINDOW}", 1440, 900, color_scheme=scheme) as tab:
+        with opened(browser, f"{running.url}&{WINDOW}", 1440, 900, color_scheme=scheme) as tab:
             tab.until(tab.image)
             key = tab.page.locator("atlas-part.key")
             key.wait_for()

@@ -1,5 +1,6 @@
 """All attractors of a cell that is clicked: found on the cluster, or those that the store has."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -15,11 +16,14 @@ from atlas.explore.attractors import KeptAttractors, attractors_asked, attractor
 from atlas.explore.basinspanel import BasinsPanel
 from atlas.explore.chosen import beginning
 from atlas.explore.explorer import Explorer
-from atlas.explore.known import Cell
+from atlas.explore.kept import Keeper
+from atlas.explore.known import Cell, KnownCells
 from atlas.explore.patches import Errand
 from atlas.explore.subject import Subject, subject_of
+from atlas.explore.tiles import TileStore
 from atlas.query.queries import at
 from atlas.store.store import open_handle
+from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.zoom import sheet_place, sheets
 from tests.explore.test_solving import exploring, solved
 from tests.query.test_coexistence import spec_of
@@ -65,7 +69,7 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
     assert subject.every is not None
     point = {"omega": 4.0, "R": 0.7}
     found = at(subject.every, point)
-    cell = Cell(dict(subject.plane.parameters) | point, at(subject.ds, point), of_atlas=True)  # type: ignore[arg-type]
+    cell = Cell(dict(subject.plane.parameters) | point, at(subject.part({}), point), of_atlas=True)
     shown = known_attractors(subject, cell)
     assert shown is not None and shown.stored
     assert str(list(shown.listed)) == str(found["coexisting"])  # NaN is not equal to itself
@@ -74,8 +78,8 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
 
 def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
     subject = subject_of(str(coexistence))
-    every, ds = subject.every, subject.ds
-    assert every is not None and ds is not None
+    every, ds = subject.every, subject.part({})
+    assert every is not None
     for place, own in np.ndenumerate(every["own"].values):
         if own < 0:
             assert ds[REGIME.name].values[place] == PENDING
@@ -161,3 +165,48 @@ def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_doe
     sought = atlas.Spec.from_toml(made.file).attractors
     assert sought == atlas.Spec.from_toml(path).attractors
     assert (sought is None) == (table == "")
+
+
+def test_the_thousandth_spec_of_a_new_atlas_is_written_into_the_file_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("atlas.explore.actions.probe", lambda *_: None)
+    path = tmp_path / "plane.toml"
+    path.write_text(PLANE, encoding="utf-8")
+    subject = subject_of(str(path))
+    for number in range(1, 1000):
+        (tmp_path / f"{Path(subject.name).stem}-{number}.toml").touch()
+    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    assert made.file.name.endswith("-1000.toml") and made.file.read_text(encoding="utf-8") == made.text
+    assert made.file.name in made.line
+
+
+def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
+    coexistence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("atlas.explore.tiles.LOOK", 0.0)
+    path = Path(shutil.copytree(coexistence, tmp_path / "out.zarr"))
+    handle = open_handle(path)
+    tiles = {tile.index: read_tile(handle, tile.index) for tile in handle.tiling.tiles()}
+    for index in tiles:
+        drop_tile(handle, index)
+    subject = subject_of(str(path))
+    known = KnownCells(TileStore(subject, Keeper(subject, wanted=False)))
+    sight = subject.sight((3.6, 4.4), (0.7, 0.9), (3, 4))
+
+    def pending() -> int:
+        """Cells that no click and no picture shows; both agree."""
+        seen = known.seen(subject.plane, sight, ["largest"]).ds
+        cells = [known.cell(subject.plane, sight, x, y) for y in seen.R.values for x in seen.omega.values]
+        there = np.reshape([cell is not None for cell in cells], seen.regime.shape)
+        assert np.array_equal(seen.regime.values != PENDING, there)
+        covered = known.tiles.atlas_done()
+        assert covered is not None and np.array_equal(covered, there)
+        return int(np.sum(~there))
+
+    left = [pending()]
+    for index, arrays in tiles.items():
+        write_tile(handle, index, arrays)
+        left.append(pending())
+    own = atlas.open(path)["own"].values
+    assert left[0] == own.size and left[-1] == np.sum(own < 0) and left == sorted(set(left), reverse=True)

@@ -12,7 +12,7 @@ import pytest
 from atlas.explore.chosen import Chosen, beginning, look_query, looking
 from atlas.explore.compose import InView, composed
 from atlas.explore.drawn import ends_of, maps_of, message
-from atlas.explore.subject import Subject, subject_of
+from atlas.explore.subject import Subject, exploring, subject_of
 from atlas.explore.view import TILE, Sight
 from atlas.orbits.curves.table import write_curves
 from atlas.query.plane import Plane
@@ -21,6 +21,7 @@ from atlas.render.layers import View, paint
 from atlas.render.page import STANDARD
 from atlas.render.painters import PAINTERS
 from atlas.render.wanted import Wanted
+from atlas.spec.spec import Spec
 from atlas.store.store import open_handle
 from tests.explore.messages import opened
 from tests.explore.modules import run
@@ -145,6 +146,25 @@ def test_lines_come_clipped_to_the_view_and_what_cannot_be_drawn_is_said(subject
     about, _, lacking, _ = sent(subject, moved)
     assert "a store has curves of its own plane alone" in lacking
     assert about["lines"]["curves"]["lines"] == []  # known to be lacking: the page asks no more
+
+
+def test_a_name_fits_into_a_region_as_wide_as_it_is_drawn_on_a_logarithmic_axis_in_a_narrow_window() -> None:
+    """Truth: omega below 1.11 takes 20 pixels of a page and a name 15; evenly drawn, as in files, it would take 10."""
+    axes = {
+        "omega": {"start": 0.5, "stop": 8.0, "num": 60, "scale": "log"},
+        "b": {"start": 0.1, "stop": 0.5, "num": 30},
+    }
+    spec = Spec("two-mass", axes=axes)
+    subject = Subject(spec, exploring(spec.settings))
+    chosen = replace(beginning(subject), x=(1.0, 3.5), y=(0.1, 0.5), kind="impacts")
+    seen = seen_of(subject, chosen)
+    ones = np.ones(seen.sight.shape, dtype=np.int32)
+    upper = np.where(seen.ds.omega.values < 1.11, 2 * ones, ones)
+    made = {REGIME.name: PERIODIC * ones, "period": ones, "impacts_lower": ones, "impacts_upper": upper}
+    seen = replace(seen, ds=seen.ds.assign({name: (seen.ds.regime.dims, values) for name, values in made.items()}))
+    about = opened(message(seen, subject, chosen, maps_of(seen, chosen, others=False), {}, SIZE)[0])[0]
+    found = {name["text"]: name["x"] for name in about["names"]["impacts"]}
+    assert found.keys() == {"1-1-1", "1-2-1"} and found["1-2-1"] < 1.11 < found["1-1-1"]
 
 
 def test_a_map_without_such_numbers_is_refused_as_a_whole(subject: Subject) -> None:

@@ -14,10 +14,11 @@ from atlas.explore.kept import MOST_BYTES, Keeper
 from atlas.explore.session import explore as session
 from atlas.explore.sheets import SheetKey, Sheets
 from atlas.explore.subject import Arrays, Subject, subject_of
+from atlas.explore.tiles import TileStore
 from atlas.explore.view import TILE, TileKey
 from atlas.store.making import create
 from atlas.store.store import Atlas, open_handle
-from atlas.store.zoom import FILE_BLOCK, ZOOM, sheet_bytes, sheets
+from atlas.store.zoom import FILE_BLOCK, ZOOM, drop_sheet, sheet_bytes, sheets
 from tests.explore.test_solving import waited
 from tests.synthetic import spec_of
 from workers.results import PERIODIC, REGIME
@@ -193,3 +194,30 @@ def test_a_store_that_is_gone_is_said_to_be_and_nothing_is_dropped(
     assert waited(lambda: "kept later" in keeper.trouble) and keeper.waiting == len(KEYS)
     shutil.move(finished.with_name("away.zarr"), finished)
     assert all_written(keeper, subject)
+
+
+@pytest.mark.parametrize("how", ["damaged", "missing", "trimmed"])
+def test_what_is_lost_of_a_tile_is_solved_again_though_the_rest_of_it_is_in_memory(
+    keeper: Keeper, subject: Subject, finished: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """As where a map of exponents was looked at, and then one of periods."""
+    monkeypatch.setattr("atlas.explore.sheets.LOOK", 0.0)
+    offer(keeper, subject)
+    assert all_written(keeper, subject)
+    other = Keeper(subject)
+    tiles = TileStore(subject, other)
+    try:
+        assert tiles.get(subject.plane, KEYS, ["largest"]).keys() == {*KEYS}
+        assert all(tiles.has(subject.plane, key) for key in KEYS)
+        ((plane, sheet),) = sheets(open_handle(finished))
+        if how == "trimmed":
+            drop_sheet(open_handle(finished), plane, sheet)
+        for chunk in (finished / ZOOM / plane / sheet / "period" / "c").glob("*/*"):
+            chunk.write_bytes(b"?") if how == "damaged" else chunk.unlink()
+        assert tiles.get(subject.plane, KEYS, ["period"]) == {}
+        assert not any(tiles.has(subject.plane, key) for key in KEYS)
+        for key in KEYS:
+            tiles.put(subject.plane, key, tile(subject))
+        assert tiles.get(subject.plane, KEYS, ["period"]).keys() == {*KEYS}
+    finally:
+        other.stop()

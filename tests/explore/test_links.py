@@ -25,7 +25,7 @@ FOLDER = "/user/me/proxy/7"
 
 @pytest.fixture
 def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
-    with opened(browser, f"{running.url}?{WINDOW}", 1440, 800) as made:
+    with opened(browser, f"{running.url}&{WINDOW}", 1440, 800) as made:
         made.until(made.image)
         yield made
         assert made.complaints == []
@@ -115,7 +115,7 @@ def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: Explor
         context = browser.new_context(viewport={"width": 1440, "height": 800}, color_scheme=scheme)
         try:
             tab = Tab(context.new_page())
-            tab.page.goto(f"{running.url}?omega=3.9:4.0&b=0.5:0.51&kind=period")
+            tab.page.goto(f"{running.url}&omega=3.9:4.0&b=0.5:0.51&kind=period")
             tab.until(tab.image)
             tab.page.wait_for_timeout(1000)
             tab.until(lambda: "all that is in view is solved" in tab.text(), 120.0)

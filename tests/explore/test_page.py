@@ -47,7 +47,7 @@ def running(tmp_path_factory: pytest.TempPathFactory, client: Client, browser: A
 @pytest.fixture
 def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
     """Its page, once there is a picture; afterwards nothing may have gone wrong in the browser."""
-    with opened(browser, f"{running.url}?{WINDOW}") as made:
+    with opened(browser, f"{running.url}&{WINDOW}") as made:
         made.until(made.image)
         yield made
         assert made.complaints == []
@@ -167,7 +167,7 @@ def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_m
     running: Exploration, browser: Any
 ) -> None:
     """At omega = 4, b = 0.0939 an orbit of period 1 coexists with two mirror images of period 3."""
-    with opened(browser, f"{running.url}?omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
+    with opened(browser, f"{running.url}&omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
         tab.until(tab.image)
         click(tab, 0.475, 0.614)
 
@@ -263,7 +263,7 @@ def test_branches_along_a_cut_are_drawn_on_demand(tab: Tab) -> None:
 
 
 def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab: Tab) -> None:
-    tab.page.goto(running.url + "?omega=2.0:3.0&b=0.1:0.3&kind=period&R=0.75")
+    tab.page.goto(running.url + "&omega=2.0:3.0&b=0.1:0.3&kind=period&R=0.75")
     tab.until(tab.image)
     zoomed(tab, 2)
     address = tab.address()
@@ -278,7 +278,7 @@ def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
     running: Exploration, browser: Any, width: int, share: float
 ) -> None:
     """At 940 pixels, the width of a notebook, columns beside the plane left it 135; at 390 they covered it."""
-    with opened(browser, f"{running.url}?{WINDOW}", width, 720) as tab:
+    with opened(browser, f"{running.url}&{WINDOW}", width, 720) as tab:
         tab.until(tab.image)
         left, top, across, down = tab.plot()
         assert across > share * width and left + across <= width
@@ -291,7 +291,7 @@ def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
 
 
 def test_a_phone_has_the_controls_folded_until_they_are_asked_for(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url}?{WINDOW}", 390, 844) as tab:
+    with opened(browser, f"{running.url}&{WINDOW}", 390, 844) as tab:
         tab.until(tab.image)
         cut = tab.page.get_by_role("button", name="cut across")
         assert not cut.is_visible()
@@ -304,7 +304,7 @@ def test_a_reload_shows_the_map_also_where_a_line_over_it_cannot_be_drawn(
     running: Exploration, browser: Any, width: int
 ) -> None:
     """The store has no curves: asking for them must not cost the map."""
-    with opened(browser, f"{running.url}?{WINDOW}&overlay=curves,boundaries", width, 720) as tab:
+    with opened(browser, f"{running.url}&{WINDOW}&overlay=curves,boundaries", width, 720) as tab:
         tab.until(tab.image)
         tab.until(lambda: "has no curves yet" in tab.text())
         tab.page.reload()
@@ -326,7 +326,7 @@ def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
 
 
 def test_curves_of_another_plane_are_said_to_be_lacking(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url}?{WINDOW}&R=0.7&overlay=curves") as tab:
+    with opened(browser, f"{running.url}&{WINDOW}&R=0.7&overlay=curves") as tab:
         said = "no curves at R = 0.7: a store has curves of its own plane alone, R = 0.8"
         tab.until(lambda: said in tab.text())
         assert tab.until(tab.image)
@@ -334,13 +334,13 @@ def test_curves_of_another_plane_are_said_to_be_lacking(running: Exploration, br
 
 def test_two_pages_at_once_show_different_windows(running: Exploration, tab: Tab) -> None:
     other = Tab(tab.page.context.new_page())
-    other.page.goto(running.url + "?omega=2.0:3.0&b=0.1:0.3")
+    other.page.goto(running.url + "&omega=2.0:3.0&b=0.1:0.3")
     window = other.until(other.image)
     assert 1.9 < window[0] < 2.1 and (tab.image() or [0.0])[0] > 3.1
 
 
 def test_pages_that_are_closed_free_their_work(running: Exploration, browser: Any) -> None:
-    with opened(browser, f"{running.url}?{WINDOW}") as tab:
+    with opened(browser, f"{running.url}&{WINDOW}") as tab:
         tab.until(tab.image)
         assert running.explorer.listeners
     with opened(browser, "about:blank") as tab:
@@ -366,7 +366,7 @@ def test_the_view_is_made_the_spec_of_an_atlas(running: Exploration, tab: Tab) -
 def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(running: Exploration, tab: Tab) -> None:
     centre, half = (3.7300123456789, 0.3000123456789), 1.75e-6
     (x, y) = (f"{value - half!r}:{value + half!r}" for value in centre)
-    tab.page.goto(f"{running.url}?omega={x}&b={y}")
+    tab.page.goto(f"{running.url}&omega={x}&b={y}")
     tab.until(tab.image)
     sight = settled(running, tab)
     script = (
@@ -382,5 +382,5 @@ def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(
 
 
 def test_an_address_that_is_wrong_is_said_and_the_whole_plane_shown(running: Exploration, browser: Any) -> None:
-    with opened(browser, running.url + "?kind=sweep") as tab:
+    with opened(browser, running.url + "&kind=sweep") as tab:
         tab.until(lambda: "found 'sweep'" in tab.text())

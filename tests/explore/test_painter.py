@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from distributed import Client
@@ -15,11 +16,19 @@ from distributed import Client
 from atlas.explore import painter as painting
 from atlas.explore.chosen import Chosen, beginning
 from atlas.explore.explorer import Explorer
+from atlas.explore.kept import Keeper
+from atlas.explore.known import KnownCells
 from atlas.explore.painter import Painted, Painter
+from atlas.explore.subject import subject_of
+from atlas.explore.tiles import TileStore
 from atlas.explore.view import STAGES
 from atlas.platform import give_back_memory
+from atlas.query.reads import counted
+from atlas.store.store import open_handle
+from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.explore.messages import opened
 from tests.explore.test_solving import exploring, waited
+from workers.results import PENDING
 
 SIZE = (48, 40)
 
@@ -107,6 +116,32 @@ def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Pain
         cell = (high - low) / axis["count"]
         assert low <= window[0] < low + cell and high - cell < window[1] <= high
         assert 0.4 * size < axis["count"] <= 1.2 * size + 2
+
+
+def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_it_anew(
+    finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handle, index = open_handle(finished), (0, 0)
+    arrays = read_tile(handle, index)
+    drop_tile(handle, index)
+    monkeypatch.setattr("atlas.explore.tiles.LOOK", 0.0)
+    subject = subject_of(str(finished))
+    known = KnownCells(TileStore(subject, Keeper(subject, wanted=False)))
+    sight = subject.sight((2.0, 4.0), (0.1, 0.5), (7, 5))
+
+    def pending() -> int:
+        return int(np.sum(known.seen(subject.plane, sight, ["largest"]).ds.regime.values == PENDING))
+
+    assert pending() == arrays["regime"].size
+    write_tile(handle, index, arrays)
+    assert pending() == 0
+    with counted() as reads:
+        for _ in range(5):
+            assert pending() == 0
+    assert reads.chunks == 0
+    with counted() as reads:
+        known.seen(subject.plane, sight, ["period"])
+    assert reads.chunks > 0
 
 
 def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,11 +14,11 @@ from pathlib import Path
 import nbclient
 import nbformat
 import pytest
-from bokeh.client import pull_session
 from distributed import Client
 
 import atlas
 from atlas.errors import InputError
+from atlas.explore.session import explore
 from atlas.store.store import open_handle
 from atlas.store.zoom import sheets
 from rig.browser import opened, started
@@ -54,10 +55,10 @@ def test_stop_ends_the_threads_of_every_page(finished: Path, client: Client) -> 
     before = set(threading.enumerate())
     shown = atlas.open(finished).atlas.explore(client=client, keep=False)
     try:
-        session = pull_session(url=shown.url.partition("?")[0])
+        with urllib.request.urlopen(shown.url, timeout=30.0):
+            pass  # which makes a page
         names = {thread.name for thread in set(threading.enumerate()) - before}
         assert {"atlas-page", "atlas-painter", "atlas-patches", "atlas-keeper"} <= names
-        session.close()
     finally:
         shown.stop()
     left = {thread.name for thread in set(threading.enumerate()) - before}
@@ -122,6 +123,26 @@ def test_ctrl_c_keeps_what_is_solved_leaves_no_process_and_gives_the_store_back(
     assert not (finished.parent / f".{finished.name}.run" / "claim").exists()
     assert sheets(open_handle(finished))
     assert atlas.verify(finished).fine
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Tornado leaves such sockets open
+def test_an_address_that_cannot_be_used_is_refused_before_anything_is_compiled(finished: Path, client: Client) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for given, says in (
+            ({"port": port}, f"host 127.0.0.1, port {port}: cannot be used: "),
+            ({"host": "no-such-host.invalid"}, "host no-such-host.invalid, port 0: cannot be used: "),
+            ({"port": 65536}, "port: found 65536, must be 0 to 65535"),
+            ({"port": -1}, "port: found -1, must be"),
+        ):
+            with pytest.raises(InputError, match=f"^{says}"):
+                explore(str(finished), client=client, prepare=lambda: pytest.fail("compiled"), **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("tolerance", [float("nan"), float("inf"), -1.0])
+def test_a_tolerance_that_is_none_is_refused(finished: Path, tolerance: float) -> None:
+    with pytest.raises(InputError, match="tolerance: found"):
+        explore(str(finished), tolerance=tolerance, prepare=lambda: pytest.fail("kernels are compiled"))
 
 
 @pytest.mark.parametrize("options", [{"tolerance": 0}, {"tolerance": 0.0}, {"workers": 0}])

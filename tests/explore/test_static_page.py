@@ -120,6 +120,17 @@ def test_a_page_has_every_number_of_the_store_to_the_bit(opened: xr.Dataset) -> 
     assert known["leftOut"] == []
 
 
+@pytest.mark.parametrize("start", [0.5, 2.0])
+def test_a_plane_with_a_logarithmic_axis_has_a_page_that_draws_it_as_pictures_do(start: float, tmp_path: Path) -> None:
+    """On a log scale from a ratio of 4 of its ends on; below, evenly."""
+    making.create(tmp_path / "log.zarr", synthetic.spec_of(8, 6, start=start, stop=4.0, scale="log"), (6, 8))
+    page = tmp_path / "log.html"
+    assert atlas.open(tmp_path / "log.zarr").atlas.page(page) == page
+    x, y = described(page.read_text("utf-8"))["axes"]
+    assert (x["log"], y["log"]) == (start == 0.5, False)
+    assert np.allclose(x["values"], np.geomspace(start, 4.0, 8), rtol=1e-12)
+
+
 def test_a_page_that_must_be_small_states_the_digits_that_its_numbers_have(opened: xr.Dataset) -> None:
     whole = page_of(opened)
     limit = len(whole.encode()) - 8000

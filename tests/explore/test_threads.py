@@ -170,7 +170,7 @@ def test_a_server_whose_loop_ends_by_an_exception_serves_on_at_its_address() -> 
             IOLoop.current().add_callback(sys.exit, "the loop ends")
 
     def answers() -> bool:
-        with suppress(OSError), urlopen(server.url, timeout=20.0) as found:
+        with suppress(OSError), urlopen(f"{server.url}?token={server.token}", timeout=20.0) as found:
             return int(found.status) == 200
         return False
 

@@ -28,7 +28,7 @@ IMAGE = "[...Bokeh.documents[0]._all_models.values()].find((model) => model.data
 @pytest.fixture
 def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
     """Its page, once all in view is solved and drawn."""
-    with opened(browser, f"{running.url}?{WINDOW}") as made:
+    with opened(browser, f"{running.url}&{WINDOW}") as made:
         made.until(made.image)
         rested(running, made)
         yield made
@@ -148,7 +148,7 @@ def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) ->
 def test_the_first_view_of_known_cells_is_one_picture_and_few_messages(
     running: Exploration, browser: Any, tab: Tab
 ) -> None:
-    with opened(browser, f"{running.url}?{WINDOW}") as other:
+    with opened(browser, f"{running.url}&{WINDOW}") as other:
         other.until(other.image)
         other.page.wait_for_timeout(2500)
         size = sum(other.received) + sum(other.sent)

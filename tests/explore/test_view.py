@@ -2,19 +2,26 @@
 
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
+from typing import NoReturn
 
 import numpy as np
 import pytest
+from bokeh.document import Document
 
 import atlas
 from atlas.errors import InputError
 from atlas.explore.chosen import beginning, from_address, kinds, overlays
 from atlas.explore.compose import composed, seen_atlas
 from atlas.explore.drawn import maps_of
+from atlas.explore.explorer import Explorer
 from atlas.explore.kept import Keeper
 from atlas.explore.known import below
 from atlas.explore.lattice import Lattice
+from atlas.explore.page import Page
+from atlas.explore.painter import Painted, Painter
 from atlas.explore.patches import WorkState as Work
+from atlas.explore.state import State, Store
 from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
 from atlas.explore.tiles import Memory, TileStore
 from atlas.explore.view import STAGES, TILE, TileKey
@@ -226,6 +233,12 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"without": [b"stars"]}, "without: found 'stars'; possible: fold"),
         ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
         ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
+        ({"b": [b"-1e308:1e308"]}, r"b: found -1e\+308, must be -1e\+100 to 1e\+100"),
+        ({"b": [b"-1e308:-1e307"]}, r"b: found -1e\+308, must be"),
+        ({"b": [b"0:5e-324"]}, "b: found '0:5e-324', must be wider than rounding"),
+        ({"cut": [b"1e308,-1e308,1,1e308"]}, r"cut: found 1e\+308, must be"),
+        ({"cut": [b"2.5,0.3,2.5,0.30000000000000004"]}, "which begins and ends at one point"),
+        ({"cell": [b"2.5,1e308"]}, r"cell: found 1e\+308, must be"),
     ],
 )
 def test_an_address_that_asks_for_what_there_is_not_is_refused(
@@ -233,6 +246,56 @@ def test_an_address_that_asks_for_what_there_is_not_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=message):
         from_address(subject, given)
+
+
+def unreachable() -> NoReturn:
+    raise OSError("no cluster")
+
+
+LOG_AXES = {
+    "omega": {"start": 0.5, "stop": 8.0, "num": 60, "scale": "log"},
+    "b": {"start": 0.1, "stop": 0.5, "num": 30},
+}
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        ("cut=0,0.1,2,0.3", r"cut: found 0, must be 1e-100 to 1e\+100"),
+        ("cut=2,0.1,-1,0.3", "cut: found -1, must be"),
+        ("cell=0,0.1", "cell: found 0, must be"),
+        ("omega=-1:1", "omega: found '-1:1', must be LOW:HIGH above zero"),
+        ("omega=1e-320:1e308", r"omega: found 9.99989e-321, must be"),
+        ("omega=1e-100:1e100", ""),
+        ("b=-1e100:1e100", ""),
+        ("b=0:1e-14", ""),
+        ("omega=1e99:1e100&b=1e99:1e100", ""),
+        ("cut=1e-100,-1e100,1e100,1e100", ""),
+        ("cut=2,0.2,2,0.2000000000001", ""),
+        ("cell=1e-100,-1e100", ""),
+        ("cell=2,0.2&follow.orbit=omega,1e300,-1e300,5,1e308", ""),
+    ],
+)
+def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path: Path) -> None:
+    """Truth: impossible cuts and windows ended in a blank page, since its server could not make it."""
+    spec = atlas.Spec("two-mass", LOG_AXES)
+    subject = Subject(spec, exploring(spec.settings))
+    given = {name: [value.encode()] for name, _, value in (part.partition("=") for part in query.split("&"))}
+    if message:
+        with pytest.raises(InputError, match=message):
+            from_address(subject, given)
+        return
+    chosen = from_address(subject, given)
+    explorer = Explorer(subject, unreachable, keep=False)
+    page, came = Page(Document(), explorer, Store(State(chosen)), tmp_path, explorer), SimpleQueue[Painted | str]()
+    painter = Painter(explorer, came.put, came.put)
+    try:
+        painter.show(chosen, (300, 200))
+        assert isinstance(came.get(timeout=60.0), Painted)
+    finally:
+        page.close()
+        painter.close()
+        explorer.stop()
 
 
 def test_without_exponents_the_kinds_that_need_them_are_not_offered() -> None:

@@ -2,15 +2,19 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from xarray.backends import BackendArray
+from xarray.core import indexing
 
 import atlas
 from atlas.errors import InputError
 from atlas.query.export import export
 from atlas.query.window import within
+from atlas.spec.points import POINT
 from atlas.store import making
 from tests.synthetic import fill, spec_of
 from workers.results import REGIMES
@@ -70,6 +74,36 @@ def test_a_sweep_is_exported_too(ds: xr.Dataset, tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "a.csv")
     assert [float(row["omega"]) for row in rows] == ds.omega.values.tolist()
     np.testing.assert_array_equal([float(row["largest"]) for row in rows], ds.largest.values[3])
+
+
+class Counted(BackendArray):
+    """Numbers that are read when they are asked for; ``sizes`` of the parts that were."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values, self.shape, self.dtype = values, values.shape, values.dtype
+        self.sizes: list[int] = []
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._get)
+
+    def _get(self, key: Any) -> np.ndarray:
+        self.sizes.append(self._values[key].size)
+        return self._values[key]
+
+
+@pytest.mark.parametrize("dim", ["omega", POINT])
+def test_a_sweep_and_a_table_are_read_a_block_at_a_time(ds: xr.Dataset, tmp_path: Path, dim: str) -> None:
+    """Truth: a table was read as a whole, whatever its size."""
+    line = ds[["regime", "largest"]].isel(b=3).load()
+    if dim == POINT:
+        line = line.rename({"omega": POINT}).assign_coords({POINT: np.arange(20), "omega": (POINT, ds.omega.values)})
+    counted = Counted(line.largest.values)
+    lazy = xr.Variable((dim,), indexing.LazilyIndexedArray(counted))
+    export(line.assign(largest=lazy), tmp_path / "a.csv", csv_cells=6)
+    assert counted.sizes == [6, 6, 6, 2]
+    rows = rows_of(tmp_path / "a.csv")
+    np.testing.assert_array_equal([float(row["largest"]) for row in rows], line.largest.values)
+    np.testing.assert_array_equal([float(row["omega"]) for row in rows], ds.omega.values)
 
 
 def test_a_netcdf_file_holds_the_window_with_its_attributes(ds: xr.Dataset, tmp_path: Path) -> None:

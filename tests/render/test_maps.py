@@ -16,10 +16,14 @@ from scipy import ndimage
 from atlas import render
 from atlas.errors import InputError
 from atlas.query import grazing, room, tidy
-from atlas.query.plane import rising
+from atlas.query.plane import Plane, rising
 from atlas.query.queries import boundary
 from atlas.render import classes, kinds, overlays, painters, scales
-from atlas.render.layers import Entry, paint
+from atlas.render.coded import coded_map
+from atlas.render.layers import Entry, View, paint
+from atlas.render.lines import lines_over, names_on
+from atlas.render.page import STANDARD
+from atlas.render.wanted import Wanted
 from atlas.render.words import number
 from tests.pictures import NAN, atlas, branches, colour, curves, keeping, labelled, labels, layers, pixel, plane
 from workers import solve_tile
@@ -453,6 +457,53 @@ def test_isolines_follow_the_exponents_that_they_name() -> None:
             assert np.ptp(radius) < 0.02
             named.add(round(float(radius.mean()), 1))
     assert {0.3, 0.6, 0.9, 1.2} <= named or {0.2, 0.4, 0.6, 0.8} <= named
+
+
+UNEVEN = np.cumsum(np.concatenate([np.full(80, 0.01), np.linspace(0.01, 0.2, 60)])) + 0.05
+"""Points that are drawn neither evenly nor in the logarithm."""
+
+
+@pytest.mark.parametrize("axis", [np.linspace(0.05, 6.0, 140), np.geomspace(0.05, 6.0, 140), UNEVEN])
+def test_a_number_on_an_isoline_of_a_page_stands_on_that_line(axis: np.ndarray) -> None:
+    """Truth: the exponent at (x, y) is -(x + y) / 6. Earlier numbers stood where equally wide cells would lie."""
+    n = axis.size
+    values = -np.add.outer(axis, axis) / 6.0
+    ds = atlas({"omega": axis, "b": axis}, regime=np.full((n, n), PERIODIC, np.int8), largest=values)
+    view = View(kinds.TABLE["period"], ds, Plane.of(ds, ["largest"]), Wanted(STANDARD))
+    names = lines_over(view, "isolines", (1000.0, 800.0)).described["names"]
+    assert len(names) >= 3
+    for name in names:
+        assert float(name["text"].replace("−", "-")) == pytest.approx(-(name["x"] + name["y"]) / 6.0, abs=0.02)
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+@pytest.mark.parametrize("axis", [np.linspace(0.05, 6.0, 140), np.geomspace(0.05, 6.0, 140), UNEVEN])
+def test_names_of_regions_lie_within_them_in_pictures_and_on_pages_however_wide_cells_are(
+    axis: np.ndarray, logarithmic: bool
+) -> None:
+    """Truth: a disc in the middle of the plane as it is drawn has motion 1-2-1, the rest 1-1-1."""
+    n = axis.size
+    log = {"omega": "log", "b": "log"} if logarithmic else {}
+    ds = atlas({"omega": axis, "b": axis}, log, regime=np.full((n, n), PERIODIC, np.int8))
+    drawn = Plane.of(ds, ()).x
+    (low, high), scale = drawn.edges[[0, -1]], np.log if drawn.log else np.asarray
+
+    def away(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """How far from the middle, where the plane is one wide and one high."""
+        x, y = ((scale(at) - scale(low)) / (scale(high) - scale(low)) - 0.5 for at in (x, y))
+        return np.hypot(x, y)
+
+    ds["period"] = ds["regime"] * 0 + np.int32(1)
+    ds["impacts_lower"] = ds["regime"] * 0 + np.int32(1)
+    ds["impacts_upper"] = (("b", "omega"), np.where(away(*np.meshgrid(axis, axis)) < 0.3, 2, 1).astype(np.int32))
+    in_file = [(text.get_text(), *text.get_position()) for text in render.figure(ds, "impacts").axes[0].texts]
+    coded = coded_map(ds, ds, "impacts")
+    names = names_on(coded.layers, Plane.of(ds, ()), (1000.0, 800.0))
+    on_page = [(name["text"], name["x"], name["y"]) for name in names]
+    for found in (in_file, on_page):
+        assert {text for text, *_ in found} == {"1-1-1", "1-2-1"}
+        for text, x, y in found:
+            assert away(x, y) < 0.28 if text == "1-2-1" else away(x, y) > 0.32
 
 
 def test_the_legend_names_the_overlays() -> None:
