@@ -3,8 +3,9 @@
 The compiler neither reorders nor fuses; products to be fused are written so, see fma.py. The bits of a result therefore
 depend neither on the compilation or loading order nor on the processor.
 
-Loops of unknown length are not unrolled, see unrolling.py. Most run over a few coordinates, blocks or harmonics; unrolled, they took
-155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to 17 % slower.
+Loops of unknown length are not unrolled, see unrolling.py. Most run over a few coordinates, blocks or harmonics;
+unrolled, they took 155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to
+17 % slower.
 """
 
 from collections.abc import Callable
