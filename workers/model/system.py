@@ -16,7 +16,7 @@ from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
 from workers.model.hybrid import build_hybrid
-from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
+from workers.model.measures import element_variables, law_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
 from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, one_of
@@ -86,9 +86,9 @@ class System:
     def from_toml(cls, source: str | Path) -> "System":
         """The system of a TOML file with one table [system], from the file's path or text.
 
-        Raises ValueError in one line that names the file and the entry.
+        One line that ends in .toml is a path. Raises ValueError in one line that names the file and the entry.
         """
-        if isinstance(source, str) and ("\n" in source or "=" in source):
+        if isinstance(source, str) and ("\n" in source or ("=" in source and not source.endswith(".toml"))):
             return cls.from_mapping(_only_system(parse_toml(source)))
         try:
             return cls.from_mapping(_only_system(read_toml(Path(source))))
@@ -124,7 +124,8 @@ class System:
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
-        return [*measure_variables(self.definition.measures), *elements, *drifts, *cycles]
+        laws = law_variables(self.definition.fitted)
+        return [*measure_variables(self.definition.measures), *elements, *laws, *drifts, *cycles]
 
     @property
     def regime(self) -> Variable:
