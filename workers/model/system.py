@@ -33,6 +33,7 @@ from workers.results import (
     InvalidError,
     Variable,
     in_time,
+    of_friction,
     result_variables,
 )
 from workers.settings import Settings
@@ -141,6 +142,9 @@ class System:
         """The results of a cell, see ``results.result_variables``, with the results of this system alone."""
         observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
         variables = result_variables(settings, attractors, basins, self.own_variables + observed)
+        if self.definition.friction:
+            stops = any(contact.rigid for contact in self.definition.contacts)
+            variables = tuple(of_friction(variable, stops) for variable in variables)
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def observables(self, settings: Settings) -> tuple[Observable, ...]:
