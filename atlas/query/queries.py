@@ -141,13 +141,18 @@ def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
     return merged(law_uses(system, block.values) for block in walk(part, names, OF_MOTIONS))
 
 
+def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":
+    """Whether cells, or attractors of cells, have one of these regimes. InputError for an unknown name of a regime."""
+    return ds[REGIME.name].isin(codes_of(regimes))
+
+
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
     """The atlas with the results of all other regimes taken out (NaN); ``regime`` itself stays as it is.
 
     Whole numbers and flags become floats, since they have no value that means none. Loads the masked variables: choose
     variables and a window first where the atlas is large.
     """
-    kept = ds[REGIME.name].isin(codes_of(regimes))
+    kept = is_regime(ds, regimes)
     numbers = {name: ds[name].astype(np.float64) if ds[name].dtype == bool else ds[name] for name in ds.data_vars}
     cells = set(ds[REGIME.name].dims)
     masked = {name: array.where(kept) for name, array in numbers.items() if cells <= set(array.dims)}
