@@ -156,7 +156,8 @@ class Definition:
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
         """Its elements whose law is an expression, which segments replace."""
-        return tuple(e for e in (*self.contacts, *self.friction, *self.springs) if isinstance(e.law, Expression))
+        every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
+        return tuple(element for element in every if isinstance(element.law, Expression))
 
     def law_use(
         self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
