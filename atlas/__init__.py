@@ -16,6 +16,8 @@ its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from atlas.accessing import register_accessor
+
 if TYPE_CHECKING:
     from atlas import errors
     from atlas.api import (
@@ -82,6 +84,9 @@ _WITH_NUMBA = {
     "measure_attractors": "atlas.service.measures",
 }
 """Where those names are that bring Numba with them: apart from the others, which do without."""
+
+
+register_accessor()
 
 
 def __getattr__(name: str) -> Any:

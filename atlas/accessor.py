@@ -1,6 +1,6 @@
 """``ds.atlas``: queries of an atlas and pictures of it, as methods of the dataset. It holds nothing but the dataset.
 
-Registered with xarray by ``atlas.open``, or by importing this module.
+Registered with xarray by ``import atlas``, see accessing.py.
 """
 
 from collections.abc import Iterable, Mapping
@@ -70,7 +70,6 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
     return pd.DataFrame(list(rows))
 
 
-@xr.register_dataset_accessor("atlas")
 class AtlasAccessor:
     """Queries of an atlas, opened as a dataset, and its pictures.
 
@@ -96,6 +95,13 @@ class AtlasAccessor:
         See ``queries.at``.
         """
         return query.at(self._whole, given_values(given, point))
+
+    def is_(self, *regimes: str) -> xr.DataArray:
+        """Cells of these regimes, ``ds.largest.where(ds.atlas.is_("chaotic"))``: ``ds.regime`` itself holds codes.
+
+        See ``queries.is_regime``.
+        """
+        return query.is_regime(self._whole, regimes)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
         """The atlas with the results of all other regimes masked, ``where_regime("chaotic")``.

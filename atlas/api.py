@@ -71,7 +71,6 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
     >>> ds.atlas.at(omega=3.0, b=0.3)["regime"]
     'periodic'
     """
-    import atlas.accessor  # noqa: F401  registers it
 
     return open_atlas(store, chunks, storage_options)
 

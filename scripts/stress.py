@@ -97,7 +97,7 @@ def spread(work: list[Task], workers: int) -> Iterator[Findings]:
     from distributed import Client, LocalCluster, as_completed
 
     cluster = LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, security=True
+        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", security=True
     )
     with cluster, Client(cluster) as client:
         futures = as_completed(client.map(perform, work, pure=False), with_results=True)

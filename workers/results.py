@@ -306,6 +306,25 @@ def in_time(variable: Variable) -> Variable:
     return replace(variable, long_name=_IN_TIME.get(variable.name, meaning), codes=codes)
 
 
+_STICKING = {
+    True: {
+        "sticks": ("the mass rests on a stop or sticks for part of the time; false unless known", "rests or sticks"),
+        "stuck_fraction": ("share of the time at rest on a stop or sticking", "share of time at rest"),
+    },
+    False: {
+        "sticks": ("friction sticks for part of the time; false unless known", "sticks"),
+        "stuck_fraction": ("share of the time that friction sticks", "share of time sticking"),
+    },
+}
+"""Meanings and labels of results of a machine with friction, with and without a rigid stop, by name."""
+
+
+def of_friction(variable: Variable, stops: bool) -> Variable:
+    """The variable of a machine with friction, which sticks; ``stops``: there is a rigid stop to rest on, too."""
+    meaning, label = _STICKING[stops].get(variable.name, (variable.long_name, variable.label))
+    return replace(variable, long_name=meaning, label=label)
+
+
 def of_one(variable: Variable) -> Variable:
     """The variable for a single attractor of a cell."""
     return replace(variable, extra=tuple(dim for dim in variable.extra if dim != ATTRACTOR))

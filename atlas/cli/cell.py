@@ -35,6 +35,7 @@ from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
 from atlas.spec.json_schema import spec_schema
+from atlas.spec.laws import law_lines, uses_of_cell
 from atlas.spec.system import checked_system, unused_lines
 from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
 from workers.attractors.starts import Starts
@@ -67,7 +68,11 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
             results = attractors(pairs, system=record, settings=settings, starts=starts)
         else:
             results = solve_point(pairs, system=record, settings=settings)
-    click.echo(to_json(results)) if as_json else print_cell(results, record.name)
+    if as_json:
+        click.echo(to_json(results))
+        return
+    print_cell(results, record.name)
+    click.echo("".join(f"{line}\n" for line in law_lines(uses_of_cell(record, results))), nl=False)
 
 
 @click.command(

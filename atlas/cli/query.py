@@ -30,6 +30,8 @@ from atlas.errors import InputError
 from atlas.query.attractors import leading
 from atlas.query.classes import asked_class
 from atlas.service.progress import reason_lines
+from atlas.spec.laws import law_lines, uses_of_cell
+from atlas.spec.system import stored_system
 from atlas.text import plural
 
 if TYPE_CHECKING:
@@ -65,11 +67,15 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
         why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & results.keys() else {}
         if as_json:
             click.echo(to_json(results | ({"reasons": why} if why else {})))
-        elif point:
+            return
+        if point:
+            system = stored_system(ds.attrs)
+            used = uses_of_cell(system, results) if system else {}
             _print_values(results, "coexisting")
         else:
+            used = questions.laws(leading(ds), bounds)
             print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in results.items()])
-            click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
+        click.echo("".join(f"{line}\n" for line in (*reason_lines(why), *law_lines(used))), nl=False)
 
 
 @click.command(

@@ -19,6 +19,7 @@ from atlas.platform import processors
 from atlas.query.open import handle_of
 from atlas.query.window import Window, axis_names, axis_values
 from atlas.service.cluster import active_client, connected, local_cluster
+from atlas.service.hiring import check_kind
 from atlas.service.timing import TIMING, Timing
 from atlas.store.store import Atlas
 
@@ -147,6 +148,7 @@ def _connection(
     client: "Client | None", scheduler: str | None, workers: int | None, timing: Timing
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
+        check_kind(client)
         given = client
         return lambda: nullcontext(given)
     if scheduler is not None:

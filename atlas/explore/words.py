@@ -93,7 +93,7 @@ def cell_line(cell: Cell, subject: Subject) -> str:
 
 def cell_given(cell: Cell, subject: Subject) -> dict[str, Any]:
     """The numbers of a cell with their meanings, as JSON, of which the page shows the results of its regime."""
-    own = {variable.name: variable for variable in subject.system.own_variables}
+    own = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
     values = {name: value for name, value in numbers.items() if name not in subject.axes}
     reasons = [reason.text for reason in REASONS]

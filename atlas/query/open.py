@@ -27,9 +27,8 @@ def open_atlas(
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
     ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
-    where they are measured their measures. Pure numbers have no units. Reading a chunk of a finished tile that is
-    missing or damaged raises
-    ChunkError.
+    where they are measured their measures. Attributes are those that the store has. Reading a chunk of a finished tile
+    that is missing or damaged raises ChunkError.
     """
     import xarray
 
@@ -53,9 +52,6 @@ def open_atlas(
         opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
     if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
         opened = opened.assign(open_table(handle, STABILITY).data_vars)
-    for variable in opened.variables.values():  # xarray would write [1] on every axis
-        if variable.attrs.get("units") == "1":
-            del variable.attrs["units"]
     note_store(opened, handle)
     return opened
 

@@ -16,6 +16,7 @@ from atlas.query.reads import count_reads
 from atlas.query.resample import view
 from atlas.query.source import find_part
 from atlas.query.totals import StoreTotals
+from atlas.query.walk import walk
 from atlas.query.window import (
     Window,
     axis_names,
@@ -29,6 +30,7 @@ from atlas.query.window import (
     within,
 )
 from atlas.spec.axis import number
+from atlas.spec.laws import LawUse, law_names, law_uses, merged
 from atlas.spec.system import stored_system
 from workers.model.parameter import OMEGA
 from workers.results import (
@@ -36,6 +38,7 @@ from workers.results import (
     ERROR,
     LARGEST,
     NO_REASON,
+    OF_MOTIONS,
     PENDING,
     PER_PERIOD,
     PER_TIME,
@@ -126,13 +129,30 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     return {reason.text: n for reason, n in zip(REASON.codes, counts, strict=True) if n and reason.code != NO_REASON}
 
 
+def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
+    """How far the laws of the machine that are expressions were used by the cells of a window, by element.
+
+    Cells and errors as in ``fractions``. Reads the variables that tell it, none if no law is an expression.
+    """
+    system, part = stored_system(ds.attrs), within(ds, window)
+    names = [name for name in (law_names(system) if system else ()) if name in ds]
+    if system is None or not names:
+        return {}
+    return merged(law_uses(system, block.values) for block in walk(part, names, OF_MOTIONS))
+
+
+def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":
+    """Whether cells, or attractors of cells, have one of these regimes. InputError for an unknown name of a regime."""
+    return ds[REGIME.name].isin(codes_of(regimes))
+
+
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
     """The atlas with the results of all other regimes taken out (NaN); ``regime`` itself stays as it is.
 
     Whole numbers and flags become floats, since they have no value that means none. Loads the masked variables: choose
     variables and a window first where the atlas is large.
     """
-    kept = ds[REGIME.name].isin(codes_of(regimes))
+    kept = is_regime(ds, regimes)
     numbers = {name: ds[name].astype(np.float64) if ds[name].dtype == bool else ds[name] for name in ds.data_vars}
     cells = set(ds[REGIME.name].dims)
     masked = {name: array.where(kept) for name, array in numbers.items() if cells <= set(array.dims)}

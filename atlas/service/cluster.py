@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -78,6 +78,15 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
     await comm.close()
 
 
+def check_startable(count: int) -> None:
+    """InputError if this process cannot start worker processes."""
+    if multiprocessing.current_process().daemon:
+        raise InputError(
+            f"workers: found {count}, cannot be started by a daemonic process, such as a Dask worker; leave them out "
+            "to run on the cluster of the task"
+        )
+
+
 @contextmanager
 def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
     """Worker processes of one thread each, reachable from this machine only, and by this process alone.
@@ -90,6 +99,7 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
     import dask
     from distributed import Client, LocalCluster, Security
 
+    check_startable(count)
     dashboard = dashboard and has_dashboard()
     with _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
         try:
@@ -191,7 +201,7 @@ def worker_threads(client: "Client") -> dict[str, int]:
 def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
     """The workers by address: memory limit in bytes, 0 for none, and whether Dask has paused the worker."""
     with loss_reported(client):
-        infos = client.scheduler_info()["workers"]
+        infos = client.scheduler_info(n_workers=-1)["workers"]  # all: releases from 2025.4 on list five by default
     return {name: (int(info.get("memory_limit") or 0), info.get("status") == "paused") for name, info in infos.items()}
 
 
@@ -205,6 +215,19 @@ def active_client() -> "Client | None":
         return default_client()
     except ValueError:
         return None
+
+
+def task_client() -> "AbstractContextManager[Client] | None":
+    """The client of the Dask task that this is called in, which leaves its thread to others meanwhile; None outside."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import get_worker, worker_client
+
+    try:
+        get_worker()
+    except ValueError:
+        return None
+    return worker_client()
 
 
 def count_threads(

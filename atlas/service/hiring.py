@@ -8,6 +8,7 @@ from atlas.errors import InputError, shown
 from atlas.platform import processors
 from atlas.service.cluster import (
     active_client,
+    check_startable,
     connected,
     count_threads,
     dashboard_link,
@@ -15,6 +16,7 @@ from atlas.service.cluster import (
     local_cluster,
     loss_reported,
     performance_reported,
+    task_client,
 )
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
@@ -42,23 +44,31 @@ def hired(client: "Client | None", count: int, options: RunOptions, stack: ExitS
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
     """InputError for an object that is no client, and if a number of workers is given for the caller's cluster."""
-    if client is not None and not hasattr(client, "scheduler_info"):
-        raise InputError(f"client: found {shown(client)}, must be a Dask client")
+    if client is not None:
+        check_kind(client)
     if client is not None and options.workers is not None:
         raise InputError(f"workers: found {options.workers}, applies to a local cluster only, not to a client")
+
+
+def check_kind(client: object) -> None:
+    """InputError for an object that is no client."""
+    if not hasattr(client, "nthreads"):
+        how = "; a cluster has one: client=cluster.get_client()" if hasattr(client, "get_client") else ""
+        raise InputError(f"client: found {shown(client)}, must be a Dask client{how}")
 
 
 def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
     """The client to work on: the given one, a new client of the options' scheduler, or the client the caller has open.
 
-    None if a local cluster is needed: no client is open, or the options have a number of workers. InputError if the
-    options ask for a performance report that the scheduler cannot draw.
+    In a Dask task that is the client of the task. None if a local cluster is needed: no client is open, or the options
+    have a number of workers. InputError if the options ask for a performance report that the scheduler cannot draw.
     """
     if client is None and options.scheduler is not None:
         options.report(Progress(f"connecting to {options.scheduler}", passing=True))
         client = stack.enter_context(connected(options.scheduler, options.tls, options.timing))
     elif client is None and options.workers is None:
-        client = active_client()
+        task = task_client()
+        client = active_client() if task is None else stack.enter_context(task)
         if client is not None:
             address = getattr(client.scheduler, "address", "a scheduler that is gone")
             options.report(Progress(f"using the Dask client that is open, of {address}"))
@@ -67,9 +77,15 @@ def joined(client: "Client | None", options: RunOptions, stack: ExitStack) -> "C
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:
-    """The number of threads of a run's cluster, or of processes that it is going to start."""
+    """The number of threads of a run's cluster, or of processes that it is going to start.
+
+    InputError if this process cannot start them.
+    """
     if client is None:
-        return options.workers or processors()
+        count = options.workers or processors()
+        if options.tile is None:
+            check_startable(count)
+        return count
     return count_threads(client, options.wait_for_first, options.wait, options.timing.poll)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
+from atlas.spec.laws import LawUse, law_lines, merged
 from atlas.task.task import Receipt
 from atlas.text import duration, plural, shares, text_repr
 
@@ -39,6 +40,7 @@ class Summary:
     peak_bytes                     largest memory of any worker's process
     failures, refused              tiles that raised; excluded workers, and the reasons
     retried, changed               whether the store is one of a retry; number of cells that changed their regime
+    laws                           use of the laws that are expressions, in the cells solved by this run
     """
 
     store: str
@@ -59,6 +61,7 @@ class Summary:
     retried: bool = False
     processor_seconds: float = 0.0
     changed: int = 0
+    laws: Mapping[str, LawUse] = field(default_factory=dict)
 
     @property
     def cells_per_second(self) -> float:
@@ -88,7 +91,7 @@ class Summary:
         ]
         if self.retried:
             lines.append(f"{plural(self.changed, 'cell')} changed regime")
-        return "\n".join(lines + reason_lines(self.reasons))
+        return "\n".join(lines + reason_lines(self.reasons) + law_lines(self.laws))
 
 
 class Totals:
@@ -101,6 +104,7 @@ class Totals:
         self.tiles_solved = self.cells_solved = self.changed = self.periods = self.peak_bytes = 0
         self.solve_seconds = self.write_seconds = self.processor_seconds = self.seconds = 0.0
         self.counts, self.reasons = Counter[str](), Counter[str]()
+        self.laws: dict[str, LawUse] = {}
         self.failures: tuple[TileFailure, ...] = ()
         self.refused: Mapping[str, str] = {}
         self.trouble = ""
@@ -120,6 +124,7 @@ class Totals:
         self.tiles_solved, self.cells_solved = self.tiles_solved + 1, self.cells_solved + outcome.cells
         self.counts.update(outcome.counts)
         self.reasons.update(outcome.reasons)
+        self.laws = merged([self.laws, outcome.laws])
         for name in ("solve_seconds", "processor_seconds", "write_seconds", "periods", "changed"):
             setattr(self, name, getattr(self, name) + getattr(outcome, name))
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)

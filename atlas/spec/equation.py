@@ -1,12 +1,12 @@
 """The equation of motion of a system, in text: its author's, or generated from its definition."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from workers.model.elements import Contact, Friction, Spring
-from workers.model.expression import Expression
+from workers.model.elements import Contact, Friction, Phase, Spring
+from workers.model.expression import Expression, Row
 from workers.model.force import Harmonic
 from workers.model.laws import segments_of
 from workers.model.system import System
@@ -45,12 +45,9 @@ def equation_of(system: System) -> str:
         static = "" if friction.static is None else f", {_number(friction.static)} at rest"
         lines.append(f"friction {friction.name}: {level} against {v if v == 'v' else f'v = {v}'}{static}")
     for phase in machine.phases:
-        others = [key for key in ("stiffness", "damping") if getattr(phase, key) is not None]
-        changed = [f"other {name}" for name in (*others, *(name for name, _ in (*phase.contacts, *phase.friction)))]
-        rows = [(key, row) for key in ("force", "cosine", "load") if (row := getattr(phase, key)) is not None]
-        changed += [f"{key} ({', '.join(map(_number, row))})" for key, row in rows]
+        changed = ", ".join(_changes(phase))
         if changed:
-            lines.append(f"from {_number(phase.start)} of the period on: {', '.join(changed)}")
+            lines.append(f"from {_number(phase.start)} of the period on: {changed}")
     for spring in machine.springs:
         y = _sum(zip(spring.row, machine.coordinates, strict=True))
         lines.append(f"spring {spring.name} on y = {y}: pulls back by {_law(spring, counts)}")
@@ -76,6 +73,22 @@ def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int
         known = _law(contact, counts) + ("" if known == "0" else f" + {known}")
     until = ", as long as that pushes" if contact.release == "force" else ""
     return [*lines, f"beyond a stop by d: the force {known} back{until}"]
+
+
+def _changes(phase: Phase) -> Iterator[str]:
+    """The entries of a phase that replace those of the machine, each with its expression."""
+    for key in ("stiffness", "damping"):
+        if (matrix := getattr(phase, key)) is not None:
+            yield f"{key} ({', '.join(map(_row, matrix)) if len(matrix) > 1 else _number(matrix[0][0])})"
+    for name, constants in (*phase.contacts, *phase.friction):
+        yield from (f"{key} of {name} = {_number(value)}" for key, value in constants)
+    for key in ("force", "cosine", "load"):
+        if (row := getattr(phase, key)) is not None:
+            yield f"{key} {_row(row)}"
+
+
+def _row(row: Row) -> str:
+    return f"({', '.join(map(_number, row))})"
 
 
 def _level(friction: Friction, counts: Mapping[int, int]) -> str:

@@ -1,13 +1,14 @@
 """A tile as a task: the message to a worker, its execution, its receipt."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from atlas.errors import RunError
 from atlas.overview.pyramid import pyramid_of
 from atlas.platform import peak_memory
+from atlas.spec.laws import LawUse, law_names, law_uses
 from atlas.spec.spec import Slices, Spec
 from atlas.store.records import read_record, single_records
 from atlas.store.store import Atlas, is_done
@@ -62,6 +63,7 @@ class Receipt:
     peak_bytes                      peak memory of the worker's process
     changed                         cells solved again whose regime changed
     record                          of the whole tile, see ``store.record``; empty if unknown
+    laws                            use of the laws that are expressions, in the cells solved
     """
 
     index: tuple[int, ...]
@@ -76,6 +78,7 @@ class Receipt:
     processor_seconds: float = 0.0
     changed: int = 0
     record: tuple[float, ...] = ()
+    laws: dict[str, LawUse] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,7 @@ def receipt_of(
     handle: Atlas, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> Receipt:
     """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
-    leading = handle.leading(arrays)
+    leading, system = handle.leading(arrays), handle.spec.record
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return Receipt(
@@ -188,4 +191,5 @@ def receipt_of(
         periods=int(leading["periods_used"][solved].sum(dtype="int64")),
         peak_bytes=peak_memory(),
         record=record,
+        laws=law_uses(system, {name: leading[name][solved] for name in law_names(system) if name in leading}),
     )

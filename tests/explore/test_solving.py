@@ -409,7 +409,7 @@ def _at_one_worker_only(good: str) -> str:
 def test_a_worker_at_which_patches_fail_gets_no_more_of_them_and_another_does_them(tmp_path: Path) -> None:
     """As with the tiles of a run: the same crew has both done."""
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as cluster,
         Client(cluster) as client,
     ):
 

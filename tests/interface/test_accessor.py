@@ -2,6 +2,8 @@
 
 import inspect
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from atlas.cli.pictures import plot
 from atlas.errors import InputError
 from atlas.query import queries as query
 from tests.query.test_query import plane
+from tests.synthetic import complete
 from workers import Settings
 from workers.results import CHAOTIC, PENDING, PERIODIC, QUASIPERIODIC
 
@@ -55,6 +58,37 @@ def test_where_regime_takes_the_other_results_out_and_keeps_the_regimes() -> Non
     assert kept.regime.values.tolist() == [[P, C], [Q, P]]
     assert kept.sticks.dtype == float
     assert np.isnan(kept.state.values[0, 0]).all()
+
+
+def test_cells_of_a_regime_are_asked_for_by_its_name() -> None:
+    ds = plane([1, 2], [0.1, 0.2], [[P, C], [Q, P]])
+    assert ds.atlas.is_("chaotic").values.tolist() == [[False, True], [False, False]]
+    assert ds.atlas.is_("chaotic", "quasiperiodic").values.tolist() == [[False, True], [True, False]]
+    with pytest.raises(InputError, match=r"chaotc.*chaotic"):
+        ds.atlas.is_("chaotc")
+
+
+def test_a_store_opened_by_xarray_has_the_attributes_and_the_accessor_of_one_opened_by_atlas(tmp_path: Path) -> None:
+    complete(tmp_path / "out.zarr")
+    ours, plain = atlas.open(tmp_path / "out.zarr"), xr.open_zarr(tmp_path / "out.zarr")
+    assert ours.largest.attrs["units"] == "1"
+    assert all(ours[name].attrs == plain[name].attrs for name in plain.variables)
+    assert plain.atlas.fractions() == ours.atlas.fractions()
+
+
+@pytest.mark.parametrize("first", ["import atlas; find_spec('xarray'); import xarray", "import xarray, atlas"])
+def test_xarray_has_the_accessor_whichever_is_imported_first(first: str) -> None:
+    """Looking for xarray, as other packages do, is no import of it."""
+    program = f"""
+import sys
+from importlib.util import find_spec
+{first}
+import xarray.backends
+print(hasattr(xarray.Dataset, "atlas"), "atlas.accessor" in sys.modules, len(xarray.Dataset({{"a": 1}}).data_vars))
+import atlas.accessor
+"""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False", "1"]
 
 
 def test_an_unknown_regime_is_refused_with_the_nearest() -> None:

@@ -42,10 +42,10 @@ def test_another_name_is_an_attribute_error() -> None:
         atlas.rum  # type: ignore[attr-defined]  # noqa: B018
 
 
-def test_importing_atlas_loads_no_library_and_no_module_of_its_own() -> None:
+def test_importing_atlas_loads_no_library_and_no_module_but_the_one_that_waits_for_xarray() -> None:
     code = "import json, sys, atlas\nprint(json.dumps([n for n in sys.modules if n.split('.')[0] in %r]))"
     libraries = ("atlas", "workers", "numpy", "dask", "zarr", "xarray", "matplotlib", "numba", "click", "rich")
-    assert in_a_new_process(code % (libraries,)) == ["atlas"]
+    assert in_a_new_process(code % (libraries,)) == ["atlas.accessing", "atlas"]
 
 
 def test_a_spec_is_read_without_dask_zarr_xarray_numba_or_matplotlib() -> None:

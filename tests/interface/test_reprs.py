@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from xarray.plot.utils import label_from_attrs
 
 import atlas
 from atlas.accessor import DrawnBranches
@@ -66,13 +65,6 @@ def test_a_status_and_the_accessor_show_what_they_are_of(handle: store.Atlas) ->
 def test_options_show_what_differs_from_their_defaults() -> None:
     assert repr(atlas.RunOptions()) == "RunOptions()"
     assert repr(atlas.RunOptions(workers=2)) == "RunOptions(workers=2)"
-
-
-def test_xarray_writes_no_unit_on_the_axis_of_a_pure_number(handle: store.Atlas) -> None:
-    ds = atlas.open(handle.path)
-    assert label_from_attrs(ds["omega"]) == "forcing frequency"
-    assert not [name for name in ds.variables if "[1]" in label_from_attrs(ds[name])]
-    assert " ".join(label_from_attrs(ds["largest"]).split()) == "largest Lyapunov exponent per forcing period"
 
 
 def rows_of(html: str) -> list[str]:

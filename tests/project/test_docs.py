@@ -8,7 +8,9 @@ import tomllib
 from pathlib import Path
 
 import click
+import nbformat
 import pytest
+import yaml
 
 from atlas.cli.main import main
 from atlas.spec.spec import Spec
@@ -224,6 +226,14 @@ def test_command_lines_in_the_text_name_commands_and_options_that_exist(page: Pa
             pass  # in the text a line may leave out its arguments, or have placeholders for them
         except click.UsageError as error:
             pytest.fail(f"{line}: {error.format_message()}")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.read_text().startswith("---")], ids=lambda p: p.name)
+def test_the_head_of_a_page_that_is_run_is_that_of_a_notebook(page: Path) -> None:
+    """By the schema of notebooks, as programs that convert pages need it."""
+    head = yaml.safe_load(page.read_text().split("---")[1])
+    notebook = nbformat.v4.new_notebook(metadata={"kernelspec": head["kernelspec"]})
+    nbformat.validate(notebook)
 
 
 @each_page

@@ -65,6 +65,28 @@ def test_tests_and_scripts_import_nothing_of_each_other(folder: str, unknown: se
     assert found == []
 
 
+def test_no_cluster_takes_a_fixed_port() -> None:
+    """Without an address of its own, and with None, the dashboard of Dask's clusters is at 8787, which may be taken."""
+    found = []
+    files = {
+        file: file.read_text(encoding="utf-8")
+        for folder in ("tests", "scripts")
+        for file in (ROOT / folder).rglob("*.py")
+    }
+    for page in sorted((ROOT / "docs/tutorials").glob("*.md")):
+        cells = re.findall(r"^```{code-cell}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+        files[page] = "\n".join(cell for cell in cells if "LocalCluster(" in cell)
+    for file, text in files.items():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("LocalCluster", "Client"):
+                given = {word.arg: ast.unparse(word.value) for word in node.keywords}
+                if not given.get("dashboard_address", "").endswith(":0'") and (
+                    node.func.id == "LocalCluster" or {"processes", "n_workers"} & given.keys()
+                ):
+                    found.append(f"{file.relative_to(ROOT)}:{node.lineno}")
+    assert found == []
+
+
 def test_no_class_name_stands_for_two_classes() -> None:
     found = defaultdict(list)
     for package in ("atlas", "workers"):

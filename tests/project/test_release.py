@@ -52,8 +52,8 @@ events      branch kind omega x1 x2 v1 v2 unstable kappa period impacts_upper im
 curves      curve kind period impacts_upper impacts_lower symmetric omega b unstable
 regions     label period cells area share centre_omega centre_b cell_omega cell_b omega_from omega_to b_from b_to cut
 extremes    regime extreme omega b value error cells
-ds.atlas    at basin_measures beside boundary branch compare curves distance_to explore extremes fractions labels
-            page per_unit_time plot portrait reasons regions where_regime
+ds.atlas    at basin_measures beside boundary branch compare curves distance_to explore extremes fractions is_
+            labels page per_unit_time plot portrait reasons regions where_regime
 """
 JSON = """
 plan SPEC: axes dims shape cells tile tiles bytes workers seconds seconds_range seconds_per_cell processor_seconds
@@ -299,5 +299,13 @@ def test_atlas_is_a_module_too() -> None:
 def test_the_wheel_is_built_installed_and_used_without_the_sources() -> None:
     done = subprocess.run(
         [sys.executable, ROOT / "scripts/check_wheel.py"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_first_stage_passes_with_the_oldest_packages_that_are_allowed() -> None:
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts/check_lower_bounds.py"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -4,6 +4,7 @@ import random
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from uuid import uuid4
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, get_client
 
 import atlas
 import workers
@@ -20,12 +21,14 @@ from atlas.cli.progress import LogReporter, reporter
 from atlas.errors import InputError, RunError
 from atlas.overview.pyramid import Pyramid
 from atlas.platform import peak_memory
+from atlas.service.cluster import worker_memory
 from atlas.service.probe import CELLS, with_time
 from atlas.service.progress import Progress
 from atlas.store import making
 from atlas.store.store import done_tiles, open_handle
 from tests.paths import ROOT
 from tests.planes import plane_of
+from tests.pretended import Cluster
 from tests.synthetic import fill, spec_of
 from workers import tile as solving
 from workers.results import REGIME
@@ -224,6 +227,56 @@ def test_a_lost_scheduler_ends_the_run(tmp_path: Path, plane: atlas.Spec) -> Non
         with pytest.raises(RunError, match="the cluster was lost"):
             atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=lost, options=atlas.RunOptions(on_progress=lose))
         lost.close()
+
+
+def run_in_task(spec: atlas.Spec, store: str) -> tuple[int, int, list[str]]:
+    """A run within a task of Dask: its tiles, its workers, and what it reported."""
+    told: list[str] = []
+    options = atlas.RunOptions(on_progress=lambda progress: told.append(str(progress)))
+    summary = atlas.run(spec, store, options=options)
+    get_client().close()  # else it looks for its scheduler until this process ends
+    return summary.tiles_done, summary.workers, told
+
+
+def test_a_run_within_a_dask_task_uses_the_cluster_of_the_task(tmp_path: Path, plane: atlas.Spec) -> None:
+    """Of one thread, which the task leaves to the tiles; processes of its own a worker cannot always start."""
+    with (
+        LocalCluster(processes=False, n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        Client(cluster, set_as_default=False) as outer,
+    ):
+        tiles, workers, told = outer.submit(run_in_task, plane, str(tmp_path / "out.zarr")).result(timeout=120)
+        assert outer.submit(sum, [1, 2]).result(timeout=30) == 3  # the thread is back
+    assert (tiles, workers) == (9, 1)
+    assert any("using the Dask client that is open" in text for text in told)
+    assert not any("starting" in text and "worker" in text for text in told)
+
+
+def test_a_daemonic_process_says_that_it_cannot_start_workers(
+    tmp_path: Path, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a Dask worker's, which is no script without a __main__ guard."""
+    daemon = SimpleNamespace(daemon=True, _inheriting=False)
+    monkeypatch.setattr("atlas.service.cluster.multiprocessing.current_process", lambda: daemon)
+    with pytest.raises(InputError, match=r"^workers: found 2, cannot be started by a daemonic process") as caught:
+        atlas.run(plane, tmp_path / "out.zarr", options=atlas.RunOptions(workers=2))
+    assert "__main__" not in str(caught.value) and list(tmp_path.iterdir()) == []
+
+
+def test_a_cluster_given_as_a_client_is_told_how_to_have_one(tmp_path: Path, plane: atlas.Spec) -> None:
+    with (
+        LocalCluster(processes=False, n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        pytest.raises(
+            InputError, match=r"^client: found LocalCluster.* must be a Dask client; .*cluster.get_client\(\)$"
+        ),
+    ):
+        atlas.run(plane, tmp_path / "out.zarr", cluster)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_memory_and_pauses_of_all_workers_are_looked_at() -> None:
+    """A client of distributed 2025.4 to 2026.3 lists five workers unless it is asked for all."""
+    workers = [f"tcp://127.0.0.1:{k}" for k in range(8)]
+    assert list(worker_memory(Cluster(workers, lambda worker, job: 1.0))) == workers  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

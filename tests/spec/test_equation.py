@@ -85,3 +85,24 @@ def test_a_sliding_velocity_that_is_the_masss_own_is_named_once(belt: float, lin
         }
     )
     assert line in equation_of(made).splitlines()
+
+
+def test_each_phase_has_its_expressions_in_the_equation() -> None:
+    definition = {
+        "name": "meshing", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0]],
+        "stiffness": [[2.0, 0.0], [0.0, 2.0]], "force": [1.0, 0.0], "load": [0.0, 0.0],
+        "contacts": [{"name": "mesh", "gap": [1.0, 0.0], "upper": 0.0, "stiffness": 9.0, "damping": 0.1,
+                      "release": "displacement"}],
+        "phases": [
+            {"start": 0.0, "contacts": {"mesh": {"stiffness": "k", "damping": 0.3}}},
+            {"start": 0.25, "contacts": {"mesh": {"stiffness": "2 * k"}}, "stiffness": [["k", 0.0], [0.0, 3.0]]},
+            {"start": 0.5, "load": [0.0, "k + 1"]},
+        ],
+        "parameters": {"k": {"default": 4.0}},
+    }  # fmt: skip
+    lines = equation_of(System.from_mapping(definition)).splitlines()
+    assert [line for line in lines if line.startswith("from")] == [
+        "from 0 of the period on: stiffness of mesh = k, damping of mesh = 0.3",
+        "from 0.25 of the period on: stiffness ((k, 0), (0, 3)), stiffness of mesh = 2 * k",
+        "from 0.5 of the period on: load (0, k + 1)",
+    ]

@@ -16,9 +16,11 @@ from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
 from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
+from workers.model.elements import Contact, Friction, Spring
 from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines, mirrors
 from workers.model.hybrid_modes import ON
+from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
 
@@ -60,6 +62,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
             own = machines.table.machines
             variables |= _of_machine(own, readings, closes, periods)
             variables |= _of_elements(definition, own, readings, closes, periods)
+            variables |= _of_laws(definition, own, readings, values)
             counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
@@ -95,20 +98,32 @@ def starts_of(cells: Cells, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> Meters:
-    """Quantities measured of machines: their measures, and the range of the coordinate in pictures."""
+    """Quantities measured of machines: measures, arguments of laws, and the range of the coordinate in pictures."""
     rows, orders, _ = definition.outputs(values)
-    peaks = np.tile([*("peak" in measure.report for _, measure in definition.measures), True], (len(rows), 1))
     own: HybridMachines = machines.table.machines
+    more = [*_arguments(definition, own), (machines.gap_row, 0.0)]
+    peaks = [*("peak" in measure.report for _, measure in definition.measures), *(True for _ in more)]
     return Meters(
-        rows=np.concatenate([rows, machines.gap_row[:, None]], axis=1),
-        orders=np.concatenate([orders, np.zeros((len(rows), 1))], axis=1),
-        peaks=peaks.astype(np.float64),
+        rows=np.concatenate([rows, np.stack([row for row, _ in more], axis=1)], axis=1),
+        orders=np.concatenate([orders, np.tile([order for _, order in more], (len(rows), 1))], axis=1),
+        peaks=np.tile(np.array(peaks, dtype=np.float64), (len(rows), 1)),
         damping=own.damping,
         pad=own.pad,
         rub=own.rub,
         law=own.law,
         grip=own.grip,
     )
+
+
+def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
+    """Rows (N, n) of the arguments of friction and springs in ``definition.fitted``, and the derivatives they act on.
+
+    The depth of a contact is measured anyway.
+    """
+    first = len(definition.contacts)  # springs follow the contacts there
+    frictions = [(machines.slide[:, f], 1.0) for f, e in enumerate(definition.friction) if e in definition.fitted]
+    springs = [(machines.row[:, first + s], 0.0) for s, e in enumerate(definition.springs) if e in definition.fitted]
+    return frictions + springs
 
 
 def followed(
@@ -191,4 +206,27 @@ def _of_elements(
     for f, friction in enumerate(definition.friction):
         variables[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
         variables[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
+    return variables
+
+
+def _of_laws(
+    definition: Definition, machines: HybridMachines, readings: Readings, values: Mapping[str, Array]
+) -> dict[str, Array]:
+    """The variables of laws that are expressions."""
+    variables: dict[str, Array] = {}
+    m = len(definition.measures)
+    for element in definition.fitted:
+        name, low, high = element.name, readings.low[:, m], readings.high[:, m]
+        if isinstance(element, Contact):
+            low, high = np.zeros(len(low)), readings.depth[:, definition.contacts.index(element)]
+        else:
+            m += 1
+        if isinstance(element, Friction):
+            belt = machines.belt[:, definition.friction.index(element)]
+            ends = np.abs(low - belt), np.abs(high - belt)
+            low, high = np.where((low <= belt) & (belt <= high), 0.0, np.minimum(*ends)), np.maximum(*ends)
+            variables[f"{name}_speed"] = high
+        if isinstance(element, Spring):
+            variables[f"{name}_reach"] = np.maximum(np.abs(low), np.abs(high))
+        variables[name + RANGE_SHARE], variables[name + LAW_ERROR] = definition.law_use(element, values, low, high)
     return variables

@@ -4,7 +4,7 @@ import numpy as np
 
 from workers.kernel.cells import excursions
 from workers.kernel.motion import FLIGHT, LOWER, UPPER
-from workers.model.oscillator import Array, Oscillator, Rows
+from workers.model.oscillator import Array, Mode, Oscillator, Rows
 
 FOLLOWED = 64
 """Periods over which the range is sought of a motion that neither closes nor reaches both stops."""
@@ -31,14 +31,30 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
 
     Twice the amplitude of the forced response if that is a single harmonic and the rest has decayed, h = 0 except the
     position of a rigid mode. From turning points over one period for several harmonics, over FOLLOWED periods for
-    motion that does not decay.
+    motion that does not decay. If that takes more evaluations than allowed, free oscillations are so much faster than
+    the force that they swing fully at its extremes: the range of the forced response and twice their amplitudes.
     """
-    N, harmonics = oscillators.gap.sin_part.shape
-    steady = np.all((h[..., 1] == 0.0) & ((h[..., 0] == 0.0) | (oscillators.gap.lam == 0.0)), axis=1)
-    closed = steady & (harmonics == 1)
-    mode, periods = np.full((N, 1), FLIGHT), np.where(steady, 1, FOLLOWED)
-    followed = _followed(oscillators, h, mode, periods, np.flatnonzero(~closed))
-    return np.where(closed, 2.0 * oscillators.gap.amplitude, followed)
+    gap, mode = oscillators.gap, np.full((len(h), 1), FLIGHT)
+    still = np.where((gap.lam == 0.0)[..., None] & [True, False], h, 0.0)
+    steady = np.all(h == still, axis=(1, 2))
+    closed = gap.sin_part.shape[1] == 1
+    sought = np.flatnonzero(~(steady & closed))
+    reach = _followed(oscillators, h, mode, np.where(steady, 1, FOLLOWED), sought)
+    forced = 2.0 * gap.amplitude
+    reach = np.where(steady & closed, forced, reach)
+    fast = ~steady & np.isnan(reach)
+    if fast.any() and not closed:
+        forced = _followed(oscillators, still, mode, np.ones(len(h), dtype=np.int64), np.flatnonzero(fast))
+    return np.where(fast, forced + 2.0 * _free_amplitude(gap, h), reach)
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _free_amplitude(gap: Mode, h: Array) -> Array:
+    """Sum of the amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); NaN for other motion."""
+    w = np.sqrt(gap.lam)
+    swing = np.hypot(gap.c0 * h[..., 0] + gap.c1 * h[..., 1], gap.c0 * h[..., 1] / w - gap.c1 * h[..., 0] * w)
+    swing = np.where((gap.eta == 0.0) & (gap.lam > 0.0), swing, np.nan)
+    return np.sum(np.where(np.all(h == 0.0, axis=2) | (gap.lam == 0.0) & (h[..., 1] == 0.0), 0.0, swing), axis=1)
 
 
 def _followed(oscillators: Oscillator, h: Array, mode: Rows, periods: Rows, cells: Rows) -> Array:

@@ -17,8 +17,9 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import lower_builtin, type_callable
 
-from workers.kernel.cache import CACHE
+from workers.kernel.cache import CACHE, in_own_folder
 from workers.kernel.lend import lend_value, lent_as
+from workers.kernel.unrolling import not_unrolled
 
 __all__ = ["FLOATS", "WHOLE", "apart", "load"]
 
@@ -87,7 +88,8 @@ class Apart:
 
     def compile(self) -> None:
         """Compile the function, or load it, and point to it."""
-        self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
+        with in_own_folder(), not_unrolled():
+            self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
         self.pointer.value = self.compiled.address
 
     def _typed(self, context: Any) -> Callable[..., Any]:

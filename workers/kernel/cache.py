@@ -1,19 +1,29 @@
 """The folder of compiled kernels on disk.
 
 Numba's cache does not notice an edit in another module, so the folder's name has a hash of all sources of this package.
-NUMBA_CACHE_DIR is used if set; without a writable folder there is no cache.
+NUMBA_CACHE_DIR is used if set; without a writable folder there is no cache. Folders of other sources that nobody has
+used for UNUSED_DAYS are removed.
 """
 
 import hashlib
 import multiprocessing
 import os
+import re
+import shutil
 import sys
 import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from numba import config
 
-__all__ = ["CACHE"]
+__all__ = ["CACHE", "in_own_folder"]
+
+UNUSED_DAYS = 30.0
+"""Days after which the folder of other sources is removed: several versions on one computer keep theirs meanwhile."""
 
 
 def _source_hash() -> str:
@@ -34,20 +44,57 @@ def _cache_root() -> Path:
 
 
 def _prepare_cache() -> Path | None:
-    """Point numba at a folder for these sources; None, with a one-line warning, if it cannot be written."""
+    """Make the folder for these sources; None, with a one-line warning, if it cannot be written."""
     folder = _cache_root() / f"workers-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            pass
+            os.utime(folder)  # notes the use
     except OSError as error:
         if multiprocessing.parent_process() is None:  # once, not by every worker of a cluster
             reason = f"{folder} cannot be written ({error.strerror})"
             print(f"impact-atlas: kernels are compiled anew each time, {reason}", file=sys.stderr)
         return None
-    config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    if multiprocessing.parent_process() is None:
+        _remove_unused(folder)
     return folder
+
+
+def _remove_unused(own: Path) -> None:
+    """Remove the folders of other sources beside ``own`` of which nothing was read or written for UNUSED_DAYS."""
+    oldest = time.time() - UNUSED_DAYS * 86400.0
+    for folder in own.parent.glob("workers-*"):
+        if folder == own or not re.fullmatch("workers-[0-9a-f]{16}", folder.name):
+            continue
+        try:
+            if not folder.is_symlink() and _last_use(folder) < oldest:
+                shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # another process removes it, or writes there
+            continue
+
+
+def _last_use(folder: Path) -> float:
+    """When a process last found the folder, or a file of it was read or written."""
+    stats = [path.stat() for path in folder.rglob("*") if path.is_file()]
+    return max([folder.stat().st_mtime, *(time for stat in stats for time in (stat.st_mtime, stat.st_atime))])
 
 
 CACHE = _prepare_cache()
 """The folder of the compiled kernels of these sources; None if there is none."""
+
+_lock = threading.RLock()
+
+
+@contextmanager
+def in_own_folder() -> Iterator[None]:
+    """Make functions whose cache lies in CACHE; Numba finds the folder when it makes them. Others keep their own."""
+    if CACHE is None:
+        yield
+        return
+    with _lock:
+        before = config.CACHE_DIR  # type: ignore[attr-defined]
+        config.CACHE_DIR = str(CACHE)  # type: ignore[attr-defined]
+        try:
+            yield
+        finally:
+            config.CACHE_DIR = before  # type: ignore[attr-defined]

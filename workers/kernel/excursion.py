@@ -56,10 +56,11 @@ def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
 
 
 @inline_always
-def turning_points(gap, state, phase, duration, start, low, high):
+def turning_points(gap, state, phase, duration, start, low, high, allowance):
     """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
 
-    start: as in next_crossing, for y. Also returns the evaluations; high is NaN if the search gave up.
+    start: as in next_crossing, for y. Also returns the evaluations; high is NaN if the search gave up or takes more
+    than ``allowance`` evaluations.
     """
     velocity, offset = velocity_of(gap)
     h, scratch = state.copy(), np.empty(state.shape)
@@ -75,7 +76,7 @@ def turning_points(gap, state, phase, duration, start, low, high):
         t += s
         if side == 0:
             return low, high, spent
-        if side == 2:
+        if side == 2 or spent > allowance:
             return low, np.nan, spent
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
         low, high = min(low, y), max(high, y)

@@ -3,8 +3,9 @@
 The compiler neither reorders nor fuses; products to be fused are written so, see fma.py. The bits of a result therefore
 depend neither on the compilation or loading order nor on the processor.
 
-Loops of unknown length are not unrolled. Most run over a few coordinates, blocks or harmonics; unrolled, they took
-155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to 17 % slower.
+Loops of unknown length are not unrolled, see unrolling.py. Most run over a few coordinates, blocks or harmonics;
+unrolled, they took 155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to
+17 % slower.
 """
 
 from collections.abc import Callable
@@ -12,17 +13,14 @@ from functools import cached_property, partial, update_wrapper
 from types import ModuleType
 from typing import Any
 
-import llvmlite.binding
 from numba import njit, types
 from numba.extending import typeof_impl
 
 from workers.kernel.apart import load
-from workers.kernel.cache import CACHE
+from workers.kernel.cache import CACHE, in_own_folder
 from workers.model.oscillator import Block, Head, Numbers
 
 __all__ = ["inline_always", "inlined", "kernel", "named_constants"]
-
-llvmlite.binding.set_option("impact-atlas", "-unroll-runtime=false")
 
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -47,7 +45,8 @@ class Kernel:
     @cached_property
     def alone(self) -> Any:
         """The kernel for Python, made at first use: a process never calls most kernels that it imports."""
-        return njit(cache=CACHE is not None, **self._how)(self.py_func)
+        with in_own_folder():
+            return njit(cache=CACHE is not None, **self._how)(self.py_func)
 
     @cached_property
     def part(self) -> Any:

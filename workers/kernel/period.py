@@ -36,12 +36,14 @@ from workers.kernel.motion import (
     MAX_SPEED,
     MIN_SPEED,
     MOTION,
+    OVERDRAFT,
     RIGID,
     RUNNING,
     SPREAD,
     STARTED_BEYOND,
     STATUS,
     STUCK,
+    WORK,
     count_contact,
     has_modes,
     spend,
@@ -117,7 +119,8 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
     upper, lower = high if high < top else np.inf, low if low > bottom else -np.inf  # no flight passes a stop
     _, side, evaluations = next_crossing(gap, motion.h, phase, 0.0, upper, lower, start, s, motion.scratch)
     if abs(side) == 1:
-        extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, start, low, high)
+        allowance = tally[WORK] + OVERDRAFT
+        extremes[0], extremes[1], more = turning_points(gap, motion.h, phase, s, start, low, high, allowance)
         evaluations += more
     if side == 2 or extremes[1] != extremes[1]:
         tally[STATUS] = MARCH_GAVE_UP

@@ -153,6 +153,19 @@ class Definition:
                 if element.law is not None:
                     yield f"system.{kind}[{i}].law", element, laws.vertices(element, named, math.inf)[:count]
 
+    @property
+    def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
+        """Its elements whose law is an expression, which segments replace."""
+        every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
+        return tuple(element for element in every if isinstance(element.law, Expression))
+
+    def law_use(
+        self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """How far a law that is an expression was used, see ``laws.law_use``, at values (N,) of each parameter."""
+        named = {name: value[: len(low)] for name, value in self._named(values).items()}
+        return laws.law_use(element, named, low, high)
+
     @np.errstate(all="ignore")
     def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
         """Rows (N, M, n) of the measures for many values (N,) of each parameter, the derivatives (N, M) that these are

@@ -41,6 +41,9 @@ class SpringTables(NamedTuple):
 SEGMENTS = 64
 """Most segments of a law."""
 
+SAMPLES = 256
+"""Intervals of an argument's range in which the greatest force of a law is looked for."""
+
 ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
 """Argument of a law in an expression: depth of a contact, coordinate of a spring, |v| of friction."""
 
@@ -64,6 +67,29 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], m
     for k, table in enumerate(tables):
         padded[k, : len(table)] = table
     return padded[kind.reshape(count)]
+
+
+@np.errstate(all="ignore")
+def law_use(
+    element: Contact | Friction | Spring, named: Mapping[str, Array], low: Array, high: Array
+) -> tuple[Array, Array]:
+    """How far an expression was used by motions whose arguments lay between ``low`` and ``high`` (N,).
+
+    The largest argument as a share of the range (N,), and the bound of the error as a share of the greatest force that
+    these arguments gave (N,), NaN for no force.
+    """
+    law = element.law
+    assert isinstance(law, Expression)
+    wide, within = _ranges(element, named), evaluated((element.within,), named)[:, 0]
+    share = np.maximum(high / wide[:, 1], np.where(wide[:, 0] < 0.0, low / wide[:, 0], 0.0))
+
+    def greatest(low: Array, high: Array) -> Array:
+        x = np.linspace(low, high, SAMPLES + 1, axis=1)
+        forces = law({name: value[:, None] for name, value in named.items()} | {ARGUMENTS[type(element)]: x})
+        return np.max(np.abs(np.broadcast_to(forces, x.shape)), axis=1)
+
+    met = greatest(np.maximum(low, wide[:, 0]), np.minimum(high, wide[:, 1]))
+    return share, np.where(met > 0.0, within * greatest(*wide.T) / met, np.nan)
 
 
 def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:

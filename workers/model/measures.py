@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from workers.model.elements import Contact, Friction
+from workers.model.elements import Contact, Friction, Spring
 from workers.model.entries import DefinitionError, check_name, fault, name_taken, read_entries, read_table
 from workers.model.expression import Expression, Row
 from workers.results import PER_PERIOD, Variable, count_of_orbit
@@ -22,6 +22,9 @@ REPORTS = {
 """Reports of a measure, in words."""
 
 KEYS = (*ORDERS, "weight", "report")
+
+RANGE_SHARE, LAW_ERROR = "_range_share", "_law_error"
+"""Endings of the names of results of a law that is an expression: see ``law_variables``."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,21 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
         yield where, _number(f"{name}_stuck", f"share of the time that {of} sticks")
         yield where, _loss(name, of)
     yield "system.damping", _loss("damper", "the dampers of the machine itself")
+
+
+def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
+    """How far laws that are expressions were used, as variables that begin with the names of their elements.
+
+    The largest argument of a contact's law is its penetration.
+    """
+    for element in elements:
+        name, where, of = element.name, f"law of {element.name}", f"the law of {element.name}"
+        if isinstance(element, Friction):
+            yield where, _number(f"{name}_speed", f"greatest sliding speed in {of}")
+        if isinstance(element, Spring):
+            yield where, _number(f"{name}_reach", f"greatest argument of {of}, of either sign")
+        yield where, _number(f"{name}{RANGE_SHARE}", f"greatest argument of {of} as a share of its range")
+        yield where, _number(f"{name}{LAW_ERROR}", f"error bound of {of} as a share of the greatest force that it gave")
 
 
 def refuse_ambiguous(variables: Iterable[tuple[str, Variable]], known: Collection[str]) -> None:

@@ -16,7 +16,7 @@ from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
 from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
 from workers.model.hybrid import build_hybrid
-from workers.model.measures import element_variables, measure_variables, refuse_ambiguous
+from workers.model.measures import element_variables, law_variables, measure_variables, refuse_ambiguous
 from workers.model.names import NAMES
 from workers.model.observables import Observable, observables_of
 from workers.model.oscillator import Array, one_of
@@ -33,6 +33,7 @@ from workers.results import (
     InvalidError,
     Variable,
     in_time,
+    of_friction,
     result_variables,
 )
 from workers.settings import Settings
@@ -86,9 +87,9 @@ class System:
     def from_toml(cls, source: str | Path) -> "System":
         """The system of a TOML file with one table [system], from the file's path or text.
 
-        Raises ValueError in one line that names the file and the entry.
+        One line that ends in .toml is a path. Raises ValueError in one line that names the file and the entry.
         """
-        if isinstance(source, str) and ("\n" in source or "=" in source):
+        if isinstance(source, str) and ("\n" in source or ("=" in source and not source.endswith(".toml"))):
             return cls.from_mapping(_only_system(parse_toml(source)))
         try:
             return cls.from_mapping(_only_system(read_toml(Path(source))))
@@ -124,7 +125,8 @@ class System:
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
         drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
-        return [*measure_variables(self.definition.measures), *elements, *drifts, *cycles]
+        laws = law_variables(self.definition.fitted)
+        return [*measure_variables(self.definition.measures), *elements, *laws, *drifts, *cycles]
 
     @property
     def regime(self) -> Variable:
@@ -140,6 +142,9 @@ class System:
         """The results of a cell, see ``results.result_variables``, with the results of this system alone."""
         observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
         variables = result_variables(settings, attractors, basins, self.own_variables + observed)
+        if self.definition.friction:
+            stops = any(contact.rigid for contact in self.definition.contacts)
+            variables = tuple(of_friction(variable, stops) for variable in variables)
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def observables(self, settings: Settings) -> tuple[Observable, ...]:

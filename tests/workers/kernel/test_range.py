@@ -1,6 +1,8 @@
 """The range of the gap coordinate: exact over orbits, by turning points that no sampling could miss."""
 
 import math
+import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,11 @@ from workers.kernel.cells import excursions
 from workers.kernel.motion import FLIGHT
 from workers.model.oscillator import many_of
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC
+
+ONE_MASS: dict[str, Any] = {
+    "name": "slow-mass", "title": "a mass under a slow force", "coordinates": ["x"], "mass": [[1.0]],
+    "damping": [[0.0]], "stiffness": [[1.0]], "force": [0.1], "gap": [1.0], "restitution": 0.5,
+}  # fmt: skip
 
 
 def test_an_orbit_that_hits_both_stops_ranges_over_the_gap_exactly() -> None:
@@ -118,3 +125,39 @@ def test_what_takes_more_evaluations_than_allowed_has_no_range() -> None:
     h, one = np.full((1, 2, 2), 0.01), np.ones(1, dtype=np.int64)
     ends = excursions(many_of(osc), h, np.full((len(one), 1), FLIGHT), 64 * one, 100 * one, 0 * one)
     assert np.isnan(ends).all()
+
+
+def test_undamped_motion_under_a_very_slow_force_has_the_range_of_its_closed_form() -> None:
+    """x'' + x = A sin(w t): a sin(w t) + x(0) cos t - a w sin t with a = A / (1 - w^2)."""
+    definition = ONE_MASS | {"upper": 5.0, "parameters": {"omega": {"default": 2.2e-7}}}
+    omega = np.array([1e-3, 2.2e-7])
+    found = solve_tile(System.from_mapping(definition), {"omega": omega, "x": 0.05})
+    a = 0.1 / (1.0 - omega**2)
+    assert np.all(found["regime"] == NO_IMPACT)
+    assert found["peak_to_peak"] == pytest.approx(2.0 * (a + np.hypot(0.05, a * omega)), rel=1e-13)
+
+
+def test_undamped_modes_under_two_slow_harmonics_have_the_range_of_their_closed_form() -> None:
+    """x1 = (x1 + x2) / 2 + (x1 - x2) / 2, modes of frequencies 1 and sqrt 3; the force moves x1 by 2/3 of itself."""
+    definition = ONE_MASS | {
+        "name": "slow-pair", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0]],
+        "damping": [[0.0, 0.0], [0.0, 0.0]], "stiffness": [[2.0, -1.0], [-1.0, 2.0]], "force": [0.3, 0.0],
+        "harmonics": [{"order": 2, "force": [0.2, 0.0]}], "gap": [1.0, 0.0], "upper": 5.0,
+        "parameters": {"omega": {"default": 1e-6}},
+    }  # fmt: skip
+    phases = np.linspace(0.0, 2.0 * np.pi, 2_000_001)
+    forced = 2.0 / 3.0 * np.ptp(0.3 * np.sin(phases) + 0.2 * np.sin(2.0 * phases))
+    found = solve_tile(System.from_mapping(definition), {"x1": 0.02, "x2": -0.01})
+    assert found["regime"] == NO_IMPACT
+    assert found["peak_to_peak"] == pytest.approx(forced + 2.0 * (0.005 + 0.015), rel=1e-7)
+
+
+def test_the_search_for_turning_points_ends_with_its_allowance() -> None:
+    """A period of 2.9e7 has nine million turning points, which took 5 s; the allowance lasts for a thousandth of it."""
+    osc = System.from_mapping(ONE_MASS | {"upper": 5.0}).build({"omega": 2.2e-7, "tau": 0.0})
+    h, one = np.full((1, 1, 2), 0.01), np.ones(1, dtype=np.int64)
+    arguments = many_of(osc), h, np.full((1, 1), FLIGHT), one
+    excursions(*arguments, one, 0 * one)
+    begun = time.process_time()
+    ends = excursions(*arguments, 10_000 * one, 0 * one)
+    assert np.isnan(ends).all() and time.process_time() - begun < 0.5

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import tomli_w
 from click.testing import CliRunner
 
 from atlas.cell.law import check_law, finer
@@ -386,6 +387,67 @@ def test_a_block_on_a_belt_whose_friction_falls_sticks_and_slips_as_the_publishe
     np.testing.assert_allclose(found.state, [0.9, 1.0], atol=1e-12)
     friction = [event for event in found.events if event.element == "friction"]
     assert [event.t for event in friction[-2:]] == pytest.approx([cycle * (1.0 - stuck), cycle], abs=1e-12)
+
+
+WALL = ONE_MASS | {
+    "name": "wall", "force": [2.0], "parameters": {"L": {"default": 3.0}, "omega": {"default": 1.5}},
+    "contacts": [{"name": "wall", "gap": [1.0], "upper": 1.2, "restitution": 0.8}],
+    "springs": [{"name": "beam", "row": [1.0], "law": "y + y**3", "within": 1e-3, "range": ["-L", "2 * L"]}],
+}  # fmt: skip
+
+
+def test_a_cell_tells_how_far_the_expression_of_a_spring_was_used() -> None:
+    """The motion reaches from the wall to its lowest point; forces by the expression itself."""
+    L = np.array([0.5, 1.5, 3.0])
+    found = solve_tile(System.from_mapping(WALL), {"L": L})
+    lowest = found["peak_to_peak"] - 1.2
+    assert np.all(found["max_impact_speed"] > 1.0) and np.all(lowest > 1.0)
+    assert found["beam_reach"] == pytest.approx(lowest, rel=1e-14)
+    assert found["beam_range_share"] == pytest.approx(np.maximum(lowest / L, 1.2 / (2.0 * L)), rel=1e-14)
+    assert (found["beam_range_share"] > 1.0).tolist() == [True, False, False]
+    low, high = np.minimum(lowest, L), 2.0 * L
+    met = np.maximum(low, np.minimum(1.2, high))
+    met += met**3
+    assert found["beam_law_error"] == pytest.approx(1e-3 * (high + high**3) / met, rel=1e-12)
+
+
+def test_a_cell_tells_how_far_the_expression_of_a_friction_was_used() -> None:
+    """A mass that rests on its springs while the belt slides below it at u = .5; the force there is 1 + v - v^2 / 4."""
+    friction = {"name": "belt", "row": [1.0], "belt": 0.5, "law": "1 + v - v**2 / 4", "within": 1e-2, "range": 2.0}
+    definition = {"name": "belt", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]]}
+    found = solve_tile(System.from_mapping(definition | {"friction": [friction]}), {"x": 0.1})
+    assert found["regime"] == NO_IMPACT
+    assert found["belt_speed"] == pytest.approx(0.5, rel=1e-14)
+    assert found["belt_range_share"] == pytest.approx(0.25, rel=1e-14)
+    assert found["belt_law_error"] == pytest.approx(1e-2 * 2.0 / (1.5 - 0.5**2 / 4.0), rel=1e-12)
+
+
+def test_a_cell_tells_how_far_the_expression_of_a_contact_was_used() -> None:
+    found = solve_tile("hertz-ball", {})
+    depth, reach = found["plane_penetration"], find_system("hertz-ball").definition.contacts[0].range
+    assert isinstance(reach, Expression) and reach.constant is not None
+    assert found["plane_range_share"] == pytest.approx(depth / reach.constant, rel=1e-14)
+    assert found["plane_law_error"] == pytest.approx(2.5e-4 * (reach.constant / depth) ** 1.5, rel=1e-12)
+
+
+def test_commands_say_in_a_line_how_far_laws_were_used(tmp_path: Path) -> None:
+    file, spec, store = tmp_path / "wall.toml", tmp_path / "plane.toml", str(tmp_path / "plane.zarr")
+    file.write_text(tomli_w.dumps({"system": WALL}))
+    spec.write_text(f'system = "{file}"\n[axes]\nL = {{ values = [0.5, 1.5] }}\nomega = {{ values = [1.5, 1.6] }}\n')
+    runner = CliRunner()
+    cell = runner.invoke(main, ["point", "--system", str(file), "--set", "L=0.5"])
+    share = float(solve_tile(System.from_mapping(WALL), {"L": 0.5})["beam_range_share"])
+    line = f"law of beam: beyond its range in 1 cell, up to {share:.3g} of it, where its last segment goes on;"
+    assert sum(text.startswith(line) for text in cell.stdout.splitlines()) == 1
+    fine = runner.invoke(main, ["point", "--system", str(file), "--set", "L=3"])
+    assert "law of beam: its segments are off by up to" in fine.stdout and "beyond" not in fine.stdout
+    runs = [runner.invoke(main, ["run", str(spec), "-o", store, "--tile", index]) for index in ("0,0", "0,1", "1,0")]
+    for shown in (runs[0], runner.invoke(main, ["query", store, "--window", "L=0.5:0.5", "--window", "omega=1.5:1.5"])):
+        assert "law of beam: beyond its range in 1 cell, up to" in shown.stdout
+    inside = runner.invoke(main, ["query", store, "--at", "L=1.5", "--at", "omega=1.5"])
+    assert "law of beam: its segments are off" in inside.stdout and "beyond" not in inside.stdout
+    plain = runner.invoke(main, ["point"])
+    assert "law of" not in plain.stdout
 
 
 def test_a_smooth_law_takes_the_fewest_segments_and_is_within_its_bound() -> None:

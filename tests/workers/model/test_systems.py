@@ -3,6 +3,7 @@
 import json
 import math
 import pickle
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers import System, solve_tile
+from workers import Settings, System, solve_tile
 from workers.model.entries import DefinitionError
 from workers.model.oscillator import Machines
 from workers.model.soundness import check_at_defaults
@@ -491,3 +492,34 @@ def test_rows_whose_squares_are_beyond_double_precision_are_rows_like_others(siz
     longer = {name: value for name, value in given.items() if name not in ("gap", "upper", "restitution")}
     with pytest.raises(DefinitionError, match="depend"):
         System.from_mapping(longer | {"contacts": contacts})
+
+
+def test_a_path_with_an_equals_sign_is_a_path(tmp_path: Path) -> None:
+    file = tmp_path / "a=1.toml"
+    file.write_text(MACHINE)
+    assert System.from_toml(str(file)) == System.from_toml(file) == System.from_toml(MACHINE)
+    with pytest.raises(DefinitionError, match=re.escape(f"{tmp_path / 'b=2.toml'}")):
+        System.from_toml(str(tmp_path / "b=2.toml"))
+    with pytest.raises(DefinitionError, match="must be one table"):
+        System.from_toml("a = 1")
+
+
+RUBBED_STOP: dict[str, Any] = {
+    "name": "rubbed", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]], "force": [1.0],
+    "contacts": [{"name": "wall", "gap": [1.0], "upper": 1.0, "restitution": 0.5}],
+    "friction": [{"name": "rub", "row": [1.0], "kinetic": 0.1}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("system", "rests", "label"),
+    [
+        (find_system("two-mass"), "the mass rests on a stop", "rests on a stop"),
+        (find_system("friction-oscillator"), "friction sticks", "sticks"),
+        (System.from_mapping(RUBBED_STOP), "the mass rests on a stop or sticks", "rests or sticks"),
+    ],
+)
+def test_sticking_is_told_in_the_words_of_its_machine(system: System, rests: str, label: str) -> None:
+    sticks, share = (v for v in system.variables(Settings()) if v.name in ("sticks", "stuck_fraction"))
+    assert (sticks.long_name, sticks.words) == (f"{rests} for part of the time; false unless known", label)
+    assert ("stop" in share.long_name) == ("stop" in rests) and ("stick" in share.long_name) == ("stick" in rests)

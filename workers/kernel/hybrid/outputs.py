@@ -7,7 +7,7 @@ import numpy as np
 from workers.kernel.elementary import exp_minus
 from workers.kernel.excursion import turning_points, velocity_of
 from workers.kernel.jit import kernel
-from workers.kernel.motion import MARCH_GAVE_UP, STATUS, spend
+from workers.kernel.motion import MARCH_GAVE_UP, OVERDRAFT, STATUS, WORK, spend
 from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode
 
@@ -105,7 +105,8 @@ def extremes(pieces, k, row, direct, h, phase, s, tally):
     velocity, drift = velocity_of(mode)
     rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
     if not rate * s <= LEVEL * (size + abs(offset)):
-        low, high, evaluations = turning_points(mode, h, phase, s, 0, low, high)
+        allowance = tally[WORK] + OVERDRAFT
+        low, high, evaluations = turning_points(mode, h, phase, s, 0, low, high, allowance)
         spend(tally, evaluations)
         if math.isnan(high):
             tally[STATUS] = MARCH_GAVE_UP
