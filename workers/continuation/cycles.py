@@ -16,7 +16,7 @@ from workers.continuation.equations import motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
-from workers.continuation.stability import multipliers
+from workers.continuation.stability import error_along, multipliers
 from workers.model.family import OrbitMachines
 from workers.model.oscillator import Array, Rows
 
@@ -27,12 +27,13 @@ FARTHEST = 0.5
 class Cycle(NamedTuple):
     """A cycle: its motion, its period, and ln|mu| of all multipliers but the 1 along it, largest first.
 
-    These are -inf where a direction is lost.
+    These are -inf where a direction is lost. ``error``: of ln|mu| near 0, by how far the 1 is missed.
     """
 
     motion: OrbitMotion
     period: float
     logs: Array
+    error: float
 
 
 def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
@@ -57,4 +58,5 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
         if not solved.converged[0] or not closed.span[0] > 0.0 or first_fault(closed):
             return None
         logs = np.log(np.sort(np.abs(multipliers(closed)[0]))[::-1])
-        return Cycle(closed, float(closed.span[0] / itinerary.turn), logs / itinerary.turn)
+        error = float(error_along(closed)[0])
+        return Cycle(closed, float(closed.span[0] / itinerary.turn), logs / itinerary.turn, error / itinerary.turn)
