@@ -77,6 +77,10 @@ STEADY, LEAST_TORUS = 15.0, 3000
 averaging."""
 
 
+BESIDE, FEW_TURNS = 1e-4, 8
+"""How far beside an equilibrium a motion is begun, relative to its place; natural periods for which it is followed."""
+
+
 class Trail(NamedTuple):
     """The last events of one motion, G of them; events of several signals at one time are one event.
 
@@ -160,11 +164,17 @@ class VertexCourse(Course):
         put_rests(self.cells, rests)
         rows = super().end_on_orbits(rows[self.cells.going[rows]], budget, near)
         stands = [still[r] and _repeats(self.cells, r) and _stands(self.cells, r) for r in rows.tolist()]
-        put_centres(self.cells, rows[np.array(stands, dtype=np.bool_)])
+        self.end_standing(rows[np.array(stands, dtype=np.bool_)])
         return rows[self.cells.going[rows]]
 
+    def end_standing(self, rows: Rows) -> None:
+        """Write the results of cells that stand in an equilibrium."""
+        rests = {r: rest for r in rows.tolist() if (rest := _rest_beside(self.cells, r)) is not None}
+        put_rests(self.cells, rests)
+        put_centres(self.cells, end_impact_free(self.cells, rows[self.cells.going[rows]]))
 
-class CycleCourse(Course):
+
+class CycleCourse(VertexCourse):
     """The adaptive schedule for machines without a force."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
@@ -189,8 +199,10 @@ class CycleCourse(Course):
             if r not in cycles and r not in rests and (rest := rest_of_turns(self.cells, r)) is not None:
                 rests[r] = rest
         put_rests(self.cells, rests)
-        left = end_impact_free(self.cells, left[self.cells.going[left]])
-        put_centres(self.cells, np.array([r for r in left.tolist() if _repeats(self.cells, r)], dtype=np.int64))
+        left = np.array([r for r in left.tolist() if self.cells.going[r] and _repeats(self.cells, r)], dtype=np.int64)
+        stands = np.array([_stands(self.cells, r) for r in left.tolist()], dtype=np.bool_)
+        put_centres(self.cells, left[~stands])
+        self.end_standing(left[stands])
         put_cycles(self.cells, cycles)
         return rows[self.cells.going[rows]]
 
@@ -385,8 +397,24 @@ def rest_of_turns(cells: Cells, r: int) -> Rest | None:
     quarters = [float(np.ptp(quarter, axis=0).max()) for quarter in np.array_split(sections, 4)]
     if not quarters[0] > quarters[3] or np.any(np.diff(quarters) > 0.0):
         return None  # it does not shrink
-    machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, sections[:1])
-    last = deque(trails(cells, r, (sections[0], int(number)), min(len(sections), LEAST_LOOK)), maxlen=1)
+    return _rest_from(cells, r, sections[0], min(len(sections), LEAST_LOOK))
+
+
+def _rest_beside(cells: Cells, r: int) -> Rest | None:
+    """The equilibrium of one mass at a vertex in which a cell's motion stands, if motion from beside it shrinks round
+    it: then it does so from all sides."""
+    if cells.directions > 2:
+        return None
+    state = physical_states(cells.oscillators, cells.batch.motions, np.array([r]))[0]
+    push = BESIDE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
+    rest = _rest_from(cells, r, state + np.array([0.0, push]), FEW_TURNS)
+    return rest if rest is not None and abs(rest.state[0] - state[0]) <= ONCE_ROUND * abs(state[0]) else None
+
+
+def _rest_from(cells: Cells, r: int, state: Array, periods: int) -> Rest | None:
+    """The equilibrium at a vertex round which the motion of a cell's machine from a physical state shrinks, if any."""
+    machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
+    last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
     count, rests = len(last[0].keys) if last else 0, list[Rest]()
     while count > 2:  # rounding hides the turns about a rest away from the origin in the end
         found = rest_of(machine, last[0].until(count))

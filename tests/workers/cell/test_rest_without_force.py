@@ -4,6 +4,7 @@ Truth: closed forms. Motion that shrinks by a factor rho each turn of length T d
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 
 from tests.unforced import machine
 from workers import Settings, System, solve_tile
+from workers.attractors.starts import Starts
+from workers.attractors.waves import solve_attractors
 from workers.cell import cycles
 from workers.results import AT_EQUILIBRIUM, FREE_PHASE, NO_IMPACT, PERIODIC, UNDETERMINED, WORK_SPENT
 
@@ -84,6 +87,23 @@ def test_motion_comes_to_rest_at_a_vertex_at_the_rates_of_its_turns(case: int) -
     assert found["error"] < 1e-12
     assert found["state"] == pytest.approx([end, 0.0], abs=1e-15)
     assert found["periods_used"] < 200
+
+
+def test_a_start_on_a_vertex_that_attracts_from_both_sides_is_at_rest() -> None:
+    found = solve_tile(machine(damping=[[0.1]], contacts=soft(0.0)), {}, SPECTRUM)
+    assert (found["regime"], found["reason"]) == (NO_IMPACT, 0)
+    assert found["spectrum"] == pytest.approx([-0.05, -0.05], abs=1e-12)
+    growing = solve_tile(machine(damping=[[-0.1]], contacts=soft(0.0)), {}, SPECTRUM)
+    assert (growing["regime"], growing["reason"]) == (UNDETERMINED, AT_EQUILIBRIUM)
+
+
+def test_all_starts_come_to_the_one_rest_at_a_vertex() -> None:
+    system, box = (
+        machine(damping=[[0.1]], friction=rubbed(kinetic=0.0, slope=0.2)),
+        (("x", -2.0, 2.0), ("v", -2.0, 2.0)),
+    )
+    found = solve_attractors(system, {}, replace(SPECTRUM, max_periods=1000, survival=500), Starts(16, box=box))
+    assert (found["attractors"], found["undecided"], found["share"][0]) == (1, 0, 1.0)
 
 
 def test_rest_at_a_vertex_is_found_with_a_declared_force_of_zero() -> None:
