@@ -125,8 +125,8 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
                 neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
         largest = highest(logs, 0, len(logs))
         if largest > 0.0:
-            later, _ = map_with_jacobian(osc, start, mode, steps, half)
-            verdicts[e] = GROWS if np.any(later.h != start) else UNKNOWN  # it stands in an unstable equilibrium
+            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would hold what grows
+            verdicts[e] = UNKNOWN if stands else GROWS
             continue
         h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
         turn, _ = map_with_jacobian(osc, h, mode, steps, half)
