@@ -23,7 +23,7 @@ from workers.cell.exponents import kaplan_yorke
 from workers.cell.orbits import end_on_orbits
 from workers.cell.outcome import end_impact_free, put, put_averaged, put_periodic
 from workers.cell.stretch import batch_of, begin, run
-from workers.continuation.cycles import Cycle, cycle_near
+from workers.continuation.cycles import Cycle, cycle_near, cycle_through
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import END, EVENT, MODE, NO_EVENT, SIGNAL
 from workers.continuation.motion import OrbitMotion
@@ -293,7 +293,8 @@ def turns_of(trail: Trail) -> list[int]:
 
 
 def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] | None:
-    """The stable cycle near the last m events of a trail of a single machine, in a record of many; None without one.
+    """The cycle near the last m events of a trail of a single machine, in a record of many, that is stable, or on which
+    the motion is and of which a multiplier is 1; None without one.
 
     With the times (p,) of its rarest event: the event with the fewest passages, of several the first by signal, side
     and mode.
@@ -303,15 +304,18 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
     rarest = int(np.flatnonzero(counts == counts[counts > 0].min())[0])
     first = min(np.flatnonzero(keys == rarest), key=lambda i: tuple(trail.states[len(trail.keys) - m + i]))
     own, turn, keys = turn_from(machine, trail, m, int(first))
+    returns = trail.back(len(trail.keys) - 1, len(trail.keys) - 1 - m) < ONCE_ROUND
     try:
         half = halved(own, turn, ASKED)
         cycle = cycle_near(own, half) if half is not turn else None
         cycle = cycle or cycle_near(own, turn)
-        cycle = cycle and once_round(own, cycle)
+        if cycle is None and returns:
+            cycle = cycle_through(own, turn)
+            return (cycle, cycle.motion.times[0]) if is_neutral(cycle) and cycle.error < ONCE_ROUND else None
+        cycle = once_round(own, cycle) if cycle is not None and is_stable(cycle) else cycle
     except NoOscillatorError:
         return None
-    away = trail.back(len(trail.keys) - 1, len(trail.keys) - 1 - m)
-    if cycle is None or not (is_stable(cycle) or (is_neutral(cycle) and away < ONCE_ROUND)):
+    if cycle is None or not (is_stable(cycle) or (is_neutral(cycle) and returns)):
         return None
     times = cycle.motion.times[0]
     if cycle.motion.itinerary.symmetric:

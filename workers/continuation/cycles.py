@@ -57,6 +57,18 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
         closed = motion(solved.X, np.arange(1))
         if not solved.converged[0] or not closed.span[0] > 0.0 or first_fault(closed):
             return None
-        logs = np.log(np.sort(np.abs(multipliers(closed)[0]))[::-1])
-        error = float(error_along(closed)[0])
-        return Cycle(closed, float(closed.span[0] / itinerary.turn), logs / itinerary.turn, error / itinerary.turn)
+        return _cycle_of(closed)
+
+
+def cycle_through(machine: OrbitMachines, orbit: Orbit) -> Cycle:
+    """The cycle of one machine by the events of an orbit as they are, which closes to rounding already.
+
+    Newton's method finds none where a multiplier is 1: its matrix is singular there.
+    """
+    with np.errstate(all="ignore"):
+        return _cycle_of(motion_of(machine, many_orbits([orbit])))
+
+
+def _cycle_of(motion: OrbitMotion) -> Cycle:
+    turn, logs = motion.itinerary.turn, np.log(np.sort(np.abs(multipliers(motion)[0]))[::-1])
+    return Cycle(motion, float(motion.span[0] / turn), logs / turn, float(error_along(motion)[0]) / turn)

@@ -152,9 +152,10 @@ def test_two_equal_cycles_with_a_free_phase_attract_nothing_together() -> None:
     """Each mass has its own cycle, of 3.85966469; the difference of their phases has the multiplier 1."""
     stop = {"upper": 1.0, "restitution": 0.6}
     system = pair(damping=[[-0.2, 0.0], [0.0, -0.2]], stiffness=ONE, contacts=two(stop, stop, "gap"))
-    found = solve_tile(system, {"x1": [0.5, 0.3, 0.9], "x2": [0.1, 0.8, -0.4]}, SPECTRUM)
-    assert found["regime"].tolist() == [UNDETERMINED] * 3
-    assert found["reason"].tolist() == [FREE_PHASE] * 3
+    found = solve_tile(system, {"x1": [0.5, 0.3, 0.9, 0.3], "x2": [0.1, 0.8, -0.4, 0.1]}, SPECTRUM)
+    assert found["regime"].tolist() == [UNDETERMINED] * 4
+    assert found["reason"].tolist() == [FREE_PHASE] * 4
+    assert found["periods_used"].max() < 500
     alone = solve_tile(machine(damping=[[-0.2]], gap=[1.0], **stop), {"x": 0.5}, SPECTRUM)
     assert alone["cycle_period"] == pytest.approx(3.85966469, abs=1e-8)
     apart = solve_tile(
