@@ -55,7 +55,8 @@ class Reason(CodeMeaning):
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
     MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS, CENTRE,
-) = range(27)  # fmt: skip
+    FREE_PHASE, AT_EQUILIBRIUM,
+) = range(29)  # fmt: skip
 
 REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) in enumerate((
     ("none", PENDING, ""),
@@ -89,6 +90,10 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
     ("never_recurs", UNDETERMINED, "its energy still rises or falls when its budget ends: it has not come back"),
     ("centre", UNDETERMINED,
      "it swings about a centre without damping: one motion of a continuum, none of which attracts"),
+    ("free_phase", UNDETERMINED,
+     "it repeats, but a multiplier is 1 within its error: neighbours repeat too, and none is known to attract"),
+    ("at_equilibrium", UNDETERMINED,
+     "it stands in an equilibrium that is not known to attract motion nearby: move the initial state off it"),
 )))  # fmt: skip
 """Codes are stored: new reasons are appended, and a code never changes its meaning."""
 

@@ -177,7 +177,7 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
-    return bool(norms(osc.gap.blocks, old.orbit - h).min() < SAME_ORBIT * scale_of(osc.gap.blocks, h))
+    return bool(norms(osc.gap.blocks, old.orbit - h).min() <= SAME_ORBIT * scale_of(osc.gap.blocks, h))
 
 
 def mirrored(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:

@@ -19,7 +19,7 @@ from workers.attractors.same import (
 )
 from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER
-from workers.cell.cycles import CycleCourse, convert_to_time, course_of
+from workers.cell.cycles import CycleCourse, convert_to_time, course_of, trails
 from workers.cell.measuring import measure
 from workers.cell.observing import observe
 from workers.cell.outcome import end_impact_free, end_stopped
@@ -170,7 +170,7 @@ class Search:
         cells, cycles = self.cells, self.known.cycles[self.owner[r]]
         longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
         turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0
-        for trail in islice(course.trails(r), turn):
+        for trail in islice(trails(cells, r), turn):
             states, numbers = trail.after
             for known in cycles:
                 if known.cycle and known.cycle.passes(states, numbers):

@@ -126,18 +126,14 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 
 def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch], lost: int) -> Fault | None:
     """The first fault on a leg before the event at its end."""
-    (leg, event), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
+    (leg, _), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
     if end - begin <= 1e-9 * period:
         return None
     wrong = _not_in_range(motion, k)
     if wrong is not None:
         return wrong
-    expected = (motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side) if event != NO_EVENT else (-1, 0)
-    last = k + 1 == len(motion.plan.legs)
-    if last and motion.itinerary.sides:  # it ends at the first event of the next turn
-        first = motion.plan.legs[1][0] if motion.itinerary.sign > 0 else motion.plan.legs[1][0].mirrored
-        expected = first.signal, first.side
+    expected = _events_at_end(motion, k, tolerance)
     z, begun, since = motion.turn.states[0, k], np.array(leg.begun), 0.0
     if k and motion.plan.legs[k - 1][1] == lost and motion.plan.table[k - 1, ACT] == REBOUNDS:
         begun[leg.signal] = 2 * leg.side
@@ -150,7 +146,7 @@ def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch]
         touched = next(
             (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, here, period)), None
         )
-        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) == expected or expected[0] < 0)):
+        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) in expected or not expected)):
             return None
         if touched is None or not _turns_back(motion, touched, period):
             return Fault(CONTACT, time=here, signal=signal, side=side)
@@ -159,6 +155,26 @@ def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch]
             return None
         z, begun = motion.at(np.array([[begin + since]]))[0][0, 0], np.zeros_like(begun)
         begun[signal] = 2 * side
+
+
+def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
+    """Signals and ends of the event at the end of a leg, and of all that follow at once: rounding decides their order.
+
+    None where the phase changes, or the turn ends without events.
+    """
+    legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
+    if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
+        return set()
+    following = legs[k + 1 :]
+    if k + 1 == len(legs):  # it ends at the first event of the next turn
+        following = legs[1:] if motion.itinerary.sign > 0 else tuple((leg.mirrored, i) for leg, i in legs[1:])
+        lengths = np.append(lengths, lengths[1:])
+    events = set[tuple[int, int]]()
+    for leg, length in zip((leg for leg, _ in following), lengths[k + 1 :], strict=False):
+        events.add((leg.signal, leg.side))
+        if length > tolerance:
+            break
+    return events
 
 
 def _near(motion: OrbitMotion, touch: Touch, here: float, period: float) -> bool:

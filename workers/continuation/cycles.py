@@ -16,7 +16,7 @@ from workers.continuation.equations import motion_of, motion_of_unknowns
 from workers.continuation.itinerary import Orbit, many_orbits
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
-from workers.continuation.stability import multipliers
+from workers.continuation.stability import error_along, multipliers
 from workers.model.family import OrbitMachines
 from workers.model.oscillator import Array, Rows
 
@@ -27,12 +27,13 @@ FARTHEST = 0.5
 class Cycle(NamedTuple):
     """A cycle: its motion, its period, and ln|mu| of all multipliers but the 1 along it, largest first.
 
-    These are -inf where a direction is lost.
+    These are -inf where a direction is lost. ``error``: of ln|mu| near 0, by how far the 1 is missed.
     """
 
     motion: OrbitMotion
     period: float
     logs: Array
+    error: float
 
 
 def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
@@ -56,5 +57,18 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
         closed = motion(solved.X, np.arange(1))
         if not solved.converged[0] or not closed.span[0] > 0.0 or first_fault(closed):
             return None
-        logs = np.log(np.sort(np.abs(multipliers(closed)[0]))[::-1])
-        return Cycle(closed, float(closed.span[0] / itinerary.turn), logs / itinerary.turn)
+        return _cycle_of(closed)
+
+
+def cycle_through(machine: OrbitMachines, orbit: Orbit) -> Cycle:
+    """The cycle of one machine by the events of an orbit as they are, which closes to rounding already.
+
+    Newton's method finds none where a multiplier is 1: its matrix is singular there.
+    """
+    with np.errstate(all="ignore"):
+        return _cycle_of(motion_of(machine, many_orbits([orbit])))
+
+
+def _cycle_of(motion: OrbitMotion) -> Cycle:
+    turn, logs = motion.itinerary.turn, np.log(np.sort(np.abs(multipliers(motion)[0]))[::-1])
+    return Cycle(motion, float(motion.span[0] / turn), logs / turn, float(error_along(motion)[0]) / turn)

@@ -29,14 +29,31 @@ def _across(motion: OrbitMotion) -> Array:
 
     The whole map takes f to itself, so that these maps have all its other multipliers.
     """
-    maps, mode = motion.turn.maps, motion.plan.reached[0, MODE]
+    maps, along = motion.turn.maps, _along(motion)
     size = maps.shape[1]
-    across_f, f = np.empty((len(maps), size - 1, size - 1)), np.empty((1, size))
-    for r, start in enumerate(motion.start):
-        right_hand_side(one_of(motion.pieces, r), mode, start, turned(0.0, motion.pieces.waves.shape[3]), f[0])
-        across = np.linalg.svd(f)[2][1:]
+    across_f = np.empty((len(maps), size - 1, size - 1))
+    for r, f in enumerate(along):
+        across = np.linalg.svd(f[None])[2][1:]
         across_f[r] = across @ maps[r] @ across.T
     return across_f
+
+
+def _along(motion: OrbitMotion) -> Array:
+    """The motion f (N, 2n) of cycles just before their first event."""
+    mode, f = motion.plan.reached[0, MODE], np.empty_like(motion.start)
+    for r, start in enumerate(motion.start):
+        right_hand_side(one_of(motion.pieces, r), mode, start, turned(0.0, motion.pieces.waves.shape[3]), f[r])
+    return f
+
+
+def error_along(motion: OrbitMotion) -> Array:
+    """How far (N,) the maps of a turn of cycles miss the motion along itself, relative to it.
+
+    Its multiplier is exactly 1, so that this is an error of the others as well.
+    """
+    f = _along(motion)
+    missed = (motion.turn.maps @ f[..., None])[..., 0] - f
+    return np.asarray(np.linalg.norm(missed, axis=1) / np.linalg.norm(f, axis=1))
 
 
 def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array, NDArray[np.int64]]:

@@ -13,6 +13,7 @@ from workers.kernel.linalg import copy_into, highest, sort_down
 from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
 from workers.kernel.signal import derivative_bounds
 from workers.model.hybrid_modes import OPEN, SIGNALS
+from workers.model.oscillator import COLUMN, HEAD
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, map_with_jacobian
 from workers.orbit.newton import CYCLES, corrected
@@ -59,6 +60,26 @@ def meets_nothing(osc, h, mode):
     return True
 
 
+@inline_always
+def rates_if_undamped(osc, mode, logs):
+    """Write the exact logarithms of multipliers of a motion in this mode, if a block of it is not damped and no phase
+    changes it; returns their error, infinity if they stay as they are.
+
+    Two multipliers that meet at 1, as of a free mass, are known to the square root of rounding by the map.
+    """
+    table, T = osc.table, osc.head[HEAD.period]
+    k = slot_of(table.codes, mode)
+    if k < 0 or table.elements.starts.shape[0] > 2 or not np.any(table.pieces.blocks[k, 0, :, COLUMN.eta] == 0.0):
+        return np.inf
+    largest = 0.0
+    for j in range(table.pieces.blocks.shape[2]):
+        for e in range(2):
+            rate = table.pieces.blocks[k, 0, j, COLUMN.fast if e else COLUMN.slow]
+            logs[2 * j + e] = -rate * T
+            largest = max(largest, abs(rate) * T)
+    return 1e-15 * largest
+
+
 @kernel
 def contact_free(oscillators, motions, cells):
     """Mask of motions of machines with modes that never meet a contact, see meets_nothing."""
@@ -97,13 +118,15 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
         if turns == 0:
             continue
         error = max(error, ELLIPTIC if first.tally[CONTRACTION] == 0.0 else 0.0)
+        error = min(error, rates_if_undamped(osc, mode, logs))
         neutral = 0.0
         for k in range(len(logs)):
             if abs(logs[k]) <= error:
                 neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
         largest = highest(logs, 0, len(logs))
         if largest > 0.0:
-            verdicts[e] = GROWS
+            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would hold what grows
+            verdicts[e] = UNKNOWN if stands else GROWS
             continue
         h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
         turn, _ = map_with_jacobian(osc, h, mode, steps, half)
@@ -123,7 +146,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
 def where_it_stays(J, base, image, h):
     """Limit of block state h (n, 2) under z -> J z + c that takes ``base`` to ``image``, its largest multiplier one.
 
-    h itself if the motion continues forever; NaN if it is unbounded, as for a free mass.
+    h itself if the motion continues forever; NaN if it is unbounded, as for a free mass that moves.
     """
     size = h.size
     A, start, c, zero = J.copy(), h.ravel(), image.copy().ravel(), base.ravel()
@@ -131,7 +154,7 @@ def where_it_stays(J, base, image, h):
         for k in range(size):
             c[i] -= J[i, k] * zero[k]
     before = max(np.max(np.abs(A)), 1.0), np.max(np.abs(c)) + np.max(np.abs(start))
-    bounded = True
+    bounded, state = True, start.copy()
     for count in range(SQUARINGS):
         square, twice = np.zeros((size, size)), c.copy()
         for i in range(size):
@@ -141,14 +164,15 @@ def where_it_stays(J, base, image, h):
                     square[i, k] += A[i, j] * A[j, k]
         settled = np.max(np.abs(square - A)) <= SETTLED * np.max(np.abs(A))
         still = np.max(np.abs(twice - c)) <= SETTLED * before[1]
-        A, c = square, twice
+        A, c, earlier = square, twice, state
+        state = c.copy()
+        for i in range(size):
+            for k in range(size):
+                state[i] += A[i, k] * start[k]
+        if np.max(np.abs(state - earlier)) <= SETTLED * np.max(np.abs(state)):
+            return state.reshape(h.shape)
         if count == LOOK:
             bounded = np.max(np.abs(A)) <= BOUNDED * before[0] and np.max(np.abs(c)) <= BOUNDED * before[1]
         if settled and still:
-            end = np.empty(size)
-            for i in range(size):
-                end[i] = c[i]
-                for k in range(size):
-                    end[i] += A[i, k] * start[k]
-            return end.reshape(h.shape)
+            return state.reshape(h.shape)
     return h.copy() if bounded else np.full_like(h, np.nan)

@@ -47,15 +47,20 @@ def passed(oscillators: Oscillator, state: Array, periods: int) -> list[Passed]:
     return [passed_by(oscillators, row) for row in np.concatenate(list(rows))]
 
 
-def legs_of_periods(oscillators: Oscillator, state: Array, number: int) -> Iterator[Array]:
+def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: Array | None = None) -> Iterator[Array]:
     """The legs, see notes.LegRecord, of each period of a single oscillator, in a record of many.
 
     Times are counted from the first section. The motion starts at a physical state (2n,) in the mode of this number.
-    ValueError if it cannot be followed.
+    Its evaluations are taken off the work that ``tally`` (TALLIES,) has left, if given.
+    ValueError if it cannot be followed, or no work is left.
     """
     table = one_of(oscillators, 0).table
     for k in count():
-        rows, state, number = _one_period(oscillators, table, state, number)
+        if tally is not None and tally[WORK] < 0.0:
+            raise ValueError("the work allowed to this motion is spent")
+        rows, state, number, work = _one_period(oscillators, table, state, number)
+        if tally is not None:
+            tally[WORK] -= work
         rows[:, LEG.start] += k * 2.0 * np.pi / oscillators.table.omega[0]
         yield rows
 
@@ -93,8 +98,10 @@ def _segment(starts: Array, at: float) -> int:
     return max(0, int(np.sum(starts < at)) - 1)
 
 
-def _one_period(oscillators: Oscillator, table: Table, state: Array, number: int) -> tuple[Array, Array, int]:
-    """The legs of one period, and state and mode after it; modes missing from the ``table`` are built."""
+def _one_period(oscillators: Oscillator, table: Table, state: Array, number: int) -> tuple[Array, Array, int, float]:
+    """The legs of one period, state and mode after it, and the evaluations that it took; modes missing from the
+    ``table`` are built.
+    """
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
 
@@ -108,4 +115,4 @@ def _one_period(oscillators: Oscillator, table: Table, state: Array, number: int
     known = legs[~np.isnan(legs[:, LEG.start])]
     if tally[STATUS] != RUNNING or len(known) == RECORD:
         raise ValueError("the motion cannot be followed through one period of the force")
-    return known, z, int(code[0])
+    return known, z, int(code[0]), float(WORK_OF_A_TRIAL - tally[WORK])
