@@ -121,7 +121,7 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
-    """The place of the cell nearest to a value of an axis; InputError more than half a cell beyond the ends."""
+    """The place of the cell that is drawn at a value of an axis; InputError more than half a cell beyond the ends."""
     return cells.nearest(name, axis_values(ds, name), cell_edges(ds, name), value)
 
 
