@@ -4,7 +4,7 @@ import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
@@ -209,8 +209,9 @@ def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
 
 
 def say(text: str) -> None:
-    """A line for the user, on stderr."""
-    click.echo(text, err=True)
+    """A line for the user, on stderr; dropped where nobody reads that any more."""
+    with suppress(BrokenPipeError):
+        click.echo(text, err=True)
 
 
 def timing_of(ctx: click.Context) -> Timing:
@@ -270,7 +271,7 @@ def input_errors() -> Iterator[None]:
     """Turn errors of queries and pictures into bad input: one line, exit code 2. A damaged chunk is no bad input."""
     try:
         yield
-    except NetworkError:
+    except (NetworkError, BrokenPipeError):
         raise
     except ChunkError:
         from atlas.overview.guard import abandon_reads

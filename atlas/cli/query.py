@@ -68,7 +68,8 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
         elif point:
             _print_values(results, "coexisting")
         else:
-            print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in results.items()])
+            shown = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
+            print_table("", ["regime", f"share of {_measured(leading(ds))}"], shown)
             click.echo("".join(f"{line}\n" for line in reason_lines(why)), nl=False)
 
 
@@ -187,6 +188,15 @@ def extremes(
             return
         columns = [key for key in rows[0] if key != "cells"]
         print_table("", columns, [tuple(text(row[key]) for key in columns) for row in rows])
+
+
+def _measured(ds: "xr.Dataset") -> str:
+    """What the shares of regimes are shares of: cells that are not equally large do not count the same."""
+    from atlas.query.window import axis_names
+    from atlas.spec.points import POINT
+
+    names = axis_names(ds)
+    return "the points" if names == (POINT,) else ("the length", "the area", "the volume")[len(names) - 1]
 
 
 @contextmanager

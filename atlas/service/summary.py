@@ -84,7 +84,7 @@ class Summary:
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
             f"{duration(self.processor_seconds)} of processor time, "
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
-            shares(self.counts),
+            f"shares of these cells: {shares(self.counts)}",
         ]
         if self.retried:
             lines.append(f"{plural(self.changed, 'cell')} changed regime")

@@ -16,6 +16,7 @@ import atlas
 from atlas.cell.command import point_words
 from atlas.cli.main import main
 from atlas.cli.output import to_json
+from atlas.service.summary import Summary
 from atlas.service.timing import TIMING, Timing
 from rig.faults import ATLAS
 from tests.paths import ROOT
@@ -115,6 +116,15 @@ def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
     message = json.loads(call("query", folder / "out.zarr", "--window", "omega=2:3", "--json").stdout)
     assert message.pop("reasons") == {REASONS[PERIODS_SPENT].text: 3}
     assert sum(message.values()) == pytest.approx(1.0)
+
+
+def test_query_and_run_say_what_their_shares_are_of(folder: Path, tmp_path: Path) -> None:
+    """Cells of b = .1, .2, .4, .5 are .1, .15, .15 and .1 wide: shares of their number are not those of the area."""
+    assert call("query", folder / "out.zarr").stdout.split("\n")[0].split() == "regime share of the area".split()
+    assert "share of the length" in call("query", folder / "out.zarr", "--select", "b=.2").stdout
+    counts = {"periodic": 3, "chaotic": 1}
+    done = Summary("a.zarr", 2, 2, 2, 4, counts, {}, 1.0, 1.0, 0.0, 10, 1, 1, (), {})
+    assert "shares of these cells: periodic 75.0 %, chaotic 25.0 %" in str(done).splitlines()
 
 
 @pytest.mark.parametrize("suffix", ["csv", "nc"])
