@@ -21,7 +21,7 @@ from atlas.service.timing import TIMING, Timing
 from rig.faults import ATLAS
 from tests.paths import ROOT
 from workers import Settings
-from workers.model.system import find_system
+from workers.model.system import find_system, system_names
 from workers.results import PERIODS_SPENT, REASONS
 
 SPEC = """
@@ -183,6 +183,13 @@ def test_point_gives_every_result_of_one_cell() -> None:
 
 def test_systems_lists_parameters_with_their_ranges() -> None:
     assert "0 <= R <= 1" in call("systems", "two-mass").stdout
+
+
+@pytest.mark.parametrize("name", [name for name in system_names() if find_system(name).definition.unforced])
+def test_what_a_machine_without_a_force_loses_is_told_per_unit_of_time(name: str) -> None:
+    told = call("systems", name).stdout
+    assert "forcing period" not in told
+    assert "per unit time" in told
 
 
 def test_json_writes_infinity_as_text_and_nan_as_null() -> None:
