@@ -127,7 +127,9 @@ def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[...,
         "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
         "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
         "legend": click.option("--legend/--no-legend", default=True, help="Whether there is a legend."),
-        "style": click.option("--style", metavar="FILE", help="A matplotlib style, or the name of one."),
+        "style": click.option(
+            "--style", metavar="FILE", help="A matplotlib style: a file, a name, or current: your matplotlibrc."
+        ),
     }
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:

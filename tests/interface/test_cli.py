@@ -120,7 +120,7 @@ def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
 
 def test_query_and_run_say_what_their_shares_are_of(folder: Path, tmp_path: Path) -> None:
     """Cells of b = .1, .2, .4, .5 are .1, .15, .15 and .1 wide: shares of their number are not those of the area."""
-    assert call("query", folder / "out.zarr").stdout.split("\n")[0].split() == "regime share of the area".split()
+    assert call("query", folder / "out.zarr").stdout.split("\n")[0].split() == ["regime", "share", "of", "the", "area"]
     assert "share of the length" in call("query", folder / "out.zarr", "--select", "b=.2").stdout
     counts = {"periodic": 3, "chaotic": 1}
     done = Summary("a.zarr", 2, 2, 2, 4, counts, {}, 1.0, 1.0, 0.0, 10, 1, 1, (), {})
