@@ -21,7 +21,7 @@ from atlas.service.options import MOST_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
 from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings, observable_settings
 from atlas.spec.system import checked_system
-from atlas.store.location import reached_by
+from atlas.store.location import is_url, reached_by
 from workers import Settings
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
@@ -89,21 +89,27 @@ def pairs_option(
     )
 
 
-def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
-    """Set the storage options of this command's URLs."""
-    if given:
-        ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
+def storage_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option --storage-option, which sets the access of the command's URLs; InputError where it has none."""
 
+    @click.option(
+        "--storage-option",
+        metavar="KEY=VALUE",
+        multiple=True,
+        help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
+    )
+    @wraps(command)
+    def whole(*args: Any, storage_option: tuple[str, ...], **given: Any) -> None:
+        if not storage_option:
+            command(*args, **given)
+            return
+        names = [name for value in given.values() for name in (value if isinstance(value, tuple) else (value,))]
+        if not any(is_url(name) and not name.startswith("file:") for name in names):
+            raise InputError("--storage-option: is the access of a store at a URL, found no URL of a server")
+        with reached_by(read_pairs("--storage-option", storage_option, lambda _, value: value)):
+            command(*args, **given)
 
-storage_option = click.option(
-    "--storage-option",
-    metavar="KEY=VALUE",
-    multiple=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_reach,
-    help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
-)
+    return whole
 
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:

@@ -34,6 +34,18 @@ FORGOTTEN = 4000
 """Milliseconds after which a page without a connection is gone for good."""
 
 
+def check_address(port: int, host: str) -> None:
+    """InputError where no page can be served at a port of a host: to be asked before the work."""
+    try:
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError as error:
+        raise InputError(_unusable(port, host, error)) from None
+
+
+def _unusable(port: int, host: str, error: OSError) -> str:
+    return f"host {host}, port {port}: cannot be used: {error.strerror or error}"
+
+
 class PageServer:
     """Serves documents that ``make`` fills, one for each page that is opened, until ``stop``.
 
@@ -97,7 +109,7 @@ class PageServer:
         except OSError as error:
             if self._ready.is_set():
                 raise
-            self._error = f"host {self._host}, port {self._asked}: cannot be used: {error.strerror or error}"
+            self._error = _unusable(self._asked, self._host, error)
             self._ready.set()
             return
         self.port = int(sockets[0].getsockname()[1])

@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
 from atlas.explore.kept import MOST_BYTES
-from atlas.explore.server import HOST, PageServer
+from atlas.explore.server import HOST, PageServer, check_address
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.open import handle_of
@@ -110,6 +110,7 @@ def explore(
     if not tolerance > 0:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
     subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    check_address(port, host)
     if prepare is not None:
         prepare()
     connect = _connection(client, scheduler, workers, timing)
