@@ -89,6 +89,12 @@ def pairs_option(
     )
 
 
+def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> None:
+    """Set the storage options of this command's URLs."""
+    if given:
+        ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
+
+
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
     """The option --storage-option, which sets the access of the command's URLs; InputError where it has none."""
 
@@ -96,18 +102,18 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
         "--storage-option",
         metavar="KEY=VALUE",
         multiple=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_reach,
         help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
     )
     @wraps(command)
-    def whole(*args: Any, storage_option: tuple[str, ...], **given: Any) -> None:
-        if not storage_option:
-            command(*args, **given)
-            return
+    def whole(*args: Any, **given: Any) -> None:
+        source = click.get_current_context().get_parameter_source("storage_option")
         names = [name for value in given.values() for name in (value if isinstance(value, tuple) else (value,))]
-        if not any(is_url(name) and not name.startswith("file:") for name in names):
+        if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
             raise InputError("--storage-option: is the access of a store at a URL, found no URL of a server")
-        with reached_by(read_pairs("--storage-option", storage_option, lambda _, value: value)):
-            command(*args, **given)
+        command(*args, **given)
 
     return whole
 

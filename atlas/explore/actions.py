@@ -3,6 +3,7 @@
 import tempfile
 from dataclasses import dataclass, replace
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
     parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
     text = spec_toml(spec)
-    for number in range(1, 1000):
+    for number in count(1):
         file = folder / f"{Path(subject.name).stem}-{number}.toml"
         try:
             with file.open("x", encoding="utf-8") as opened:

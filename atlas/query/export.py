@@ -101,7 +101,7 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
     columns = {str(name): _components(ds, str(name), dims) for name in ordered}
     words = {name: code_names(ds[name]) for name in columns}
-    rows = max(1, cells_at_a_time // ds.sizes[names[0]])
+    rows = cells_at_a_time if len(names) == 1 else max(1, cells_at_a_time // ds.sizes[names[0]])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*names, *columns_of(ds), *(column for several in columns.values() for column in several)])
@@ -124,14 +124,12 @@ def code_names(variable: "xr.DataArray") -> dict[int, str]:
 
 
 def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:
-    """The dataset some rows of a plane at a time, and one plane of a stack at a time."""
-    if len(dims) == 1:
-        yield ds
-        return
+    """The dataset some rows of a plane at a time, one plane of a stack at a time, and some cells of one axis."""
+    along = dims[-2:][0]
     for plane in range(ds.sizes[dims[0]]) if len(dims) > 2 else [None]:
         part = ds if plane is None else ds.isel({dims[0]: slice(plane, plane + 1)})
-        for first in range(0, ds.sizes[dims[-2]], rows):
-            yield part.isel({dims[-2]: slice(first, first + rows)})
+        for first in range(0, ds.sizes[along], rows):
+            yield part.isel({along: slice(first, first + rows)})
 
 
 def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]:

@@ -115,6 +115,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     Cells and errors as in ``fractions``, and InputError for a dataset without its variable ``reason``. Reads the
     records of tiles, and the reasons themselves along the window's border.
     """
+    axis_names(ds)
     ds = within(ds, window)
     if REASON.name not in ds:
         raise InputError(f"this dataset has no variable {REASON.name}: ask the one that atlas.open returns")

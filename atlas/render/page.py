@@ -324,9 +324,11 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
     if not isinstance(chosen, str | os.PathLike):
         right = f"must be a style of matplotlib's, {CURRENT!r} or the path of a file"
         raise InputError(f"style: found {shown(chosen)}, {right}")
+    settings: Any
     if str(chosen) == CURRENT:
+        of_all: Any = mpl.rcParams
         with drawing():
-            settings = {name: mpl.rcParams[name] for name, usual in defaults().items() if mpl.rcParams[name] != usual}
+            settings = {name: of_all[name] for name, usual in defaults().items() if of_all[name] != usual}
     elif str(chosen) in mpl_style.library:
         settings = mpl_style.library[str(chosen)]
     else:

@@ -55,7 +55,7 @@ _OF_LOOKS = {
 
 
 def defaults() -> dict[str, Any]:
-    """Matplotlib's own settings of looks: from these a page begins, whatever a user has set for other figures."""
+    """Matplotlib's own settings of looks, from which a page begins: what a user has set holds for other figures."""
     return {name: value for name, value in mpl.rcParamsDefault.items() if name.partition(".")[0] in _OF_LOOKS}
 
 

@@ -1,6 +1,7 @@
 """Claims about exported windows: every cell, exactly, in files that other programs read."""
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import xarray as xr
 
 import atlas
 from atlas.errors import InputError
+from atlas.query import export as exporting
 from atlas.query.export import export
 from atlas.query.window import within
 from atlas.store import making
@@ -70,6 +72,29 @@ def test_a_sweep_is_exported_too(ds: xr.Dataset, tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "a.csv")
     assert [float(row["omega"]) for row in rows] == ds.omega.values.tolist()
     np.testing.assert_array_equal([float(row["largest"]) for row in rows], ds.largest.values[3])
+
+
+def test_a_table_is_read_as_many_rows_at_a_time_as_are_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one row of a plane too: both have a single axis."""
+    points = {"omega": [2.0, 2.5, 3.0, 2.2, 2.8, 3.5, 2.1], "b": [0.1, 0.2, 0.3, 0.15, 0.25, 0.4, 0.12]}
+    handle = making.create(tmp_path / "a.zarr", atlas.Spec("two-mass", points=points), (7,))
+    fill(handle)
+    table, sizes = atlas.open(handle.path), list[int]()
+
+    def noted(ds: xr.Dataset, dims: tuple[str, ...], rows: int) -> Iterator[xr.Dataset]:
+        for block in blocks(ds, dims, rows):
+            sizes.append(block.regime.size)
+            yield block
+
+    blocks = exporting._blocks
+    monkeypatch.setattr(exporting, "_blocks", noted)
+    export(table, tmp_path / "a.csv", csv_cells=3)
+    assert sizes == [3, 3, 1]
+    rows = rows_of(tmp_path / "a.csv")
+    assert [float(row["b"]) for row in rows] == points["b"]
+    np.testing.assert_array_equal([float(row["largest"]) for row in rows], table.largest.values)
 
 
 def test_a_netcdf_file_holds_the_window_with_its_attributes(ds: xr.Dataset, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,6 +102,21 @@ def test_at_answers_a_bad_point_with_one_line(point: Mapping[str, float], messag
     with pytest.raises(InputError) as error:
         query.at(plane([1, 2, 3], [0.1, 0.2]), point)
     assert str(error.value) == message
+
+
+@pytest.mark.parametrize("ask", ["fractions", "reasons", "regions", "at", "boundary", "plot"])
+def test_selections_without_cells_and_masked_atlases_are_answered_with_one_line(ask: str) -> None:
+    """A mask makes floats of codes, and NaN is no regime; an empty selection has no shares."""
+    ds = plane([1, 2, 3], [0.1, 0.2])
+    ds["reason"] = ds.regime * 0
+    given: dict[str, Any] = {"at": {"omega": 1, "b": 0.1}}.get(ask, {})
+    words = {"regions": ["period"], "boundary": ["periodic"]}.get(ask, [])
+    for wrong, message in (
+        (ds.isel(omega=slice(0, 0)), "omega: found a selection without cells, must have one or more"),
+        (ds.where(ds.omega > 1), r"regime: found float\d\d, must be whole numbers; choose cells by .sel, a window or "),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            getattr(wrong.atlas, ask)(*words, **given)
 
 
 def test_at_reads_no_variable_with_more_than_one_value_a_cell() -> None:
