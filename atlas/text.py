@@ -52,6 +52,14 @@ def motion_name(period: int, upper: int, lower: int) -> str:
     return f"{period}-{upper}-{lower}"
 
 
+def count_of(number: int) -> str:
+    """A large number for a person: 8700, 12.3 thousand, 3.4 million."""
+    for size, name in ((10**6, "million"), (10**3, "thousand")):
+        if number >= 10 * size or number >= 10**6:
+            return f"{number / size:.3g} {name}"
+    return str(number)
+
+
 def byte_size(count: int) -> str:
     """Bytes with a unit: 12 B, 3.4 kB, 1.2 GB."""
     size = float(count)

@@ -296,6 +296,7 @@ _IN_TIME = {
     "periods_used": "natural periods simulated, of the slowest undamped mode",
     "settled": "natural periods until the motion is on the attractor",
     "survived": "natural periods seen chaotic, or aperiodic, after the transient",
+    "energy_loss": "energy lost in a cycle, or in a natural period of other motion",
 }
 """Meanings of results that differ for a machine without a force, by name."""
 

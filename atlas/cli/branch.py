@@ -32,8 +32,9 @@ from atlas.cli.progress import reporter
 from atlas.orbits.branches.branch import MOST, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import Branches, orbit_name
-from atlas.query.export import write_rows, written_whole
+from atlas.query.export import check_writable, write_rows, written_whole
 from atlas.render import FORMATS, LOOK, render
+from atlas.render.wanted import Wanted
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.system import system_of
 from atlas.task.compile import OBSERVED, ORBITS, kernels_for
@@ -106,7 +107,9 @@ def branch(
     """
     if out is not None:
         checked_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
+        check_writable(out)
     look = {name: options.pop(name) for name in LOOK if name in options}
+    Wanted.of(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
         observable = observed_of(seed, observe)

@@ -105,10 +105,12 @@ def portrait(
     from atlas.query.cell import SolvedCell, solved_cell
     from atlas.render import LOOK, check_path
     from atlas.render import portrait as draw_portrait
+    from atlas.render.wanted import Wanted
 
     check_path(out)
     check_cell_options(store)
     look = {name: options.pop(name) for name in LOOK if name in options}
+    Wanted.of(**look)  # before the cell is solved
     with input_errors(), reporter(sys.stderr) as show:
         if store is None:
             cell = SolvedCell(*asked_cell(given, system, options))

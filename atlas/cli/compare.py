@@ -21,6 +21,7 @@ from atlas.cli.output import print_table, to_json
 from atlas.errors import InputError
 from atlas.query.open import open_atlas
 from atlas.render import check_path, render
+from atlas.render.wanted import Wanted
 from atlas.text import plural
 
 
@@ -42,6 +43,7 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
     given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
     if out is not None:
         check_path(out)
+        Wanted.of(**look)
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
     with input_errors():

@@ -1,5 +1,6 @@
 """The command that opens the explorer, or writes the page of an atlas."""
 
+import math
 import sys
 import time
 import webbrowser
@@ -89,6 +90,8 @@ def explore(
         return
     if window:
         raise InputError("--window needs -o; the page in the browser zooms")
+    if not math.isfinite(limit):
+        raise InputError(f"--limit: found {limit:g}, must be a finite number of GB")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 

@@ -3,6 +3,8 @@
 Heavy imports wait until a command needs them, so that help comes at once and no command waits for another's imports.
 """
 
+import os
+import select
 import sys
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -109,6 +111,23 @@ class _BadInput(click.ClickException):
     exit_code = 2
 
 
+def _is_unread() -> bool:
+    """Whether the reader of stdout has gone, as ``head`` does once it has its lines: that is no error."""
+    if not hasattr(select, "poll"):
+        return True
+    watch = select.poll()
+    watch.register(sys.stdout, 0)  # errors are reported unasked
+    return bool(watch.poll(0))
+
+
+def _flush_or_drop(stream: Any) -> None:
+    """Write what is left for a stream; drop it where nobody reads that: Python would complain at its end."""
+    try:
+        stream.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def _bad_usage(error: click.UsageError) -> _BadInput:
     """What click says of a wrong command line, without the usage before it."""
     where = error.ctx.command_path if error.ctx else "atlas"
@@ -123,11 +142,18 @@ class _Group(click.Group):
         self.commands, self.table = _Commands(table), table  # type: ignore[assignment]  # click declares a dict
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        for stream in (sys.stdout, sys.stderr):
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is None:  # the shell closed it, as by >&-
+                setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+            stream = getattr(sys, name)
             # Windows gives a pipe or a file the code page of the language.
             if isinstance(stream, TextIOWrapper) and not stream.isatty() and stream.encoding.lower() != "utf-8":
                 stream.reconfigure(encoding="utf-8")
-        return super().main(*args, **kwargs)
+        try:
+            return super().main(*args, **kwargs)
+        finally:
+            for stream in (sys.stdout, sys.stderr):
+                _flush_or_drop(stream)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args:  # click shows the help
@@ -136,10 +162,14 @@ class _Group(click.Group):
             return super().parse_args(ctx, args)
         except click.UsageError as error:
             raise _bad_usage(error) from None
+        except BrokenPipeError:
+            ctx.exit()
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
-            return super().invoke(ctx)
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+            return result
         except click.UsageError as error:
             raise _bad_usage(error) from None
         except InputError as error:
@@ -147,6 +177,8 @@ class _Group(click.Group):
         except RunError as error:
             raise click.ClickException(str(error)) from None
         except OSError as error:  # a disk or a network that gave up in the middle
+            if isinstance(error, BrokenPipeError) and _is_unread():
+                ctx.exit()
             where = f"{error.filename}: " if error.filename else ""
             raise click.ClickException(f"{where}{error.strerror or error}") from None
         except KeyboardInterrupt:

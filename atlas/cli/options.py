@@ -4,7 +4,7 @@ import math
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
@@ -21,7 +21,7 @@ from atlas.service.options import MOST_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
 from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings, observable_settings
 from atlas.spec.system import checked_system
-from atlas.store.location import reached_by
+from atlas.store.location import is_url, reached_by
 from workers import Settings
 from workers.attractors.starts import MOST_STARTS, Starts
 from workers.model.system import DEFAULT, System
@@ -112,15 +112,27 @@ def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> No
         ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
 
 
-storage_option = click.option(
-    "--storage-option",
-    metavar="KEY=VALUE",
-    multiple=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_reach,
-    help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
-)
+def storage_option(command: Callable[..., None]) -> Callable[..., None]:
+    """The option --storage-option, which sets the access of the command's URLs; InputError where it has none."""
+
+    @click.option(
+        "--storage-option",
+        metavar="KEY=VALUE",
+        multiple=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_reach,
+        help="Access option of a URL, such as endpoint=URL or anon=true; repeatable.",
+    )
+    @wraps(command)
+    def whole(*args: Any, **given: Any) -> None:
+        source = click.get_current_context().get_parameter_source("storage_option")
+        names = [name for value in given.values() for name in (value if isinstance(value, tuple) else (value,))]
+        if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
+            raise InputError("--storage-option: is the access of a store at a URL, found no URL of a server")
+        command(*args, **given)
+
+    return whole
 
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:
@@ -144,7 +156,9 @@ def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[...,
         "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
         "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
         "legend": click.option("--legend/--no-legend", default=True, help="Whether there is a legend."),
-        "style": click.option("--style", metavar="FILE", help="A matplotlib style, or the name of one."),
+        "style": click.option(
+            "--style", metavar="FILE", help="A matplotlib style: a file, a name, or current: your matplotlibrc."
+        ),
     }
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -226,8 +240,9 @@ def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
 
 
 def say(text: str) -> None:
-    """A line for the user, on stderr."""
-    click.echo(text, err=True)
+    """A line for the user, on stderr; dropped where nobody reads that any more."""
+    with suppress(BrokenPipeError):
+        click.echo(text, err=True)
 
 
 def timing_of(ctx: click.Context) -> Timing:
@@ -287,7 +302,7 @@ def input_errors() -> Iterator[None]:
     """Turn errors of queries and pictures into bad input: one line, exit code 2. A damaged chunk is no bad input."""
     try:
         yield
-    except NetworkError:
+    except (NetworkError, BrokenPipeError):
         raise
     except ChunkError:
         from atlas.overview.guard import abandon_reads

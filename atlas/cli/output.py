@@ -6,7 +6,11 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import click
 import numpy as np
+
+_WIDE = 10_000
+"""Letters in a line of a table that no terminal shows: more than any has."""
 
 
 def to_json(value: Any) -> str:
@@ -28,19 +32,21 @@ def plain(value: Any) -> Any:
 
 
 def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]]) -> None:
-    """A table on stdout; it is as wide as it needs to be if stdout is no terminal."""
+    """A table on stdout, without spaces at the ends of lines; as wide as it needs to be if stdout is no terminal."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     terminal = sys.stdout.isatty()  # a notebook asks for colours, but is no terminal
-    console = Console(highlight=False, force_terminal=terminal, width=None if terminal else 200)
+    console = Console(highlight=False, force_terminal=terminal, width=None if terminal else _WIDE)
     table = Table(title=title or None, title_justify="left", box=None, pad_edge=False, show_header=any(columns))
     for column in columns:
         table.add_column(column)
     for row in rows:
         table.add_row(*map(Text, row))
-    console.print(table)
+    with console.capture() as printed:
+        console.print(table)
+    click.echo("\n".join(line.rstrip() for line in printed.get().splitlines()), color=terminal)
 
 
 def print_cell(results: Mapping[str, Any], name: str) -> None:

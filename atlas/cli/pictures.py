@@ -32,6 +32,7 @@ from atlas.errors import InputError
 from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
+from atlas.render.wanted import Wanted
 from atlas.service.options import RunOptions
 
 
@@ -117,6 +118,8 @@ def plot(
     given = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
+    of_one: dict[str, Any] = {"overlay": overlay, "curves": curves, "names": names, "variable": variable, "log": log}
+    Wanted.of(kind, window, **of_one, observe=observe, **look)  # before stores are read
     with input_errors(), counted() as reads:
         atlases = [opened(store, select) for store in stores]
         other = None if against is None else opened(against, select)
@@ -126,8 +129,7 @@ def plot(
             draw(atlases, out, kind, window, titles=stems, **look)
         else:
             draw(
-                atlases[0], out, kind=kind, window=window, overlay=overlay, curves=curves, names=names, against=other,
-                variable=variable, log=log, observe=observe, **look,
+                atlases[0], out, kind=kind, window=window, against=other, observe=observe, **of_one, **look
             )  # fmt: skip
     if reads.chunks:
         say(str(reads))

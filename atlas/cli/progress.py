@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from types import TracebackType
 from typing import IO
@@ -77,7 +77,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.note)
 
     def _print(self, text: str) -> None:
-        print(text, file=self._stream, flush=True)
+        with suppress(BrokenPipeError):  # nobody reads it any more; the work goes on
+            print(text, file=self._stream, flush=True)
 
     def __exit__(self, *error: object) -> None:
         """Nothing to clear away."""

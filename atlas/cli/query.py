@@ -74,7 +74,8 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
             _print_values(results, "coexisting")
         else:
             used = questions.laws(leading(ds), bounds)
-            print_table("", ["", ""], [(name, f"{100 * share:.2f} %") for name, share in results.items()])
+            shown = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
+            print_table("", ["regime", f"share of {_measured(leading(ds))}"], shown)
         click.echo("".join(f"{line}\n" for line in (*reason_lines(why), *law_lines(used))), nl=False)
 
 
@@ -90,10 +91,11 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
 @json_option
 def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool) -> None:
     """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
-    from atlas.query.export import FORMATS
+    from atlas.query.export import FORMATS, check_writable
     from atlas.query.export import export as write
 
     checked_suffix(out, FORMATS)
+    check_writable(out)
     with _asked(store, select, window) as (ds, bounds):
         say("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}
@@ -148,7 +150,7 @@ def regions(
     meant: object = read_whole("period", value) if equals and by == "period" else value if equals else None
     by, meant = asked_class(by, meant)
     if out is not None:
-        checked_suffix(out, [".csv"])
+        _check_list(out)
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected
 
@@ -181,7 +183,7 @@ def extremes(
 ) -> None:
     """Where a VARIABLE of STORE, such as largest, has its smallest and largest values, in each class of cells."""
     if out is not None:
-        checked_suffix(out, [".csv"])
+        _check_list(out)
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
@@ -193,6 +195,23 @@ def extremes(
             return
         columns = [key for key in rows[0] if key != "cells"]
         print_table("", columns, [tuple(text(row[key]) for key in columns) for row in rows])
+
+
+def _measured(ds: "xr.Dataset") -> str:
+    """What the shares of regimes are shares of: cells that are not equally large do not count the same."""
+    from atlas.query.window import axis_names
+    from atlas.spec.points import POINT
+
+    names = axis_names(ds)
+    return "the points" if names == (POINT,) else ("the length", "the area", "the volume")[len(names) - 1]
+
+
+def _check_list(out: Path) -> None:
+    """InputError unless a list can be written there."""
+    from atlas.query.export import check_writable
+
+    checked_suffix(out, [".csv"])
+    check_writable(out)
 
 
 @contextmanager

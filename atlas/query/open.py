@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 SOURCE, _HANDLE = "source", "atlas"
 """The keys of a dataset's encoding that have the name of its store, and what was read of it when it was opened."""
+LAYERS = "layers"
+"""The key of the layers of each Dask array's graph, by variable, as they are when a dataset is opened."""
 Chunks = int | str | Mapping[Any, Any] | None
 """Of Dask arrays, as ``xarray.open_dataset`` takes them; None for none."""
 
@@ -53,6 +55,9 @@ def open_atlas(
     if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
         opened = opened.assign(open_table(handle, STABILITY).data_vars)
     note_store(opened, handle)
+    if chunks is not None:
+        arrays = {str(name): array.data for name, array in opened.data_vars.items() if array.chunks is not None}
+        opened.encoding[LAYERS] = {name: frozenset(array.dask.layers) for name, array in arrays.items()}
     return opened
 
 

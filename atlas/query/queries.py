@@ -65,8 +65,8 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
 
     Keys: each axis (the cell's own coordinate), of a table of points each column, ``distance`` (a dict, absolute, per
     axis), ``regime`` (its name),
-    ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis,
-    in the axis's own units.
+    ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis:
+    the cell that is drawn at the point, on a log axis the one nearest in ratio.
     Of an atlas of all attractors these are those of the one with the largest share, and ``coexisting`` lists all, each
     with all its numbers, the largest share first.
     Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
@@ -118,6 +118,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     Cells and errors as in ``fractions``, and InputError for a dataset without its variable ``reason``. Reads the
     records of tiles, and the reasons themselves along the window's border.
     """
+    axis_names(ds)
     ds = within(ds, window)
     if REASON.name not in ds:
         raise InputError(f"this dataset has no variable {REASON.name}: ask the one that atlas.open returns")

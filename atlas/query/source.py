@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from atlas.errors import ChunkError, InputError
 from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, needed
 from atlas.overview.pyramid import MARKS, Pyramid, pyramid_of
-from atlas.query.open import handle_of
+from atlas.query.open import LAYERS, handle_of
 from atlas.query.window import axis_values
 from atlas.spec.axis import Axis
 from atlas.spec.spec import MOST_AXES, Slices
@@ -58,17 +58,30 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: Atlas) -> bool:
     """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name.
 
     Its first value tells, which takes no read: if nothing was computed, loaded or assigned, then this array is asked.
+    Of a Dask array its graph tells.
     """
     from atlas.overview.guard import unread  # with it Zarr, which takes a while to load
 
     stored = handle.arrays.get(name)
-    if name not in ds or ds[name].chunks is not None or stored is None:
+    if name not in ds or stored is None:
         return False
     variable = ds[name].variable
-    with unread() as asked:
-        _ = variable[(0,) * variable.ndim].values
+    if variable.chunks is not None:
+        untouched = _is_selected(variable.data, ds.encoding.get(LAYERS, {}).get(name))
+    else:
+        with unread() as asked:
+            _ = variable[(0,) * variable.ndim].values
+        untouched = asked == {(handle.place, name)}
     inner = list(variable.shape[ds[REGIME.name].ndim :])
-    return asked == {(handle.place, name)} and inner == list(stored["shape"][len(handle.spec.shape) :])
+    return untouched and inner == list(stored["shape"][len(handle.spec.shape) :])
+
+
+def _is_selected(array: Any, opened: frozenset[str] | None) -> bool:
+    """Whether a Dask array is that whose graph had these layers when its dataset was opened, or a selection of it."""
+    layers = set(array.dask.layers)
+    if opened is None or not opened <= layers:
+        return False
+    return all(layer.startswith("getitem-") for layer in layers - opened)
 
 
 @dataclass(frozen=True)

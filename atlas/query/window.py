@@ -25,9 +25,18 @@ LOG_SPAN = 4.0
 
 
 def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
-    """The names of an atlas's axes, x first; InputError unless there are one to three. Of a table it is ``point``."""
+    """The names of an atlas's axes, x first; InputError unless there are one to three. Of a table it is ``point``.
+
+    InputError too for an empty selection, and for regimes that a mask has made floats: NaN is no regime.
+    """
     if REGIME.name not in ds:
         raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
+    if ds[REGIME.name].dtype.kind == "f":
+        right = "must be whole numbers; choose cells by .sel, a window or .atlas.where_regime, not by .where"
+        raise InputError(f"{REGIME.name}: found {ds[REGIME.name].dtype}, {right}")
+    empty = [str(name) for name in ds[REGIME.name].dims if ds.sizes[name] == 0]
+    if empty:
+        raise InputError(f"{empty[0]}: found a selection without cells, must have one or more")
     names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims) if dim != ATTRACTOR)
     if not 1 <= len(names) <= MOST_AXES:
         listed = f" ({', '.join(names)})" if names else ""
@@ -121,7 +130,7 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
-    """The place of the cell nearest to a value of an axis; InputError more than half a cell beyond the ends."""
+    """The place of the cell that is drawn at a value of an axis; InputError more than half a cell beyond the ends."""
     return cells.nearest(name, axis_values(ds, name), cell_edges(ds, name), value)
 
 

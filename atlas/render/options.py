@@ -29,7 +29,9 @@ class PageOptions(TypedDict, total=False):
     dpi: Annotated[float | None, "dots per inch; default: 300"]
     title: Annotated[bool, "whether the fixed parameters stand above"]
     legend: Annotated[bool, "whether there is a legend"]
-    style: Annotated[str | Path | None, "a matplotlib style: a file, or the name of one of matplotlib's own"]
+    style: Annotated[
+        str | Path | None, 'a matplotlib style: a file, a name of matplotlib\'s own, or "current" for your rcParams'
+    ]
 
 
 class ScaleOptions(PageOptions, total=False):

@@ -24,7 +24,7 @@ from atlas.arguments import checked_flag
 from atlas.errors import InputError, shown
 from atlas.render.fit import TITLE, fit
 from atlas.render.options import ScaleOptions
-from atlas.render.style import DPI, drawing, house
+from atlas.render.style import DPI, defaults, drawing, house
 
 WIDTH = 7.0
 """Default width of a figure in inches: two columns of a journal."""
@@ -118,13 +118,14 @@ class DrawnPage:
         if self.given:  # given axes have their type already
             settings = {name: settings[name] for name in _OURS}
         else:
-            settings["savefig.dpi"] = self.dpi
+            settings = defaults() | settings | {"savefig.dpi": self.dpi}
         return drawing(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
         """An empty figure with room for texts outside its axes; ``height`` is the default."""
         size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
-        drawn = NotebookFigure(figsize=size, layout="constrained", facecolor="white", dpi=dpi)
+        color = self.rc.get("figure.facecolor", "white")
+        drawn = NotebookFigure(figsize=size, layout="constrained", facecolor=color, dpi=dpi)
         FigureCanvasAgg(drawn)
         return drawn
 
@@ -136,6 +137,8 @@ class DrawnPage:
         if self.given and len(self.given) != count:
             raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
         drawn = _root(self.given[0]) if self.given else self.figure(height)
+        if self.given and self.explained:
+            _make_room(drawn)
         plots = list(self.given or drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
         if self.title:
             plots[0].set_title(title, loc="left", gid=TITLE)
@@ -305,6 +308,8 @@ def _number(name: str, value: float | None, positive: bool = False) -> float | N
     return number
 
 
+CURRENT = "current"
+"""The style of the settings of Matplotlib that the user has changed."""
 _LEAST_DOTS = 4.0
 """Settings of the type: an index of an index is half as large and needs a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
@@ -317,8 +322,14 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
     if chosen is None:
         return {}
     if not isinstance(chosen, str | os.PathLike):
-        raise InputError(f"style: found {shown(chosen)}, must be a style of matplotlib's or the path of a file")
-    if str(chosen) in mpl_style.library:
+        right = f"must be a style of matplotlib's, {CURRENT!r} or the path of a file"
+        raise InputError(f"style: found {shown(chosen)}, {right}")
+    settings: Any
+    if str(chosen) == CURRENT:
+        of_all: Any = mpl.rcParams
+        with drawing():
+            settings = {name: of_all[name] for name, usual in defaults().items() if of_all[name] != usual}
+    elif str(chosen) in mpl_style.library:
         settings = mpl_style.library[str(chosen)]
     else:
         if os.path.exists(chosen) and not os.path.isfile(chosen) and not os.path.isdir(chosen):
@@ -330,6 +341,15 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
             raise InputError(f"style {chosen}: neither a style of matplotlib's nor a file to read: {why}") from None
     layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
     return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
+
+
+def _make_room(drawn: Figure) -> None:
+    """Have a figure without a layout engine make room for a legend beside or under its plots, which is cut off else.
+
+    The tight engine bears with a later ``tight_layout`` or ``subplots_adjust``. Axes at places of their own stay there.
+    """
+    if drawn.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in drawn.axes):
+        drawn.set_layout_engine("tight")
 
 
 def _root(ax: Axes) -> Figure:

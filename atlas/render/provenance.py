@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from atlas.arguments import checked_path, checked_suffix
-from atlas.errors import InputError
+from atlas.query.export import check_writable, written_whole
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
 from atlas.store.machine import package_version
@@ -36,18 +36,20 @@ class Provenance(NamedTuple):
 
 
 def check_path(path: str | Path) -> str:
-    """The format of a picture's file; InputError for an unknown suffix: to be called before long work."""
-    return checked_suffix(checked_path(path), [f".{name}" for name in FORMATS]).removeprefix(".")
+    """The format of a picture's file, to be called before long work.
+
+    InputError for an unknown suffix, and where no file can be written.
+    """
+    suffix = checked_suffix(checked_path(path), [f".{name}" for name in FORMATS])
+    check_writable(Path(path))
+    return suffix.removeprefix(".")
 
 
 def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage") -> None:
-    """Write a figure with its provenance; InputError if that fails."""
+    """Write a figure with its provenance; InputError if that fails: an older picture is then still there."""
     suffix = check_path(target)
-    try:
-        with page.context():
-            drawn.savefig(target, format=suffix, metadata=metadata(provenance, suffix))
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    with written_whole(target) as unfinished, page.context():
+        drawn.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
 
 
 def provenance_of(*subjects: "xr.Dataset | CellOrbit | Branches") -> Provenance:

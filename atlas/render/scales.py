@@ -222,7 +222,8 @@ def draw_bars(
         else:
             side = "bottom" if below else "right"
             look: Any = {"aspect": 28, "pad": 0.02, "extendfrac": 0.03}
-            colorbar = drawn.colorbar(mappable, ax=list(panels), location=side, extend=extend, **look)
+            beside: Any = panels[0] if len(panels) == 1 else list(panels)  # one alone keeps to its grid
+            colorbar = drawn.colorbar(mappable, ax=beside, location=side, extend=extend, **look)
             two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
             colorbar.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
         colorbar.outline.set_linewidth(0.6)

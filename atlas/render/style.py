@@ -47,6 +47,18 @@ def house(scale: float) -> dict[str, Any]:
     }
 
 
+_OF_LOOKS = {
+    "axes", "figure", "font", "grid", "hatch", "image", "legend", "lines", "markers", "mathtext", "patch", "path",
+    "savefig", "text", "xtick", "ytick",
+}  # fmt: skip
+"""The parts of Matplotlib's settings that decide how a figure looks."""
+
+
+def defaults() -> dict[str, Any]:
+    """Matplotlib's own settings of looks, from which a page begins: what a user has set holds for other figures."""
+    return {name: value for name, value in mpl.rcParamsDefault.items() if name.partition(".")[0] in _OF_LOOKS}
+
+
 _alone = threading.RLock()
 
 

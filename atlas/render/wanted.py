@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
 from atlas.arguments import Window, checked_atlas, checked_flag, checked_name, checked_pixels, checked_window
-from atlas.errors import InputError
+from atlas.errors import InputError, check_names
 from atlas.query.extremes import check_number
 from atlas.query.window import axis_names
 from atlas.render.kinds import AXES, BASINS, CLASSES, CURVES, KINDS, OVERLAYS, SCALAR, TABLE, Kind, found_axes
@@ -54,6 +54,7 @@ class Wanted:
         for name, value in (("kind", kind), *((option, own.get(option)) for option in ("variable", "observe"))):
             if value is not None:
                 checked_name(name, value)
+        check_names("kind of picture", [] if kind is None else [kind], TABLE)
         for name in ("names", "log"):
             checked_flag(name, own.get(name, False))
         if own.get("against") is not None:
@@ -74,8 +75,6 @@ def chosen_kind(ds: "xr.Dataset", wanted: Wanted) -> Kind:
     held = [name for name in possible if TABLE[name].variables[0] in ds]
     held = [BASINS] if BASINS in held else held or possible
     chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
-    if chosen not in KINDS:
-        raise InputError(f"unknown kind of picture {chosen!r}{here}")
     kind = TABLE[chosen]
     if chosen not in fitting:
         raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {axes_found}{here}")
@@ -108,9 +107,7 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
     if isinstance(curves, str) and curves == "all":
         return CURVES
     wanted = names_in("curves", curves)
-    for curve in wanted:
-        if curve not in CURVES:
-            raise InputError(f"unknown kind of curve {curve!r}; possible: {', '.join(CURVES)}")
+    check_names("kind of curve", wanted, CURVES)
     return wanted
 
 

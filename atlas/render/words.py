@@ -9,6 +9,7 @@ from matplotlib.mathtext import MathTextParser
 
 from atlas.query.plane import Meaning
 from atlas.spec.system import stored_system
+from workers.model.parameter import TAU
 from workers.model.system import System
 from workers.results import PER_PERIOD, PER_TIME, REGIME, Variable
 
@@ -84,12 +85,20 @@ def unit_ending(*units: str) -> str:
 
 
 def title_line(ds: xr.Dataset) -> str:
-    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without zero initial states."""
+    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without zero initial states.
+
+    The title of a machine whose constants are numbers, with no fixed parameter but the phase of its force.
+    """
     system = stored_system(ds.attrs)
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
     states = system.states if system else ()
-    return parameter_line([(symbol(ds, n), float(ds[n])) for n in fixed if float(ds[n]) or n not in states])
+    shown = [n for n in fixed if float(ds[n]) or n not in states]
+    if system is not None and {*shown} <= {TAU}:
+        shown = [n for n in shown if float(ds[n])]
+        title = (system.title or system.name).replace("$", r"\$")
+        return ",  ".join(filter(None, [title, parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])]))
+    return parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])
 
 
 def system_line(system: System, values: Mapping[str, float]) -> str:

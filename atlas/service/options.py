@@ -65,6 +65,8 @@ class RunOptions:
         whole = isinstance(self.tile, Sequence) and all(is_whole(n, Integral) for n in self.tile)
         if self.tile is not None and not whole:
             raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")
+        if self.tls is not None and self.scheduler is None:
+            raise InputError("tls: has the files of a connection to a scheduler, found no scheduler; give its address")
         if self.tile is not None and self.scheduler is not None:
             raise InputError("tile: is done in this process, found a scheduler; give one of the two")
         if self.performance_report is not None:

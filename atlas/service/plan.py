@@ -20,7 +20,7 @@ from atlas.store.record import WIDTH
 from atlas.store.schema import LARGEST_CHUNK, coordinate_names
 from atlas.store.store import Atlas
 from atlas.store.tiling import Index, Tiling
-from atlas.text import byte_size, duration, html_table, plural, text_repr
+from atlas.text import byte_size, count_of, duration, html_table, plural, text_repr
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
@@ -39,6 +39,8 @@ COPIED_BYTES = 3 * FILE_BLOCK
 """Most bytes of the copies of an array's metadata: in the root, in its spare, and in an overview's level."""
 OTHER_BYTES = 32 * FILE_BLOCK
 """Bytes of the groups, of the root's own attributes and of the records of machines."""
+MANY_OBJECTS = 10_000_000
+"""Objects in a bucket beyond which some providers refuse more, or advise against it."""
 NO_BASINS = (
     "all axes are initial states, and each cell is solved by itself; for basins of attraction "
     "add a table [attractors], and give another store"
@@ -96,10 +98,27 @@ class Plan:
             total += (coordinates + 2 * len(spec.axes)) * _array_bytes((1,), 0) + 3 * 8 * sum(levels.shape_of(level))
         return total + OTHER_BYTES
 
+    @cached_property
+    def objects(self) -> int:
+        """About how many files or objects the store has: chunks and records of tiles, and chunks of overviews."""
+        spec, tiling = self.spec, self.tiling
+        levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+        chunks = sum(
+            math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
+            for level in range(1, levels.count + 1)
+        )
+        stored = sum(not variable.sparse for variable in spec.variables)
+        return tiling.count * (stored + 1) + chunks * len(level_variables(spec.variables))
+
     @property
     def note(self) -> str:
         """Hints at other specs that the user may have meant, empty for most specs."""
         notes = [NO_BASINS] if self.spec.of_states and self.spec.attractors is None else []
+        if self.objects > MANY_OBJECTS:
+            notes.append(
+                f"about {count_of(self.objects)} objects are more than some providers take in a bucket: larger tiles "
+                "(store.tile) make fewer"
+            )
         return "; ".join([*notes, *unused_lines(self.spec.record)])
 
     @property
@@ -125,6 +144,7 @@ class Plan:
             "tile": self.tiling.tile,
             "tiles": self.tiling.count,
             "bytes": self.bytes,
+            "objects": self.objects,
             "workers": self.workers,
             "seconds": self.seconds,
             "seconds_range": self.seconds_range,
@@ -141,7 +161,7 @@ class Plan:
     def rows(self) -> list[tuple[str, str]]:
         """The facts of the plan, by name."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
-        cost = f"at most {byte_size(self.bytes)}"
+        cost = f"at most {byte_size(self.bytes)} in about {count_of(self.objects)} files or objects"
         if self.probe and self.seconds is not None and self.seconds_range is not None:
             low, high = self.seconds_range
             wide = high > CLEAR_RANGE * low

@@ -20,8 +20,9 @@ from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 CELLS = 256
 STEPS = (4, 16, 64, CELLS)
 """Cells solved in all after each step. A step begins only if it should keep the whole within BUDGET."""
-BUDGET = 2.0
-"""Processor seconds."""
+BUDGET, LONG_BUDGET = 2.0, 10.0
+"""Processor seconds; and those for the first FEW cells, since fewer tell next to nothing."""
+FEW = 16
 LONGEST, LONGEST_WATCH = 20_000, 48_000
 """Largest budget and largest survival of a probed cell, in forcing periods.
 
@@ -86,15 +87,23 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
     steps: list[_Measured] = []
     spent, done = 0.0, 0
-    for cells in STEPS:
-        chosen = starts[done : max(1, cells // length)]
-        if not chosen or spent * (1 + len(chosen) / max(done, 1)) > BUDGET:
-            break
-        few = math.ceil(together / _evenness(steps))
+
+    def timed(chosen: list[tuple[int, ...]], few: int) -> _Measured:
         begin = clock()
         solved = [_solve(spec, settings, part, length) for part in _parts(chosen, few)]
-        steps.append(_measured(spec, solved, clock() - begin, share, length))
-        done, spent = done + len(chosen), spent + steps[-1].seconds
+        return _measured(spec, solved, clock() - begin, share, length)
+
+    for cells in STEPS:
+        chosen = starts[done : max(1, cells // length)]
+        budget = BUDGET if done * length >= FEW else LONG_BUDGET
+        if not chosen or spent * (1 + len(chosen) / max(done, 1)) > budget:
+            break
+        few = math.ceil(together / _evenness(steps))
+        step = timed(chosen, few)
+        if not steps and step.seconds > BUDGET / len(STEPS):  # it may have loaded kernels that other cells do not need
+            step = min(step, timed(chosen, few), key=lambda one: one.seconds)
+        steps.append(step)
+        done, spent = done + len(chosen), spent + step.seconds
     return _estimate(steps, done * length, math.prod(spec.shape))
 
 

@@ -36,7 +36,7 @@ class Summary:
     seconds                        from the first tile to the last
     solve_seconds, write_seconds   wall time in the solver and in the store, summed over workers
     processor_seconds              processor time in the solver, summed over workers; other programs do not count
-    periods                        forcing periods simulated
+    periods                        forcing periods simulated; without a force natural ones
     peak_bytes                     largest memory of any worker's process
     failures, refused              tiles that raised; excluded workers, and the reasons
     retried, changed               whether the store is one of a retry; number of cells that changed their regime
@@ -82,12 +82,12 @@ class Summary:
         lines = [
             done,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
-            f"{self.cells_per_second:.3g} cells/s, {self.periods / self.seconds:.3g} forcing periods/s, "
+            f"{self.cells_per_second:.3g} cells/s, {self.periods / self.seconds:.3g} periods/s, "
             f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "
             f"(writing {100 * self.write_seconds / (self.seconds * self.workers):.1f} %), "
             f"{duration(self.processor_seconds)} of processor time, "
             f"at most {self.peak_bytes / 1e6:.0f} MB each",
-            shares(self.counts),
+            f"shares of these cells: {shares(self.counts)}",
         ]
         if self.retried:
             lines.append(f"{plural(self.changed, 'cell')} changed regime")

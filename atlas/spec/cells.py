@@ -35,10 +35,17 @@ def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
 
 
 def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], value: float) -> int:
-    """The index of the point of an axis nearest to a value; InputError more than half a cell beyond the ends."""
+    """The index of the point of an axis whose cell, as it is drawn, holds a value.
+
+    On a log axis that is the point nearest in ratio. InputError more than half a cell beyond the ends.
+    """
     if not edges[0] <= value <= edges[-1]:
         raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
-    return int(np.argmin(np.abs(values - value)))
+    exact = np.flatnonzero(values == value)  # edges between neighbouring floats are rounded to one of the two
+    if exact.size:
+        return int(exact[0])
+    place = int(np.searchsorted(edges[1:-1], value, side="right"))
+    return int(np.argsort(values)[place])
 
 
 def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:

@@ -31,6 +31,8 @@ SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 22, PATHS: 3, MEASURES: 20, OBSERVE
 """Approximate seconds of each part: processors differ by a factor of two."""
 FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 175, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
 """Functions that each part compiles in a process that has compiled nothing else."""
+IN_PIECES = {CELLS: 390, MODES: 540}
+"""Functions that all processes together compile where a part is compiled in pieces: some functions in several."""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
 """Pieces of the kernels that solve cells: functions compiled once and called by symbol; then, in parallel, the two
@@ -112,7 +114,8 @@ def warming(*more: str) -> str:
         return "loading the kernels"
     once = ", once for this version" if _cache() else ""
     spared = sum(SPARED.get(part, 0) for part in missing) if _cache() and processors() >= AT_A_TIME else 0
-    return f"compiling the kernels, about {sum(SECONDS[part] for part in missing) - spared} s{once}"
+    seconds = sum(SECONDS[part] for part in missing) - spared
+    return f"compiling the kernels, about {seconds} s where nothing else runs{once}"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
@@ -141,18 +144,20 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
 
     With two free processors, pieces of the cells' kernels are first compiled in parallel.
     """
-    begin, of, done = time.monotonic(), sum(FUNCTIONS[part] for part in parts), Counter[str]()
+    begin, done, functions = time.monotonic(), Counter[str](), FUNCTIONS
     stages: list[Iterable[tuple[str, ...]]] = [[parts]]
     cells = [part for part in parts if part in SPARED]
     if cells and processors() >= AT_A_TIME:
+        functions = FUNCTIONS | IN_PIECES
         stages = [*(pieces for part in cells for pieces in _pieces(part)), [parts]]
+    of = sum(functions[part] for part in parts)
     for stage in stages:
         stage_parts = [json.dumps(pieces) for pieces in stage]
 
         def count(place: int, line: str, stage_parts: list[str] = stage_parts) -> None:
             done[stage_parts[place]] = int(line)
             if report is not None:
-                report(Compilation(min(done.total(), of), of, time.monotonic() - begin))
+                report(Compilation(min(done.total(), of - 1), of, time.monotonic() - begin))  # it ends with the last
 
         ended = watched_together("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]

@@ -29,6 +29,7 @@ from atlas.explore.words import compiled_first, plain, progress, refinement, tic
 from atlas.orbits.curves.asking import curves_of
 from atlas.orbits.curves.table import write_curves
 from atlas.spec.axis import Axis
+from atlas.spec.cells import edges_of, nearest
 from atlas.spec.toml_text import spec_toml
 from atlas.store.store import open_handle
 from atlas.task.compile import ATTRACTORS
@@ -76,6 +77,16 @@ def test_points_rise_strictly_at_every_level(lattice: Lattice, level: int | str)
 def test_positions_are_the_inverse_of_values_to_a_thousandth_of_a_cell_a_million_times_deeper(lattice: Lattice) -> None:
     index = (np.int64(1) << 20) + np.arange(100, dtype=np.int64)
     assert np.abs(lattice.positions(lattice.values(20, index)) * 2.0**20 - index).max() < 1e-3
+
+
+@each_lattice
+def test_the_cell_that_is_marked_at_a_point_is_the_one_whose_numbers_are_read_there(lattice: Lattice) -> None:
+    """The page marks by its lattice, and stores are read by the edges of their cells."""
+    axis, low, high = lattice.axis, *lattice.ends
+    values = np.array(axis.values)
+    edges = edges_of(values, axis.scale == "log")
+    for value in np.random.default_rng(5).uniform(low, high, 400):
+        assert nearest(axis.name, values, edges, value) == lattice.nearest(0, value)
 
 
 def test_cells_in_view_are_between_one_and_two_pixels_wide() -> None:

@@ -18,11 +18,12 @@ from atlas.cell.command import point_words
 from atlas.cli import run as cli_run
 from atlas.cli.main import main
 from atlas.cli.output import to_json
+from atlas.service.summary import Summary
 from atlas.service.timing import TIMING, Timing
 from rig.faults import ATLAS
 from tests.paths import ROOT
 from workers import Settings
-from workers.model.system import find_system
+from workers.model.system import find_system, system_names
 from workers.results import PERIODS_SPENT, REASONS
 
 SPEC = """
@@ -119,6 +120,15 @@ def test_query_gives_the_shares_of_regimes(folder: Path) -> None:
     assert sum(message.values()) == pytest.approx(1.0)
 
 
+def test_query_and_run_say_what_their_shares_are_of(folder: Path, tmp_path: Path) -> None:
+    """Cells of b = .1, .2, .4, .5 are .1, .15, .15 and .1 wide: shares of their number are not those of the area."""
+    assert call("query", folder / "out.zarr").stdout.split("\n")[0].split() == ["regime", "share", "of", "the", "area"]
+    assert "share of the length" in call("query", folder / "out.zarr", "--select", "b=.2").stdout
+    counts = {"periodic": 3, "chaotic": 1}
+    done = Summary("a.zarr", 2, 2, 2, 4, counts, {}, 1.0, 1.0, 0.0, 10, 1, 1, (), {})
+    assert "shares of these cells: periodic 75.0 %, chaotic 25.0 %" in str(done).splitlines()
+
+
 @pytest.mark.parametrize("suffix", ["csv", "nc"])
 def test_query_writes_a_window_to_a_file(folder: Path, tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"window.{suffix}"
@@ -175,6 +185,13 @@ def test_point_gives_every_result_of_one_cell() -> None:
 
 def test_systems_lists_parameters_with_their_ranges() -> None:
     assert "0 <= R <= 1" in call("systems", "two-mass").stdout
+
+
+@pytest.mark.parametrize("name", [name for name in system_names() if find_system(name).definition.unforced])
+def test_what_a_machine_without_a_force_loses_is_told_per_unit_of_time(name: str) -> None:
+    told = call("systems", name).stdout
+    assert "forcing period" not in told
+    assert "per unit time" in told
 
 
 def test_json_writes_infinity_as_text_and_nan_as_null() -> None:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.query import queries as query
+from atlas.query import window
 from workers.results import APERIODIC, CHAOTIC, NO_IMPACT, PENDING, PERIODIC
 
 
@@ -44,6 +46,23 @@ def test_at_takes_the_nearest_cell_and_reports_its_distance_per_axis() -> None:
     cell = query.at(plane([1, 2, 3], [0.1, 0.2]), {"omega": 1.75, "b": 0.1})
     assert cell["omega"] == 2.0
     assert cell["distance"] == {"omega": 0.25, "b": 0.0}
+
+
+def test_at_takes_the_cell_that_is_drawn_at_the_point_on_a_log_axis() -> None:
+    """The edges of .1, .316, 1 are at geometric means, .178 and .562; midway would be at .208 and .658."""
+    values = np.geomspace(0.1, 1.0, 3)
+    for order in (values, values[::-1]):
+        ds = plane(order, [0.1, 0.2], spec=spec(omega="log", b="linear"))
+        assert query.at(ds, {"omega": 0.19, "b": 0.1})["omega"] == pytest.approx(0.316, rel=1e-3)
+        assert query.at(ds, {"omega": 0.17, "b": 0.1})["omega"] == 0.1
+        assert query.at(ds, {"omega": 0.57, "b": 0.1})["omega"] == 1.0
+        assert float(window.select(ds, {"omega": 0.19}).omega) == pytest.approx(0.316, rel=1e-3)
+
+
+def test_at_finds_each_cell_of_an_axis_of_neighbouring_floats() -> None:
+    values = [1.0, np.nextafter(1.0, 2.0), np.nextafter(np.nextafter(1.0, 2.0), 2.0)]
+    for value in values:
+        assert query.at(plane(values, [0.1, 0.2]), {"omega": value, "b": 0.1})["omega"] == value
 
 
 def test_at_names_the_regime() -> None:
@@ -83,6 +102,21 @@ def test_at_answers_a_bad_point_with_one_line(point: Mapping[str, float], messag
     with pytest.raises(InputError) as error:
         query.at(plane([1, 2, 3], [0.1, 0.2]), point)
     assert str(error.value) == message
+
+
+@pytest.mark.parametrize("ask", ["fractions", "reasons", "regions", "at", "boundary", "plot"])
+def test_selections_without_cells_and_masked_atlases_are_answered_with_one_line(ask: str) -> None:
+    """A mask makes floats of codes, and NaN is no regime; an empty selection has no shares."""
+    ds = plane([1, 2, 3], [0.1, 0.2])
+    ds["reason"] = ds.regime * 0
+    given: dict[str, Any] = {"at": {"omega": 1, "b": 0.1}}.get(ask, {})
+    words = {"regions": ["period"], "boundary": ["periodic"]}.get(ask, [])
+    for wrong, message in (
+        (ds.isel(omega=slice(0, 0)), "omega: found a selection without cells, must have one or more"),
+        (ds.where(ds.omega > 1), r"regime: found float\d\d, must be whole numbers; choose cells by .sel, a window or "),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            getattr(wrong.atlas, ask)(*words, **given)
 
 
 def test_at_reads_no_variable_with_more_than_one_value_a_cell() -> None:

@@ -58,6 +58,32 @@ def test_a_whole_plane_is_read_from_the_level_that_fits_its_pixels(ds: xr.Datase
     assert reads.chunks == 8
 
 
+@pytest.mark.parametrize("window", [None, {"omega": (1.0, 2.0), "b": (0.1, 0.3)}])
+def test_a_plane_of_dask_arrays_is_read_from_the_same_level(
+    handle: store.Atlas, keys: list[str], window: dict[str, tuple[float, float]] | None
+) -> None:
+    """As pictures read a store that was opened with ``chunks``, a selection of it too."""
+    seen, read = [], []
+    for chunks in (None, {}):
+        ds = atlas.open(handle.path, chunks=chunks)
+        keys.clear()
+        seen.append(view(ds.isel(omega=slice(2, 98)), ["largest"], window, pixels=(25, 23)))
+        read.append(sorted(of_cells(keys)))
+    assert read[0] == read[1] and all(key.startswith("overviews/") for key in read[0])
+    xr.testing.assert_identical(*seen)
+    assert seen[1].largest.chunks is None
+
+
+def test_dask_arrays_with_other_values_are_not_taken_for_those_of_the_store(handle: store.Atlas) -> None:
+    ds = atlas.open(handle.path, chunks={})
+    assert find_part(ds, ["largest"]) is not None
+    for changed in (ds.largest * 2, ds.error, ds.largest.roll(omega=1), ds.largest.fillna(0.0), ds.largest.compute()):
+        assert find_part(ds.assign(largest=changed), ["largest"]) is None
+    assert find_part(ds.where(ds.regime == PERIODIC), ["largest"]) is None
+    assert find_part(ds.isel(omega=slice(None, None, 2)), ["largest"]) is None
+    assert find_part(ds.isel(omega=slice(None, None, -1)), ["largest"]) is None
+
+
 def test_what_was_read_says_at_which_resolution() -> None:
     assert str(Reads(1)) == "1 chunk read from the store, at full resolution"
     coarse = "8 chunks read from the store, at reduced resolution: one value for 4 x 2 cells"

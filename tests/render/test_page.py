@@ -1,6 +1,7 @@
 """Claims about the page of a picture: its size in a file, its type and scale, axes of one's own; nothing is clipped."""
 
 import itertools
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,10 @@ from unittest.mock import patch
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
@@ -20,7 +23,7 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from atlas.render import painters
+from atlas.render import painters, words
 from atlas.render.kinds import TABLE
 from atlas.render.page import page as page_of
 from atlas.render.wanted import Wanted
@@ -196,6 +199,83 @@ def test_a_style_file_decides_what_the_options_do_not(tmp_path: Path) -> None:
         assert image.width == 400
 
 
+def inks(figure: Figure) -> list[str]:
+    """The colours of the background and of a text, by name."""
+    return [to_hex(color) for color in (figure.get_facecolor(), figure.axes[0].xaxis.label.get_color())]
+
+
+def test_a_dark_style_is_dark_everywhere(tmp_path: Path) -> None:
+    assert inks(render.figure(plane(), style="dark_background")) == ["#000000", "#ffffff"]
+    with Image.open(render.render(plane(), tmp_path / "map.png", style="dark_background")) as image:
+        assert image.convert("RGB").getpixel((1, 1)) == (0, 0, 0)
+
+
+def test_what_a_user_has_set_counts_for_a_picture_if_it_is_asked_for() -> None:
+    with plt.rc_context():
+        plt.style.use("dark_background")
+        plt.rcParams["font.family"] = ["DejaVu Sans"]
+        assert inks(render.figure(plane())) == ["#ffffff", "#000000"]
+        asked = render.figure(plane(), style="current")
+    assert inks(asked) == ["#000000", "#ffffff"]
+    assert asked.axes[0].xaxis.label.get_fontfamily() == ["DejaVu Sans"]
+    assert inks(render.figure(plane(), style="current")) == ["#ffffff", "#000000"]
+
+
+@pytest.mark.parametrize(("kind", "shape"), [("period", (1, 1)), ("combined", (1, 2)), ("exponent", (2, 1))])
+def test_a_legend_in_plain_axes_of_ones_own_is_within_the_figure(kind: str, shape: tuple[int, int]) -> None:
+    figure, axes = plt.subplots(*shape, squeeze=False)
+    for ax in axes.flat:
+        render.figure(plane(), kind, ax=ax)
+    figure.canvas.draw()
+    for ax in axes.flat:
+        place, page = ax.get_legend().get_window_extent(), figure.bbox
+        assert page.x0 <= place.x0 and place.x1 <= page.x1 and page.y0 <= place.y0 and place.y1 <= page.y1
+    figure.tight_layout()
+    plt.close(figure)
+
+
+def test_axes_at_a_place_of_their_own_stay_there() -> None:
+    figure = plt.figure()
+    ax = figure.add_axes((0.1, 0.3, 0.5, 0.5))
+    render.figure(plane(), "period", ax=ax)
+    figure.canvas.draw()
+    assert ax.get_position().bounds == pytest.approx((0.1, 0.3, 0.5, 0.5))
+    plt.close(figure)
+
+
+def test_the_title_of_a_machine_whose_constants_are_numbers_is_its_own() -> None:
+    """There is no parameter but those of the axes, the phase of the force and initial states."""
+    table = {
+        "name": "mine", "title": "a mass for $3", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]],
+        "stiffness": [[1.0]], "force": [1.0], "gap": [1.0], "upper": 1.0, "restitution": 0.5,
+        "parameters": {"omega": {"default": 1.0}},
+    }  # fmt: skip
+    spec = atlas.Spec(table, {"omega": [1.0, 2.0]})
+    ds = xr.Dataset(
+        coords={"omega": [1.0, 2.0], "tau": 0.0, "x": 0.0, "v": 0.0}, attrs={"spec": json.dumps(spec.outline())}
+    )
+    assert words.title_line(ds) == r"a mass for \$3"
+    assert words.title_line(ds.assign_coords(tau=0.5)) == r"a mass for \$3,  $\tau = 0.5$"
+    assert words.title_line(ds.assign_coords(x=0.5)).startswith("$")
+
+
+def test_a_picture_that_cannot_be_saved_leaves_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / "map.png"
+    path.write_bytes(b"the old one")
+
+    def full(self: Figure, target: Path, **options: Any) -> None:
+        Path(target).write_bytes(b"begun")
+        raise OSError(28, "No space left on device")
+
+    with (
+        patch.object(Figure, "savefig", full),
+        pytest.raises(InputError, match=r"map\.png: cannot be written: No space"),
+    ):
+        render.render(plane(), path)
+    assert path.read_bytes() == b"the old one"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_map_is_drawn_into_axes_of_ones_own() -> None:
     figure, axes = plt.subplots(1, 2, layout="constrained")
     assert render.figure(plane(), "combined", ax=axes[1], overlay="grazing") is axes[1]
@@ -222,7 +302,7 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
         ("ax", r"^ax: found 3, must be matplotlib axes"),
         ("overlay", r"^overlay: found 3, must be a name or a list of names$"),
         ("curves", r"^curves: found 3, must be a name or a list of names$"),
-        ("style", r"^style: found 3, must be a style of matplotlib's or the path of a file$"),
+        ("style", r"^style: found 3, must be a style of matplotlib's, 'current' or the path of a file$"),
     ],
 )
 def test_a_number_where_an_option_is_none_is_named_in_one_line(option: str, says: str) -> None:

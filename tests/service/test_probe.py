@@ -54,6 +54,36 @@ def test_on_a_processor_half_as_fast_the_same_periods_take_twice_the_seconds() -
     assert slow.seconds_per_cell == pytest.approx(2.0 * fast.seconds_per_cell, rel=1e-12)
 
 
+def pretended(monkeypatch: pytest.MonkeyPatch, first: float, each: float) -> Probe:
+    """The probe of a plane whose cells cost this many seconds each, and the first to be solved ``first`` more."""
+    now, more = [0.0], [first]
+
+    def solve(spec: atlas.Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> probing._Solved:
+        now[0] += each * len(starts) + (more.pop() if more else 0.0)
+        params = {"omega": np.ones((len(starts), 1)), "b": np.ones((len(starts), 1))}
+        periods, none = np.full((len(starts), 1), 1000), np.zeros((len(starts), 1))
+        return params, {"periods_used": periods, "regime": none.astype(np.int8), "survived": none, "error": none}
+
+    monkeypatch.setattr(probing, "_solve", solve)
+    spec = coarse("omega-b")
+    return probing.probe(spec, make_plan(spec, workers=2).tiling.tile, clock=lambda: now[0])
+
+
+def test_kernels_that_the_first_cells_load_are_no_cost_of_a_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four cells and half a minute of loading would foretell hours."""
+    found = pretended(monkeypatch, first=30.0, each=0.001)
+    assert found.seconds_per_cell == pytest.approx(0.001, rel=0.01)
+    assert found.cells == probing.CELLS
+
+
+@pytest.mark.parametrize(("each", "cells"), [(0.3, 16), (5.0, 4)])
+def test_a_forecast_is_made_from_more_than_a_handful_of_cells_unless_each_takes_long(
+    each: float, cells: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = pretended(monkeypatch, first=0.0, each=each)
+    assert (found.cells, found.seconds_per_cell) == (cells, pytest.approx(each))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("continuation", ["forward", pytest.param("backward", marks=pytest.mark.slow)])
 def test_a_sweep_by_continuation_takes_the_periods_that_parts_of_it_tell(continuation: str) -> None:

@@ -67,7 +67,8 @@ print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
 """
 WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
 
-COMPILING, LOADING = "compiling the kernels, about 45 s, once for this version", "loading the kernels"
+COMPILING = "compiling the kernels, about 45 s where nothing else runs, once for this version"
+LOADING = "loading the kernels"
 
 
 @pytest.fixture
@@ -301,6 +302,39 @@ def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(
     part: str, compiled_in_turn: dict[str, tuple[int, str]]
 ) -> None:
     assert compiled_in_turn[part][0] == pytest.approx(warm.FUNCTIONS[part], rel=0.25)
+
+
+IN_PIECES = """
+import json, sys, time
+from atlas.task import compile as warm
+warm.processors = lambda: warm.AT_A_TIME
+heard, begin = [], time.monotonic()
+warm.warm_up_in_child((sys.argv[1],), heard.append)
+end = time.monotonic() - begin
+print(json.dumps([heard[-1].done / heard[-1].of, min([s.seconds for s in heard if s.done >= s.of - 1] + [end]) / end]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [warm.CELLS, warm.MODES])
+def test_a_compilation_in_pieces_is_not_called_complete_long_before_its_end(part: str, tmp_path: Path) -> None:
+    """Some functions are compiled in several processes, which all count."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT), "NUMBA_OPT": "0"}
+    command = [sys.executable, "-c", IN_PIECES, part]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    share, full_after = json.loads(done.stdout)
+    assert share == pytest.approx(1.0, abs=0.2)
+    assert full_after > 0.8
+
+
+def test_no_compilation_is_complete_before_it_has_ended(
+    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(warm, "FUNCTIONS", dict.fromkeys(warm.FUNCTIONS, 2))
+    monkeypatch.setattr(warm, "IN_PIECES", dict.fromkeys(warm.IN_PIECES, 2))
+    heard: list[warm.Compilation] = []
+    assert warm.warm_up_in_child((warm.CELLS,), heard.append)
+    assert {(step.done, step.of) for step in heard} == {(1, 2)}
 
 
 @pytest.mark.slow

@@ -136,7 +136,8 @@ class System:
     @property
     def own_variables(self) -> tuple[Variable, ...]:
         """The results of this system alone."""
-        return tuple(variable for _, variable in self._own)
+        variables = tuple(variable for _, variable in self._own)
+        return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
         """The results of a cell, see ``results.result_variables``, with the results of this system alone."""

@@ -26,7 +26,8 @@ JUMP, ALONE = 0.03, 3.0
 is more than both, the orbit may be another one of the same kind."""
 
 SPEED = "mean_impact_speed"
-NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED)
+STICKS = "sticks"
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED, STICKS)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,6 +37,7 @@ class CurvePlane(OrbitRows):
     axes, x, y      the names of its axes, x first, and the values of both
     log             which of them is logarithmic
     speed (cells,)  the mean one of impacts, NaN where it has none
+    held (cells, K) whether the orbit sticks, and its counts at each contact, of which a stop may have several
     """
 
     axes: tuple[str, str]
@@ -43,6 +45,16 @@ class CurvePlane(OrbitRows):
     y: Array
     log: tuple[bool, bool]
     speed: Array
+    held: Cells
+
+    @cached_property
+    def kind(self) -> Cells:
+        """See OrbitRows. Orbits that differ in ``held`` are of two kinds.
+
+        A change at which nothing jumps lies between them: it ends no branch, but it bounds a region.
+        """
+        parts = np.concatenate([super().kind[:, None], self.held], axis=1)
+        return np.asarray(np.unique(parts, axis=0, return_inverse=True)[1].ravel())
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -98,7 +110,7 @@ class CurvePlane(OrbitRows):
     @cached_property
     def regions(self) -> Cells:
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
-        orbit: regime, period, impacts, symmetry; 0 elsewhere.
+        orbit: regime, period, impacts, those of each contact, symmetry, sticking; 0 elsewhere.
         """
         from atlas.query.connected import labelled  # not for every command: SciPy takes longer to load than all else
 
@@ -143,7 +155,7 @@ class CurvePlane(OrbitRows):
     def digest(self) -> str:
         """Of all that curves depend on: cells, axes, system and fixed parameters."""
         digest = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
-        names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
+        names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "held", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return digest.hexdigest()
@@ -170,7 +182,9 @@ def plane_of(handle: Atlas) -> CurvePlane:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
-    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns_of(handle, needed).items()}
+    counts = [variable.name for variable in system.own_variables if variable.endless]
+    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns_of(handle, (*needed, *counts)).items()}
+    held = np.stack([leading.pop(name) for name in (STICKS, *counts)], axis=1).astype(np.int64)
     x, y = spec.axes
     return CurvePlane(
         system=system,
@@ -180,5 +194,6 @@ def plane_of(handle: Atlas) -> CurvePlane:
         log=(x.scale == "log", y.scale == "log"),
         fixed={name: float(value) for name, value in spec.parameters.items()},
         speed=leading.pop(SPEED),
+        held=held,
         **leading,
     )

@@ -137,10 +137,11 @@ def test_kinds_of_curves_ask_for_the_overlay_by_themselves() -> None:
         assert labels(render.figure(plane(), "period", curves="fold"))[-1] == "fold"
 
 
-def test_an_unknown_kind_of_curve_is_refused_with_all_that_there_are() -> None:
-    with pytest.raises(InputError) as error:
-        drawn(curves(), curves="fold,grazing")
-    assert str(error.value) == f"unknown kind of curve 'grazing'; possible: {', '.join(render.CURVES)}"
+def test_an_unknown_kind_of_curve_is_refused_with_the_nearest_or_all_that_there_are() -> None:
+    for name, hint in (("dashed", f"known: {', '.join(render.CURVES)}"), ("foldd", "did you mean 'fold'?")):
+        with pytest.raises(InputError) as error:
+            drawn(curves(), curves=f"fold,{name}")
+        assert str(error.value) == f"unknown kind of curve {name!r}; {hint}"
     assert (*LOOKS, "codimension_two") == render.CURVES
 
 

@@ -1,6 +1,8 @@
 """Curves of machines with friction, and what is said where there is no curve."""
 
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,17 @@ import atlas
 from atlas.orbits.branches.table import Branches
 from atlas.orbits.curves import following
 from atlas.orbits.curves.cells import PERSISTS
+from atlas.orbits.curves.chords import passes
 from atlas.orbits.curves.finish import finished
 from atlas.orbits.curves.following import Located, follow_event
-from atlas.orbits.curves.plane import CurvePlane
+from atlas.orbits.curves.plane import CurvePlane, plane_of
 from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.tasks import Persist
 from atlas.service.curves import CurvesSummary
+from atlas.store.store import open_handle
+from tests.curve_planes import found_serially
+from tests.workers.continuation.test_den_hartog import least_force
 from workers.continuation import BranchRun, Condition, curve, family_of
 from workers.model.system import find_system
 from workers.results import PERIODIC
@@ -62,15 +68,65 @@ def test_an_event_whose_curve_has_one_point_alone_is_told_in_words(monkeypatch: 
     assert found == "the grazing sliding is alone: no step along its curve converges"
 
 
-def plane_of_two_regions() -> CurvePlane:
-    """Six by six cells, of period 1 at the left and 2 at the right: six edges between them."""
+def plane_of_two_regions(periods: tuple[int, int] = (1, 2), held: tuple[int, int] = (0, 0)) -> CurvePlane:
+    """Six by six cells, of one period at the left and another at the right: six edges between them."""
     x, y, cells = np.linspace(1.0, 2.0, 6), np.linspace(0.4, 0.9, 6), 36
-    period, none = np.where(np.arange(cells) % 6 < 3, 1, 2), np.zeros(cells, dtype=np.int64)
+    left = np.arange(cells) % 6 < 3
+    period, none = np.where(left, *periods), np.zeros(cells, dtype=np.int64)
     return CurvePlane(
         system=STICK_SLIP, axes=("omega", "u"), x=x, y=y, log=(False, False), fixed={}, regime=np.full(cells, PERIODIC),
         period=period, impacts_upper=none, impacts_lower=none, symmetric=np.zeros(cells, dtype=np.bool_),
-        speed=np.full(cells, np.nan), state=np.zeros((cells, 2)),
+        speed=np.full(cells, np.nan), state=np.zeros((cells, 2)), held=np.where(left, *held)[:, None],
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("held", "edges"), [((0, 0), 0), ((0, 1), 6), ((3, 4), 6)])
+def test_cells_of_one_orbit_that_stick_or_not_have_a_border_and_so_have_other_counts_at_a_contact(
+    held: tuple[int, int], edges: int
+) -> None:
+    """Nothing jumps there, and the branch goes on: without a border none would look for its curve."""
+    assert len(plane_of_two_regions((1, 1), held).edges) == edges
+
+
+def sliding(omega: list[float], force: list[float], **given: float) -> atlas.Spec:
+    return atlas.Spec(
+        "friction-oscillator",
+        {"omega": omega, "A": force},
+        given,
+        {"tolerance": 0.1, "survival": 0, "exponents": "none"},
+    )
+
+
+def test_a_store_tells_the_search_which_cells_stick(solved_once: Callable[[atlas.Spec], Path]) -> None:
+    """Below the line of Den Hartog the mass stops, above it does not."""
+    force = least_force(0.8)
+    plane = plane_of(open_handle(solved_once(sliding([0.8, 0.805], [0.9 * force, 1.1 * force], s=1.0, zeta=0.0))))
+    assert plane.held[:, 0].tolist() == [1, 1, 0, 0]
+    assert plane.edges.tolist() == [[0, 2], [1, 3]]
+
+
+@pytest.mark.slow
+def test_the_end_of_sticking_has_the_curve_of_den_hartog(solved_once: Callable[[atlas.Spec], Path]) -> None:
+    omega, force = np.linspace(0.62, 0.95, 6).tolist(), np.linspace(1.05, 2.3, 6).tolist()
+    found = found_serially(plane_of(open_handle(solved_once(sliding(omega, force, s=1.0, zeta=0.0)))))
+    counts = found.report["edges"]["regions"]
+    assert counts["all"] > 0
+    assert counts["curve"] == counts["all"]
+    points = np.concatenate([curve.points for curve in found if curve.kind in ("stick_onset", "stick_end")])
+    assert np.ptp(points[:, 0]) > 0.3
+    assert points[:, 1] == pytest.approx([least_force(omega) for omega in points[:, 0]], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_end_of_sticking_has_a_curve_through_points_that_are_known(
+    solved_once: Callable[[atlas.Spec], Path],
+) -> None:
+    omega, force = np.linspace(0.6, 1.05, 8).tolist(), np.linspace(1.15, 2.25, 8).tolist()
+    plane = plane_of(open_handle(solved_once(sliding(omega, force))))
+    found = found_serially(plane)
+    for point in [(0.990514757, 1.316622742), (0.646426019, 1.929849689), (0.826138815, 1.314929928)]:
+        at = np.array(point) / plane.width
+        assert any(passes(curve.points / plane.width, at, 1e-3) for curve in found.of_kind("stick_end")), point
 
 
 @pytest.mark.parametrize("found", [{"events": [], "why": "no orbit is found"}, {"trouble": "no orbit is found"}])
