@@ -17,7 +17,7 @@ from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
 from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.hybrid import build_hybrid
-from workers.model.hybrid_machines import HybridMachines, mirrors
+from workers.model.hybrid_machines import HybridMachines, about_centre, mirrors
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
@@ -159,14 +159,15 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
 
 def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """The variables of a whole machine with modes."""
-    halves = readings.halves
+    centred, centre = about_centre(machines)
+    halves = readings.halves - np.concatenate([centre, np.zeros_like(centre)], axis=1)[:, None]
     if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
         halves = np.delete(halves, machines.drifting, axis=2)
     early, late = halves[:, 0], halves[:, 1]
     away = np.linalg.norm(early + late, axis=1)
     size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
     return {
-        "symmetric": mirrors(machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
+        "symmetric": mirrors(centred) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
         "damper_loss": readings.damped[:, 0] / periods,
     }

@@ -105,7 +105,9 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     oscillators = at_rows(cells.oscillators, rows)
     steady, exponents = steady_state(oscillators, h), free_exponents(oscillators)
     tally, error = np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), np.abs(exponents[:, 0]) * 1e-15
+    mirrored = (oscillators.symmetric > 0.0) & np.all(steady == 0.0, axis=(1, 2))
     orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
+    orbits = orbits._replace(symmetric=mirrored)
     defect = _defect(oscillators, np.sum(exponents, axis=1), tally, 0.0)
     reach = free_range(oscillators, steady)
     _put_orbits(cells, rows, oscillators, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
@@ -297,5 +299,6 @@ def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, mode
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
-    """A sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
-    return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)
+    """A sum of exponents minus its exact value; NaN with modes, and if the law does not hold, see sum_law_holds."""
+    holds = sum_law_holds(tally) & (not oscillators.has_modes)
+    return np.where(holds, total - sum_of_exponents(oscillators, hits), math.nan)

@@ -21,6 +21,9 @@ PARALLEL = 1e-12
 HALFWAY = 1e-12
 """Deviation from half a forcing period, as a share of it, up to which two phases count as half a period apart."""
 
+MIDWAY = 1e-13
+"""Deviation, as a share of its terms, up to which a place counts as midway between stops and as balancing a load."""
+
 
 class HybridMachines(NamedTuple):
     """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
@@ -151,8 +154,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 def mirrors(machines: HybridMachines) -> Mask:
     """Mask of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
-    Stops lie at equal distances, belts rest, and half a period later the law is the same, with the load and the even
-    harmonics of the force negated.
+    Stops lie at equal distances from 0, belts rest, and half a period later the law is the same, with the load and the
+    even harmonics of the force negated.
     """
     own, phases = machines, machines.sizes[0]
     half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
@@ -166,6 +169,37 @@ def mirrors(machines: HybridMachines) -> Mask:
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)
+
+
+@np.errstate(all="ignore")
+def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
+    """Machines counted from the centre of their mirror symmetry, see ``mirrors``, and the centres (N, n).
+
+    The centre lies midway between all stops and balances the mean load. Others stay as they are, with a centre of 0.
+    """
+    own, half, ends = machines, machines.sizes[0] // 2, np.isfinite(machines.stops)
+    (N, P, n), between = own.load.shape, ends.all(axis=2)
+
+    def ahead(field: Array) -> Array:
+        return np.roll(field, -half, axis=1)
+
+    middle = np.where(between, 0.5 * np.sum(np.where(ends, own.stops, 0.0), axis=2), 0.0)
+    balance = 0.5 * (own.stiffness + ahead(own.stiffness)).reshape(N, P * n, n)
+    matrix = np.concatenate([balance, np.where(between[..., None], own.row, 0.0)], axis=1)
+    right = np.concatenate([0.5 * (own.load + ahead(own.load)).reshape(N, P * n), middle], axis=1)
+    moved, centre = np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1), np.zeros((N, n))
+    moved &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    for r in np.flatnonzero(moved).tolist():
+        centre[r] = np.linalg.lstsq(matrix[r], right[r])[0]
+    size = (np.abs(matrix) @ np.abs(centre)[..., None])[..., 0] + np.abs(right)
+    moved &= np.all(np.abs((matrix @ centre[..., None])[..., 0] - right) <= MIDWAY * size, axis=1)
+    wide = 0.5 * np.where(between, own.stops[..., 1] - own.stops[..., 0], np.inf)
+    pull = own.load - (own.stiffness @ centre[:, None, :, None])[..., 0]
+    moved_machines = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
+    moved &= mirrors(moved_machines)
+    load = np.where(moved[:, None, None], moved_machines.load, own.load)
+    stops = np.where(moved[:, None, None], moved_machines.stops, own.stops)
+    return own._replace(load=load, stops=stops), np.where(moved[:, None], centre, 0.0)
 
 
 def held_rows(machines: HybridMachines) -> Array:
