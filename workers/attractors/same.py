@@ -159,12 +159,13 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     return batch.sections[0]
 
 
-def image_of(oscillators: Oscillator, r: int, h: Array, mode: int) -> tuple[Array, int]:
-    """The mirror image of a motion of machine r at block state h (n, 2), with its contact; NaN if not followed.
+def image_of(oscillators: Oscillator, r: int, osc: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
+    """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed.
 
+    ``osc`` is machine r as seen from the section of this state.
     With modes it is an image in the centre of the machine, with all contacts and slips on the other side.
     """
-    osc, own = one_of(oscillators, r), oscillators.table.machines
+    own = oscillators.table.machines
     later = oscillators.with_modes(lambda _: motion_after(osc, h, mode, 0.5), np.array([r]))
     image, other = -later.h, 2 * FLIGHT - int(later.mode[0])
     if oscillators.has_modes:
@@ -195,7 +196,7 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
-    h = image_of(oscillator, 0, motion.h, int(motion.mode[0]))[0] if half else motion.h
+    h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
     return bool(norms(osc.gap.blocks, old.orbit - h).min() < SAME_ORBIT * scale_of(osc.gap.blocks, h))
 
 
@@ -203,7 +204,7 @@ def mirrored(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array,
     """Physical states (N, 2n) on the mirror images of N motions through these states, with their contacts (N,)."""
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, mode)
     for r in range(len(states)):
-        motions.h[r], motions.mode[r] = image_of(oscillators, r, motions.h[r], int(mode[r]))
+        motions.h[r], motions.mode[r] = image_of(oscillators, r, one_of(oscillators, r), motions.h[r], int(mode[r]))
     return physical_states(oscillators, motions, np.arange(len(states))), motions.mode[:, 0]
 
 

@@ -299,6 +299,5 @@ def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, mode
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
-    """A sum of exponents minus its exact value; NaN with modes, and if the law does not hold, see sum_law_holds."""
-    holds = sum_law_holds(tally) & (not oscillators.has_modes)
-    return np.where(holds, total - sum_of_exponents(oscillators, hits), math.nan)
+    """A sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
+    return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)
