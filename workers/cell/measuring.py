@@ -17,10 +17,23 @@ from workers.kernel.hybrid.measuring import Meters, Readings, read_motions
 from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.hybrid import build_hybrid
-from workers.model.hybrid_machines import HybridMachines, about_centre, mirrors
+from workers.model.hybrid_machines import HybridMachines, about_centre, is_undriven, loses_nothing, mirrors
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
-from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    CONSERVATIVE,
+    DIES_AWAY,
+    LOCKING,
+    NEVER_RECURS,
+    NO_IMPACT,
+    PERIODIC,
+    PERIODS_SPENT,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+)
 
 WINDOW = 256
 """Periods, from ``state`` on, over which motion without an orbit is measured."""
@@ -63,6 +76,21 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
             counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
+
+
+def explain(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
+
+    Motion of a machine that loses nothing comes to nothing; growth says so itself. What nothing drives dies away.
+    """
+    reason = cells.results["reason"]
+    undecided = cells.results["regime"] == UNDETERMINED
+    rows = np.flatnonzero(undecided & np.isin(reason, (PERIODS_SPENT, NEVER_RECURS, WORK_SPENT)))
+    if len(rows):
+        machines = definition.hybrid({name: value[rows] for name, value in params.items()})
+        lossless = loses_nothing(machines)
+        reason[rows[~lossless & is_undriven(machines)]] = DIES_AWAY
+        reason[rows[lossless & (reason[rows] != NEVER_RECURS)]] = CONSERVATIVE
 
 
 def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:

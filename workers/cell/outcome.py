@@ -50,6 +50,8 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
     reasons = stop_reasons(cells.batch.motions, rows)
     away = cells.run_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
     reasons = np.where(away, np.int8(results.RUNS_AWAY), reasons)
+    off = cells.fly_off(rows) & (reasons == results.NO_REASON)
+    reasons = np.where(off, np.int8(results.FLIES_OFF), reasons)
     spent = reasons == results.WORK_SPENT
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.kept import kept
-from workers.model.modes import stacked, symmetric
+from workers.model.modes import resists, stacked, symmetric
 from workers.model.oscillator import Array, Machines, Mask, Rows, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
@@ -169,6 +169,28 @@ def mirrors(machines: HybridMachines) -> Mask:
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)
+
+
+def loses_nothing(machines: HybridMachines) -> Mask:
+    """Mask of machines without any loss: no damping, R = 1, no friction. M and K are symmetric."""
+    own = machines
+    lossy = [_any(own.damping != -own.damping.swapaxes(-1, -2)), _any(own.R != 1.0), _any(own.pad[..., 1] != 0.0)]
+    return np.asarray(~np.any(lossy, axis=0) & (own.sizes[2] == 0) & _has_energy(own))
+
+
+def is_undriven(machines: HybridMachines) -> Mask:
+    """Mask of machines whose energy never rises: no force, phases or moving belts; nor does damping or K feed them."""
+    own = machines
+    driven = [_any(own.force_sin != 0.0), _any(own.force_cos != 0.0), _any(own.belt != 0.0)]
+    fields = (own.damping, own.stiffness, own.load, own.pad, own.rub)
+    driven += [_any(field != field[:, :1]) for field in fields if own.sizes[0] > 1]
+    even = 0.5 * (own.damping[:, 0] + own.damping[:, 0].swapaxes(-1, -2))
+    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(own))
+
+
+def _has_energy(machines: HybridMachines) -> Mask:
+    """Mask of machines whose M and K are symmetric in all phases."""
+    return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
 
 
 @np.errstate(all="ignore")
