@@ -25,7 +25,7 @@ from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.recording import ASKED, halved, turned_orbit
 from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
-from workers.kernel.motion import RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.kernel.motion import RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
 from workers.model.clock import set_period
 from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
@@ -50,6 +50,9 @@ NEAR = 1e-3
 
 STABLE = 1e-12
 """-ln|mu| above which a multiplier mu is certainly inside the unit circle: its rounding is less."""
+
+BRUSH = 1e-7
+"""Largest share of rest in a cycle that is a touch, made longer by rounding: inside of it motions swing for ever."""
 
 STEADY, LEAST_TORUS = 15.0, 3000
 """Largest logarithm of the shrinkage of a torus's second tangent vector, over at least this many natural periods of
@@ -201,13 +204,15 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
     """The stable cycle near the last m events of a trail of a single machine, in a record of many; None without one.
 
     With the times (p,) of its rarest event: the event with the fewest passages, of several the first by signal, side
-    and mode.
+    and mode. A turn begins there, but not among the hops that end a chatter: they would count as rest.
     """
     rows, keys = trail.legs[-m:].copy(), trail.keys[-m:]
     T = rows[-1, LEG.start] - trail.legs[-1 - m, LEG.start]
     counts = np.bincount(keys)
     rarest = int(np.flatnonzero(counts == counts[counts > 0].min())[0])
     first = min(np.flatnonzero(keys == rarest), key=lambda i: tuple(trail.states[len(trail.keys) - m + i]))
+    while np.any(rows[:, LEG.chatter] == 0.0) and rows[first, LEG.chatter] != 0.0:
+        first = (first + 1) % m
     before = passed_by(machine, rows[first - 1]).code
     rows, keys = np.roll(rows, -first, axis=0), np.roll(keys, -first)
     rows[:, LEG.start] = np.mod(rows[:, LEG.start] - rows[0, LEG.start], T)
@@ -275,7 +280,11 @@ def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
     size = np.abs(states).max(axis=1)
     closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.mode[:, 0] == mode)
     closes &= np.abs(after - states).max(axis=1) <= ONCE_ROUND * size
+    stuck = motions.tally[:, STUCK]
+    edge = closes & (stuck > 0.0) & (stuck <= BRUSH * periods)
+    closes &= ~edge
     set_period(cells.oscillators, rows[~closes], natural[~closes])
+    put_centres(cells, rows[edge])
     kept = np.flatnonzero(closes)
     rows, orbits = rows[kept], cells.orbits
     for r in rows.tolist():
