@@ -200,7 +200,7 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     The centre lies midway between all stops and balances the mean load. Others stay as they are, with a centre of 0.
     """
     own, half, ends = machines, machines.sizes[0] // 2, np.isfinite(machines.stops)
-    (N, P, n), between = own.load.shape, ends.all(axis=2)
+    (N, P, n), between = own.load.shape, np.asarray(ends.all(axis=2))
 
     def ahead(field: Array) -> Array:
         return np.roll(field, -half, axis=1)
@@ -209,7 +209,8 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     balance = 0.5 * (own.stiffness + ahead(own.stiffness)).reshape(N, P * n, n)
     matrix = np.concatenate([balance, np.where(between[..., None], own.row, 0.0)], axis=1)
     right = np.concatenate([0.5 * (own.load + ahead(own.load)).reshape(N, P * n), middle], axis=1)
-    moved, centre = np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1), np.zeros((N, n))
+    moved = np.asarray(np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1))
+    centre = np.zeros((N, n))
     moved &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
     for r in np.flatnonzero(moved).tolist():
         centre[r] = np.linalg.lstsq(matrix[r], right[r])[0]
