@@ -55,8 +55,8 @@ class Reason(CodeMeaning):
     BEYOND_STOP, OUT_OF_RANGE, NO_OSCILLATOR, RESONANCE, LONG_PERIOD, RIGID_MODE, COUPLED_DAMPING,
     OUT_OF_DOUBLES, ENERGY_OUT_OF_DOUBLES, NOT_RELAXED, NOT_STATIONARY, UNSTABLE, RESTED,
     MANY_MODES, NO_MODE, ENDLESS_EVENTS, TWO_IMPACTS, RUNS_AWAY, PERIODS_SPENT, NEVER_RECURS, CENTRE,
-    FREE_PHASE, AT_EQUILIBRIUM,
-) = range(29)  # fmt: skip
+    FREE_PHASE, AT_EQUILIBRIUM, CONSERVATIVE, DIES_AWAY, FLIES_OFF,
+) = range(32)  # fmt: skip
 
 REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) in enumerate((
     ("none", PENDING, ""),
@@ -94,6 +94,9 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
      "it repeats, but a multiplier is 1 within its error: neighbours repeat too, and none is known to attract"),
     ("at_equilibrium", UNDETERMINED,
      "it stands in an equilibrium that is not known to attract motion nearby: move the initial state off it"),
+    ("conservative", UNDETERMINED, "nothing in the machine loses energy, so that no motion attracts"),
+    ("dies_away", UNDETERMINED, "nothing drives it: its motion dies away, but is not at rest when its budget ends"),
+    ("flies_off", UNDETERMINED, "it moves off at a constant speed, with no stop ahead: it never comes back"),
 )))  # fmt: skip
 """Codes are stored: new reasons are appended, and a code never changes its meaning."""
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from workers.cell.cells import Cells, Results
 from workers.cell.cycles import convert_to_time
-from workers.cell.measuring import measure
+from workers.cell.measuring import explain, measure
 from workers.cell.observing import observe
 from workers.cell.solve import solve
 from workers.model.observables import VALUE
@@ -50,6 +50,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
         unforced, starts = record.definition.unforced, initial_state(record, params)
         cells = Cells(*record.build_many(params), starts, settings, arrays, unforced=unforced)
         solve(cells)
+        explain(cells, record.definition, params)
         measure(cells, record.definition, params)
         observe(cells, record.definition, params)
         if unforced:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.spec.system import stored_system
+from workers.model.hybrid import is_symmetric
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON
@@ -41,7 +42,7 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
     """Where x(t) -> -x(t + T/2) takes motions to motions, at points (N,) of some parameters."""
     twins = np.zeros(len(next(iter(points.values()))), dtype=bool)
     for part, osc, there in oscillators(system, same, points):
-        twins[part] = there & (osc.symmetric > 0.0)
+        twins[part] = there & is_symmetric(osc)
     return twins
 
 

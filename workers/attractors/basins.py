@@ -43,9 +43,7 @@ class AttractorTable(Coexistence):
 
     def mirrors(self) -> NDArray[np.int64]:
         """The labels of the attractors' mirror images, -1 where none is known; a symmetric attractor has its own."""
-        return np.array(
-            [self.label(attractor.image(self.cell.symmetric)) for attractor in self.attractors], dtype=np.int64
-        )
+        return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
     def solved(self, states: Array, references: bool) -> Search:
         """The search from physical states (N, 2n), compared with the attractors of the table."""

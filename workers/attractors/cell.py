@@ -7,6 +7,7 @@ from workers.attractors.same import nearest, same_orbit, states_along, states_of
 from workers.attractors.search import Search
 from workers.cell.exponents import free_exponents
 from workers.kernel.motion import axes
+from workers.model.hybrid import is_symmetric
 from workers.model.oscillator import Oscillator, one_of
 from workers.orbit.attraction import shrinking_norm
 from workers.orbit.map import iterate, jacobian_of
@@ -22,12 +23,13 @@ LONGEST_KNOWN = 32
 class CellAttractors:
     """The known attractors of one cell; its oscillator is a record of many.
 
+    symmetric    whether the machine is its own mirror image half a period later
     undecided    initial states, by number, without a known attractor
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
-        self.symmetric = bool(oscillator.symmetric[0] > 0.0)
+        self.symmetric = bool(is_symmetric(oscillator)[0])
         self.attractors: list[Attractor] = []
         self.undecided: list[int] = []
 
@@ -62,6 +64,14 @@ class CellAttractors:
         if new.reference is None:
             return next((known for known in self.attractors if same_orbit(self.oscillator, known, new)), None), np.nan
         return nearest(self.alike(new), new.reference)
+
+    def image(self, attractor: Attractor) -> Attractor | None:
+        """The mirror image of one of the attractors, which may be itself; None if unknown.
+
+        All motion without impact counts as one attractor, except in machines with modes.
+        """
+        alone = attractor.regime == NO_IMPACT and self.symmetric and not self.oscillator.has_modes
+        return attractor if alone or attractor.result["symmetric"] else attractor.mirror
 
     def alike(self, attractor: Attractor) -> list[Attractor]:
         """The known attractors of the same regime."""

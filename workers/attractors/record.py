@@ -57,8 +57,3 @@ class Attractor:
     def order(self) -> tuple[int, int]:
         """The sorting key of attractors of a cell: the largest share first, then the first initial state."""
         return -len(self.starts), min(self.starts)
-
-    def image(self, symmetric: bool) -> "Attractor | None":
-        """Its mirror image, which may be itself; None if unknown. ``symmetric``: whether the machine is symmetric."""
-        own = bool(self.result["symmetric"]) or (self.regime == NO_IMPACT and symmetric)
-        return self if own else self.mirror

@@ -22,6 +22,8 @@ from workers.kernel.cells import physical_states, scale_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import FLIGHT, RUNNING, STATUS, Motion, motion_at
 from workers.model.clock import set_period
+from workers.model.hybrid_machines import about_centre
+from workers.model.hybrid_modes import Code, code_of
 from workers.model.oscillator import COLUMN, Array, Oscillator, Rows, at_rows, many_of, map_fields, one_of
 from workers.orbit.attraction import falls_into, stays_nearer
 from workers.orbit.map import separation
@@ -157,10 +159,24 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     return batch.sections[0]
 
 
-def image_of(osc: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
-    """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed."""
-    later = motion_after(osc, h, mode, 0.5)
-    return (-later.h if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), 2 * FLIGHT - int(later.mode[0])
+def image_of(oscillators: Oscillator, r: int, osc: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
+    """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed.
+
+    ``osc`` is machine r as seen from the section of this state.
+    With modes it is an image in the centre of the machine, with all contacts and slips on the other side.
+    """
+    own = oscillators.table.machines
+    later = oscillators.with_modes(lambda _: motion_after(osc, h, mode, 0.5), np.array([r]))
+    image, other = -later.h, 2 * FLIGHT - int(later.mode[0])
+    if oscillators.has_modes:
+        centre = about_centre(at_rows(own, np.array([r])))[1][0]
+        image += (2.0 * osc.to_blocks[:, : len(centre)] @ centre).reshape(h.shape)
+        _, contacts, slips = code_of(int(later.mode[0]), *own.sizes[1:], *own.segments)
+        code = Code(0, tuple(-state for state in contacts), tuple(-sign for sign in slips))
+        other = code.number_of(*own.segments)
+        if oscillators.drifts:
+            image[-1, 1] = h[-1, 1]
+    return (image if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), other
 
 
 def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
@@ -171,12 +187,16 @@ def same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: boo
     if (old.regime, old.period) != (new.regime, new.period):
         return False
     if old.cycle and new.cycle:
-        return not half and old.cycle.is_through(new.result["state"], new.cycle.period)
+        state = new.result["state"]
+        if half:
+            _, centre = about_centre(oscillator.table.machines)
+            state = 2.0 * np.append(centre, np.zeros_like(centre)) - state
+        return old.cycle.is_through(state, new.cycle.period)
     neutral = old.jacobian is None and new.jacobian is None  # neither of these orbits attracts
     if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
-    h = image_of(osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
+    h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
     return bool(norms(osc.gap.blocks, old.orbit - h).min() <= SAME_ORBIT * scale_of(osc.gap.blocks, h))
 
 
@@ -184,7 +204,7 @@ def mirrored(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array,
     """Physical states (N, 2n) on the mirror images of N motions through these states, with their contacts (N,)."""
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, mode)
     for r in range(len(states)):
-        motions.h[r], motions.mode[r] = image_of(one_of(oscillators, r), motions.h[r], int(mode[r]))
+        motions.h[r], motions.mode[r] = image_of(oscillators, r, one_of(oscillators, r), motions.h[r], int(mode[r]))
     return physical_states(oscillators, motions, np.arange(len(states))), motions.mode[:, 0]
 
 

@@ -20,7 +20,7 @@ from workers.attractors.same import (
 from workers.cell.cells import Cells
 from workers.cell.course import NEAR_LATER
 from workers.cell.cycles import CycleCourse, convert_to_time, course_of, trails
-from workers.cell.measuring import measure
+from workers.cell.measuring import explain, measure
 from workers.cell.observing import observe
 from workers.cell.outcome import end_impact_free, end_stopped
 from workers.kernel.cells import physical_states
@@ -218,6 +218,7 @@ class Search:
 
     def _measure(self) -> None:
         """Write the machine's own results for motions of a known class; without a force all in units of time."""
+        explain(self.cells, self.record.definition, self.params)
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)
         if self.cells.unforced:

@@ -210,7 +210,7 @@ class Coexistence:
                     "survived": attractor.seen
                     if attractor.regime in (CHAOTIC, APERIODIC)
                     else attractor.result["survived"],
-                    "mirror": next((i for i, a in enumerate(shown) if a is attractor.image(cell.symmetric)), -1),
+                    "mirror": next((i for i, a in enumerate(shown) if a is cell.image(attractor)), -1),
                 }
                 _write(arrays, c, k, attractor.result | more)
                 if 0 in attractor.starts:

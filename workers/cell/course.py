@@ -18,6 +18,7 @@ from workers.cell.cells import RETURNS, Cells
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import LONG_PERIOD, NEAR, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
 from workers.cell.recurrence import Recurrence
+from workers.kernel.motion import CONTRACTION
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
 from workers.orbit.newton import far_from_closing
 from workers.results import LOCKING, NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED
@@ -55,21 +56,23 @@ TORUS_RETURN = 1e-5
 """Nearest of the last RETURNS returns, relative to the motion's scale, of a possible slowly closing orbit."""
 
 
-def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array) -> Array:
+def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contraction: Array | None = None) -> Array:
     """Forcing periods in which the energy of these motions falls by a factor e without the force.
 
     1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, reduce
-    one of the 2n squares in the energy. For machines with modes: the mean time of all modes with contacts open, without
-    friction. May be infinite. If a motion grows, the rate is the least rate of growth or decay.
+    one of the 2n squares in the energy. May be infinite. If a motion grows, eta is the least rate of growth or decay.
+    With modes ``contraction``, the change per period of the log of volume, shows in place of R what all contacts and
+    frictions take: without impacts at most one square per period.
     """
+    period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
     if oscillators.has_modes:
-        return np.asarray(1.0 / (2.0 * oscillators.gap.eta[rows].mean(axis=-1) * oscillators.period[rows]))
+        slowest, events = oscillators.gap.eta[rows, 0], np.where(hits > 0.0, hits, 1.0)
+        beyond = 0.0 if contraction is None else np.minimum(contraction + oscillators.trace[rows] * period, 0.0)
+        return np.asarray(1.0 / (2.0 * slowest * period - events * np.expm1(beyond / events) / freedoms))
     slow, fast = (np.abs(oscillators.gap.blocks[rows][..., column]) for column in (COLUMN.slow, COLUMN.fast))
     least = np.minimum(*(np.where(rate > 0.0, rate, np.inf) for rate in (slow, fast))).min(axis=-1)
     slowest = np.where(oscillators.growth[rows] > 0.0, least, slow.min(axis=-1))
-    freedoms = 2.0 * oscillators.gap_row.shape[1]
-    rate = 2.0 * slowest * oscillators.period[rows] + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms
-    return np.asarray(1.0 / rate)
+    return np.asarray(1.0 / (2.0 * slowest * period + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms))
 
 
 def part_to_survive(relaxation: Array) -> Array:
@@ -192,8 +195,9 @@ class Course:
         """The motion forgets its start: for some relaxation times, at least LEAST_TRANSIENT periods."""
         cells, flown = self.cells, self.cells.flown[rows]
         new = rows[(flown >= LEAST_TRANSIENT) & np.isnan(self.memory[rows])]
-        hits = impact_count(cells.batch.motions.tally[new]) / cells.flown[new]
-        self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits)
+        tally, periods = cells.batch.motions.tally[new], cells.flown[new]
+        hits, contraction = impact_count(tally) / periods, tally[:, CONTRACTION] / periods
+        self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits, contraction)
         most = max(LARGEST_SHARE * self.settings.max_periods, LEAST_TRANSIENT)
         transient = np.fmax(np.floor(np.minimum(self.memory[rows], most)), LEAST_TRANSIENT)
         self.stretch[rows] = np.minimum(flown, np.maximum(transient - flown, 1))

@@ -31,7 +31,7 @@ from workers.continuation.recording import ASKED, halved, turned_orbit
 from workers.continuation.stability import multipliers
 from workers.kernel.cells import physical_states
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
-from workers.kernel.motion import CONTRACTION, NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.kernel.motion import CONTRACTION, NOTHING_COUNTED, RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
 from workers.model.clock import set_period
 from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
 from workers.model.hybrid_modes import Pieces
@@ -71,6 +71,9 @@ STABLE = 1e-12
 VERTEX, SAME_RAY = 1e-12, 1e-6
 """Rounding of rates and signals in an equilibrium, as a share of their terms; and by how much the direction from an
 equilibrium may change in a turn round it, as a share of the distance."""
+
+BRUSH = 1e-7
+"""Largest share of rest in a cycle that is a touch, made longer by rounding: inside of it motions swing for ever."""
 
 STEADY, LEAST_TORUS = 15.0, 3000
 """Largest logarithm of the shrinkage of a torus's second tangent vector, over at least this many natural periods of
@@ -297,12 +300,15 @@ def cycle_of(machine: Oscillator, trail: Trail, m: int) -> tuple[Cycle, Array] |
     the motion is and of which a multiplier is 1; None without one.
 
     With the times (p,) of its rarest event: the event with the fewest passages, of several the first by signal, side
-    and mode.
+    and mode. A turn begins there, but not among the hops that end a chatter: they would count as rest.
     """
     keys = trail.keys[-m:]
     counts = np.bincount(keys)
     rarest = int(np.flatnonzero(counts == counts[counts > 0].min())[0])
     first = min(np.flatnonzero(keys == rarest), key=lambda i: tuple(trail.states[len(trail.keys) - m + i]))
+    chatter = trail.legs[trail.first[-m:], LEG.chatter]
+    while np.any(chatter == 0.0) and chatter[first] != 0.0:
+        first = (first + 1) % m
     own, turn, keys = turn_from(machine, trail, m, int(first))
     returns = trail.back(len(trail.keys) - 1, len(trail.keys) - 1 - m) < ONCE_ROUND
     try:
@@ -625,7 +631,11 @@ def put_cycles(cells: Cells, cycles_of: dict[int, tuple[Cycle, Array]]) -> None:
     size = np.abs(states).max(axis=1)
     closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.mode[:, 0] == mode)
     closes &= np.abs(after - states).max(axis=1) <= ONCE_ROUND * size
+    stuck = motions.tally[:, STUCK]
+    edge = closes & (stuck > 0.0) & (stuck <= BRUSH * periods)
+    closes &= ~edge
     set_period(cells.oscillators, rows[~closes], natural[~closes])
+    put_centres(cells, rows[edge])
     kept = np.flatnonzero(closes)
     rows, orbits = rows[kept], cells.orbits
     for r in rows.tolist():

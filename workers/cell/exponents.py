@@ -21,8 +21,10 @@ def free_exponents(osc: Oscillator) -> Array:
 def sum_of_exponents(osc: Oscillator, impacts_per_period: Array | float) -> Any:
     """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
-    NaN for impacts with R = 0.
+    NaN for impacts with R = 0, and for machines with modes.
     """
+    if osc.has_modes:
+        return np.full(np.shape(osc.period), np.nan)
     hits, R = np.asarray(impacts_per_period), np.asarray(osc.R)
     loss = 2.0 * np.log(np.where(R > 0.0, R, np.nan)) * hits
     return -osc.trace * osc.period + np.where(hits == 0.0, 0.0, loss)

@@ -18,11 +18,24 @@ from workers.kernel.motion import FLIGHT, RUNNING, motions_at
 from workers.model.definition import Definition
 from workers.model.elements import Contact, Friction, Spring
 from workers.model.hybrid import build_hybrid
-from workers.model.hybrid_machines import HybridMachines, mirrors
+from workers.model.hybrid_machines import HybridMachines, about_centre, is_undriven, loses_nothing, mirrors
 from workers.model.hybrid_modes import ON
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
-from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    CONSERVATIVE,
+    DIES_AWAY,
+    LOCKING,
+    NEVER_RECURS,
+    NO_IMPACT,
+    PERIODIC,
+    PERIODS_SPENT,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+)
 
 WINDOW = 256
 """Periods, from ``state`` on, over which motion without an orbit is measured."""
@@ -66,6 +79,21 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
             counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
         put(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
+
+
+def explain(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
+
+    Motion of a machine that loses nothing comes to nothing; growth says so itself. What nothing drives dies away.
+    """
+    reason = cells.results["reason"]
+    undecided = cells.results["regime"] == UNDETERMINED
+    rows = np.flatnonzero(undecided & np.isin(reason, (PERIODS_SPENT, NEVER_RECURS, WORK_SPENT)))
+    if len(rows):
+        machines = definition.hybrid({name: value[rows] for name, value in params.items()})
+        lossless = loses_nothing(machines)
+        reason[rows[~lossless & is_undriven(machines)]] = DIES_AWAY
+        reason[rows[lossless & (reason[rows] != NEVER_RECURS)]] = CONSERVATIVE
 
 
 def with_modes(cells: Cells, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
@@ -174,14 +202,15 @@ def _of_measures(definition: Definition, weights: Array, readings: Readings, spa
 
 def _of_machine(machines: HybridMachines, readings: Readings, closes: Mask, periods: Rows) -> dict[str, NDArray[Any]]:
     """The variables of a whole machine with modes."""
-    halves = readings.halves
+    centred, centre = about_centre(machines)
+    halves = readings.halves - np.concatenate([centre, np.zeros_like(centre)], axis=1)[:, None]
     if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
         halves = np.delete(halves, machines.drifting, axis=2)
     early, late = halves[:, 0], halves[:, 1]
     away = np.linalg.norm(early + late, axis=1)
     size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
     return {
-        "symmetric": mirrors(machines) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
+        "symmetric": mirrors(centred) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
         "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
         "damper_loss": readings.damped[:, 0] / periods,
     }

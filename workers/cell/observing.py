@@ -17,7 +17,7 @@ from workers.kernel.motion import RUNNING
 from workers.kernel.observing import COURSE, Seen, Sought, observe_motions
 from workers.model.definition import Definition
 from workers.model.hybrid import build_hybrid
-from workers.model.observables import IMPACT_PHASE, KINDS, Observable, observables_of
+from workers.model.observables import IMPACT_PHASE, KINDS, MAXIMUM, MINIMUM, Observable, observables_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows
 from workers.results import NO_REASON
 
@@ -66,13 +66,15 @@ def observed(
     counts, endless = np.zeros((2, N, M), dtype=np.int64)
     seen = Seen(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
     seen.course[..., COURSE.value] = np.nan
-    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    starts, states, codes, status = (states, codes), states.copy(), codes.copy(), np.full(N, RUNNING)
     periods = periods.astype(np.int64)  # as results periods are int32, which kernels would be compiled for once more
-    allowance = LEAST_WORK + WORK_PER_PERIOD * periods.astype(np.float64)
+    turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
+    done = np.where(closes & turns_of_outputs, -periods, 0)
+    allowance = LEAST_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
     meters = Meters(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
 
     def see(some: Rows) -> None:
-        motion = states, codes, done, periods, closes.astype(np.int64), allowance, some
+        motion = starts, states, codes, done, periods, closes.astype(np.int64), allowance, some
         status[some] = observe_motions(machines, meters, wanted, seen, *motion)[some]
 
     machines.with_modes(see, np.arange(N))

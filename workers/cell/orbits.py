@@ -7,6 +7,8 @@ import numpy as np
 from workers.cell.cells import Cells
 from workers.cell.outcome import put_periodic
 from workers.cell.stretch import batch_of, run
+from workers.model.hybrid_machines import HybridMachines
+from workers.model.hybrid_modes import OPEN, SIGNALS, Code, pieces_of
 from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
@@ -87,12 +89,47 @@ def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
     force has one as well: the motion after a release repeats after the next rest.
     """
     if cells.oscillators.has_modes:
-        return np.asarray(cells.orbits.near[rows])
+        machines = at_rows(cells.oscillators.table.machines, rows)
+        return np.asarray(cells.orbits.near[rows] | moves_freely(machines) | rests_alone(machines))
     osc = at_rows(cells.oscillators, rows)
     damped = np.all((osc.gap.eta > 0.0) & (osc.gap.load == 0.0), axis=-1) & (osc.growth == 0.0)
     stays_inside = osc.gap.amplitude < np.minimum(osc.b_upper, osc.b_lower)
     can_rest = (cells.directions == 2) & (osc.R < 1.0) & np.any(most_on_stops(osc) > 0.0, axis=1)
     return np.asarray(cells.orbits.near[rows] | (damped & stays_inside) | can_rest)
+
+
+def moves_freely(machines: HybridMachines) -> Mask:
+    """Mask of machines with a damped steady motion inside all stops; not known, so false, of the following two.
+
+    With friction, and where phases change more than contacts, such a motion is no sum of harmonics.
+    """
+    P, C, F = machines.sizes
+    if F > 0 or machines.drifting >= 0:
+        return np.zeros(len(machines.omega), dtype=np.bool_)
+    (pieces, wrong), *others = (pieces_of(machines, Code(p, (OPEN,) * C, ())) for p in range(P))
+    free = (wrong == 0) & np.all(pieces.blocks[:, 0, :, COLUMN.slow] > 0.0, axis=1)
+    for other, _ in others:
+        free &= np.all(other.acceleration == pieces.acceleration, axis=(1, 2))
+        free &= np.all(other.drive == pieces.drive, axis=(1, 2, 3))
+    signals = SIGNALS * np.arange(C)
+    reach, offset = pieces.numbers[:, signals, NUMBER.amplitude], pieces.offset[:, signals]
+    ends = pieces.ends[:, signals]
+    inside = (offset + reach < ends[..., 1]) & (offset - reach > ends[..., 0])
+    return np.asarray(free & np.all(inside, axis=1))
+
+
+def rests_alone(machines: HybridMachines) -> Mask:
+    """Mask of single masses that a rigid stop can hold: force and load press on it at some phase, or springs may."""
+    own, harmonics = machines, np.hypot(machines.force_sin, machines.force_cos).sum(axis=2)[..., 0]  # (N, P)
+    if own.dimension > 2:
+        return np.zeros(len(own.omega), dtype=np.bool_)
+    row, stops = own.row[..., 0], own.stops  # (N, C), (N, C, 2)
+    stands = np.isfinite(stops) & ((own.soft == 0.0) & (own.R < 1.0))[..., None]
+    x = (np.where(stands, stops, 0.0) / row[..., None])[:, None]
+    pull = own.load[:, :, 0, None, None] - own.stiffness[:, :, 0, 0, None, None] * x  # (N, P, C, 2)
+    press = np.sign(row)[:, None, :, None] * np.array([-1.0, 1.0]) * pull + harmonics[..., None, None]
+    pressed = np.any(press > 0.0, axis=1) | np.any(own.soft > 0.0, axis=1)[:, None, None]
+    return np.asarray(np.any(stands & pressed, axis=(1, 2)))
 
 
 def most_on_stops(oscillators: Oscillator) -> Array:

@@ -50,6 +50,8 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
     reasons = stop_reasons(cells.batch.motions, rows)
     away = cells.run_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
     reasons = np.where(away, np.int8(results.RUNS_AWAY), reasons)
+    off = cells.fly_off(rows) & (reasons == results.NO_REASON)
+    reasons = np.where(off, np.int8(results.FLIES_OFF), reasons)
     spent = reasons == results.WORK_SPENT
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
@@ -105,7 +107,9 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     oscillators = at_rows(cells.oscillators, rows)
     steady, exponents = steady_state(oscillators, h), free_exponents(oscillators)
     tally, error = np.tile(motion.NOTHING_COUNTED, (len(rows), 1)), np.abs(exponents[:, 0]) * 1e-15
+    mirrored = (oscillators.symmetric > 0.0) & np.all(steady == 0.0, axis=(1, 2))
     orbits = no_orbits(*h.shape[:2])._replace(h=steady, exponents=exponents, tally=tally, error=error)
+    orbits = orbits._replace(symmetric=mirrored)
     defect = _defect(oscillators, np.sum(exponents, axis=1), tally, 0.0)
     reach = free_range(oscillators, steady)
     _put_orbits(cells, rows, oscillators, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)

@@ -231,12 +231,15 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
 
 
 @kernel
-def observe_motions(oscillators, meters, wanted, seen, states, codes, done, periods, closes, allowance, cells):
+def observe_motions(oscillators, meters, wanted, seen, starts, states, codes, done, periods, closes, allowance, cells):
     """Advance motions by their remaining periods and record observables; returns the status of each.
 
     In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
     (N,): 1 if these are one turn of an orbit, where events at the section count once. allowance (N,): evaluations
     allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
+
+    A negative number of periods ``done`` is a turn before the one that counts: it shows whether outputs rise or fall
+    where they rest at the section. Then the motion begins again from ``starts``, states (N, 2n) and codes (N, 1).
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
@@ -246,9 +249,13 @@ def observe_motions(oscillators, meters, wanted, seen, states, codes, done, peri
         begins = AROUND * period if turn else -1.0
         while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
             flies = done[r] < periods[r]
+            if done[r] == 0:
+                copy_into(states[r], starts[0][r])
+                codes[r, 0] = starts[1][r, 0]
+                own.course[:, COURSE.value] = np.nan
             tally[WORK] = allowance[r] - OVERDRAFT
-            duration, since = period if flies else AROUND * period, done[r] * period
-            see_period(table, meter, wanted, own, states[r], codes[r], tally, since, duration, begins, flies)
+            duration, since, counts = period if flies else AROUND * period, done[r] * period, flies and done[r] >= 0
+            see_period(table, meter, wanted, own, states[r], codes[r], tally, since, duration, begins, counts)
             allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
             done[r] += 1 if status[r] == RUNNING else 0
         for m in range(len(wanted.kinds)):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.free import finite, grows_unseen, phase_of, turns_too_far
-from workers.model.hybrid_machines import HybridMachines, along_contacts, definite, hybrid_faults
+from workers.model.hybrid_machines import HybridMachines, about_centre, along_contacts, definite, hybrid_faults, mirrors
 from workers.model.hybrid_modes import OF_PIECES, OPEN, Code, Pieces, code_of, null_space, pieces_of
 from workers.model.modes import FREE as RIGID
 from workers.model.modes import interleaved, stacked, symmetric, undamped_modes
@@ -144,7 +144,6 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     lam, modes = _section_modes(mass, stiffness, machines.drifting)
     lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
     turned = np.ascontiguousarray(modes.swapaxes(1, 2))
-    eta = 0.5 * np.maximum(np.diagonal(turned @ machines.damping[:, 0] @ modes, axis1=1, axis2=2), 0.0)
     metric = np.where(lam == 0.0, machines.omega[:, None] ** 2, lam)
     to_blocks = interleaved(turned @ mass)
     to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
@@ -155,8 +154,10 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     others = [pieces_of(machines, Code(p, (OPEN,) * C, (1,) * F))[0] for p in range(1, P)]
     flows = [pieces.blocks[:, 0] for pieces in (still, *others)]
     growth = np.max([growth_of(flow) for flow in flows], axis=0)
-    eta = np.where((growth > 0.0)[:, None], _slowest(flows[0])[:, None], eta)
-    blocks = make_blocks(eta, lam)
+    shares = np.diff(machines.starts, axis=1)
+    eta = np.sum(shares * np.stack([_slowest(flow, growth, machines.drifting) for flow in flows], axis=1), axis=1)
+    trace = np.sum(shares * np.stack([pieces.trace for pieces in (still, *others)], axis=1), axis=1)
+    blocks = make_blocks(np.repeat(eta[:, None], n, axis=1), lam)
     blocks[..., COLUMN.metric] = metric
     too_far = [turns_too_far(flow[..., COLUMN.d], flow[..., COLUMN.w], machines.omega) for flow in flows]
     size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
@@ -173,7 +174,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
         time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
         upper=machines.stops[:, 0, 1] if shown else endless, lower=machines.stops[:, 0, 0] if shown else -endless,
-        gap_mass=np.where(keeps, 1.0, np.nan), trace=np.full(N, np.nan), growth=growth,
+        gap_mass=np.where(keeps, 1.0, np.nan), trace=trace, growth=growth,
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
     numbers[:, NUMBER.omega] = machines.omega
@@ -208,17 +209,29 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 
+def is_symmetric(oscillators: Oscillator) -> Mask:
+    """Mask (N,) of machines that are their own mirror images half a period later."""
+    if oscillators.has_modes:
+        return mirrors(about_centre(oscillators.table.machines)[0])
+    return np.asarray(oscillators.symmetric > 0.0)
+
+
 def _measuring(matrices: Array) -> Array:
     """Symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
     even = symmetric(matrices)[:, None, None]
     return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
 
 
-def _slowest(flow: Array) -> Array:
-    """The least rate (N,) of growth or decay in blocks (N, n, columns); 0 if there is none."""
-    rates = np.abs(rates_of(flow).real).reshape(len(flow), -1)
-    least = np.min(np.where(rates > 0.0, rates, np.inf), axis=1, initial=np.inf)
-    return np.where(np.isfinite(least), least, 0.0)
+def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
+    """The decay rate (N,) of the slowest mode in blocks (N, n, columns), 0 where one has no damping.
+
+    The place of what drifts does not decay and is left out. In machines that grow, ``growth`` (N,) > 0, it is the least
+    rate of growth or decay; 0 if there is none.
+    """
+    rates = -rates_of(flow).real.reshape(len(flow), -1)
+    least = np.min(np.where(rates != 0.0, np.abs(rates), np.inf), axis=1, initial=np.inf)
+    decays = np.maximum(np.sort(rates, axis=1)[:, 1 if drifting >= 0 else 0], 0.0)
+    return np.where(growth > 0.0, np.where(np.isfinite(least), least, 0.0), decays)
 
 
 def _unheld(machines: HybridMachines, open_pieces: Pieces) -> Mask:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from workers.model.free import finite
 from workers.model.kept import kept
-from workers.model.modes import stacked, symmetric
+from workers.model.modes import resists, stacked, symmetric
 from workers.model.oscillator import Array, Machines, Mask, Rows, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
@@ -20,6 +20,9 @@ PARALLEL = 1e-12
 
 HALFWAY = 1e-12
 """Deviation from half a forcing period, as a share of it, up to which two phases count as half a period apart."""
+
+MIDWAY = 1e-13
+"""Deviation, as a share of its terms, up to which a place counts as midway between stops and as balancing a load."""
 
 
 class HybridMachines(NamedTuple):
@@ -151,8 +154,8 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 def mirrors(machines: HybridMachines) -> Mask:
     """Mask of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
-    Stops lie at equal distances, belts rest, and half a period later the law is the same, with the load and the even
-    harmonics of the force negated.
+    Stops lie at equal distances from 0, belts rest, and half a period later the law is the same, with the load and the
+    even harmonics of the force negated.
     """
     own, phases = machines, machines.sizes[0]
     half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
@@ -166,6 +169,60 @@ def mirrors(machines: HybridMachines) -> Mask:
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)
+
+
+def loses_nothing(machines: HybridMachines) -> Mask:
+    """Mask of machines without any loss: no damping, R = 1, no friction. M and K are symmetric."""
+    own = machines
+    lossy = [_any(own.damping != -own.damping.swapaxes(-1, -2)), _any(own.R != 1.0), _any(own.pad[..., 1] != 0.0)]
+    return np.asarray(~np.any(lossy, axis=0) & (own.sizes[2] == 0) & _has_energy(own))
+
+
+def is_undriven(machines: HybridMachines) -> Mask:
+    """Mask of machines whose energy never rises: no force, phases or moving belts; nor does damping or K feed them."""
+    own = machines
+    driven = [_any(own.force_sin != 0.0), _any(own.force_cos != 0.0), _any(own.belt != 0.0)]
+    fields = (own.damping, own.stiffness, own.load, own.pad, own.rub)
+    driven += [_any(field != field[:, :1]) for field in fields if own.sizes[0] > 1]
+    even = 0.5 * (own.damping[:, 0] + own.damping[:, 0].swapaxes(-1, -2))
+    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(own))
+
+
+def _has_energy(machines: HybridMachines) -> Mask:
+    """Mask of machines whose M and K are symmetric in all phases."""
+    return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
+
+
+@np.errstate(all="ignore")
+def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
+    """Machines counted from the centre of their mirror symmetry, see ``mirrors``, and the centres (N, n).
+
+    The centre lies midway between all stops and balances the mean load. Others stay as they are, with a centre of 0.
+    """
+    own, half, ends = machines, machines.sizes[0] // 2, np.isfinite(machines.stops)
+    (N, P, n), between = own.load.shape, np.asarray(ends.all(axis=2))
+
+    def ahead(field: Array) -> Array:
+        return np.roll(field, -half, axis=1)
+
+    middle = np.where(between, 0.5 * np.sum(np.where(ends, own.stops, 0.0), axis=2), 0.0)
+    balance = 0.5 * (own.stiffness + ahead(own.stiffness)).reshape(N, P * n, n)
+    matrix = np.concatenate([balance, np.where(between[..., None], own.row, 0.0)], axis=1)
+    right = np.concatenate([0.5 * (own.load + ahead(own.load)).reshape(N, P * n), middle], axis=1)
+    moved = np.asarray(np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1))
+    centre = np.zeros((N, n))
+    moved &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    for r in np.flatnonzero(moved).tolist():
+        centre[r] = np.linalg.lstsq(matrix[r], right[r])[0]
+    size = (np.abs(matrix) @ np.abs(centre)[..., None])[..., 0] + np.abs(right)
+    moved &= np.all(np.abs((matrix @ centre[..., None])[..., 0] - right) <= MIDWAY * size, axis=1)
+    wide = 0.5 * np.where(between, own.stops[..., 1] - own.stops[..., 0], np.inf)
+    pull = own.load - (own.stiffness @ centre[:, None, :, None])[..., 0]
+    moved_machines = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
+    moved &= mirrors(moved_machines)
+    load = np.where(moved[:, None, None], moved_machines.load, own.load)
+    stops = np.where(moved[:, None, None], moved_machines.stops, own.stops)
+    return own._replace(load=load, stops=stops), np.where(moved[:, None], centre, 0.0)
 
 
 def held_rows(machines: HybridMachines) -> Array:

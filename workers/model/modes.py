@@ -75,7 +75,7 @@ def split(mass: Array, damping: Array, stiffness: Array) -> Modes:
     coupled = np.max(beside, axis=(1, 2), initial=0.0) > COUPLED * size
     passive = np.all(lam >= 0.0, axis=1)
     doubtful = np.flatnonzero(passive & (coupled | np.any(eta < 0.0, axis=1)))
-    passive[doubtful] = _resists(damping[doubtful])
+    passive[doubtful] = resists(damping[doubtful])
     none = (eta <= FREE * n * size[:, None]) & (passive[:, None] | (eta >= -_rounding(n, size, largest)[:, None]))
     weighted = np.ascontiguousarray(modes.swapaxes(1, 2)) @ mass
     blocks = Modes(
@@ -101,7 +101,7 @@ def symmetric(matrices: Array) -> Mask:
     return np.asarray(np.all(matrices == matrices.swapaxes(1, 2), axis=(1, 2)))
 
 
-def _resists(damping: Array) -> Mask:
+def resists(damping: Array) -> Mask:
     """Mask of matrices (N, n, n) that are symmetric and positive semidefinite to rounding."""
     values = stacked(np.linalg.eigvalsh, damping.shape[:2], damping)
     least, largest = np.min(values, axis=1, initial=np.inf), np.max(np.abs(values), axis=1, initial=0.0)

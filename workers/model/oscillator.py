@@ -187,7 +187,7 @@ class Head(NamedTuple):
     upper, lower    positions of the stops, infinite if missing
     symmetric       1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
     gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
-    trace           trace of M^-1 C, the rate at which a flight contracts volume
+    trace           trace of M^-1 C, the rate at which a flight contracts volume; with modes its mean over the phases
     growth          largest growth rate while no rigid stop holds and nothing sticks, 0 for none
     """
 
@@ -230,8 +230,8 @@ class Oscillator(NamedTuple):
     table           of a machine with modes: see hybrid.Table; empty of any other
 
     For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
-    contacts open, no force and no load, in any mode: gap has these blocks, with the damping of each mode, and no guard.
-    gap_row, upper and lower belong to the first contact.
+    contacts open, no force and no load, in any mode: gap has these blocks and no guard. Their eta is the decay rate of
+    the slowest mode of the flow with contacts open. gap_row, upper and lower belong to the first contact.
 
     A drifting coordinate times omega is the last number of the state, and the velocity of its free motion the last but
     one. Nothing depends on it: it is reset to 0 at each section, so a motion closes when all other numbers do.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from workers import Settings, solve_tile
+from workers import Settings, System, solve_tile
 from workers.attractors.basins import solve_basins
 from workers.attractors.starts import Starts
 from workers.attractors.waves import solve_attractors
@@ -72,3 +72,37 @@ def test_labels_of_basins_are_those_of_attractors() -> None:
 
 def states_of(name: str) -> tuple[str, ...]:
     return find_system(name).states
+
+
+# Mirror images
+
+
+def test_twin_orbits_in_two_soft_stops_are_mirror_images() -> None:
+    """A mass that falls from 3 to either side: on a stop x'' + .3 x' + 19 (x -+ 1/19 - 4 or 2) = .05 sin t, exactly."""
+    stops = {"name": "stops", "gap": [1.0], "upper": 4.0, "lower": 2.0, "stiffness": 20.0}
+    wells = System.from_mapping({
+        "name": "wells", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.3]], "stiffness": [[-1.0]],
+        "load": [-3.0], "force": [0.05], "contacts": [stops],
+    })  # fmt: skip
+    found = solve_attractors(wells, {"omega": 1.0, "x": 4.1}, Settings(), Starts(8, box=(("x", 0.0, 6.0),)))
+    steady = 0.05 / (18.0 + 0.3j)
+    upper = np.array([3.0 + 20.0 / 19.0 + steady.imag, steady.real])
+    lower = np.array([3.0 - 20.0 / 19.0 + steady.imag, steady.real])
+    assert found["attractors"] == 2 and found["mirror"].tolist() == [1, 0, -1, -1]
+    states = sorted(found["state"][:2].tolist())
+    assert np.array(states) == pytest.approx(np.array([lower, upper]), abs=1e-12)
+
+
+def test_twin_cycles_in_two_wells_are_mirror_images() -> None:
+    """Negative damping drives the mass onto a rigid stop in either well; none has the energy to cross between."""
+    soft = {"name": "soft", "gap": [1.0], "upper": 4.0, "lower": 2.0, "stiffness": 20.0}
+    hard = {"name": "hard", "gap": [1.0], "upper": 4.2, "lower": 1.8, "restitution": 0.6}
+    wells = System.from_mapping({
+        "name": "wells", "coordinates": ["x"], "mass": [[1.0]], "damping": [[-0.05]], "stiffness": [[-1.0]],
+        "load": [-3.0], "contacts": [soft, hard],
+    })  # fmt: skip
+    box = (("x", 1.85, 4.15), ("v", -0.1, 0.1))
+    found = solve_attractors(wells, {"x": 4.1}, Settings(), Starts(8, box=box))
+    assert found["attractors"] == 2 and found["mirror"].tolist() == [1, 0, -1, -1]
+    assert not found["symmetric"].any()
+    assert found["cycle_period"][0] == pytest.approx(found["cycle_period"][1], rel=1e-12)

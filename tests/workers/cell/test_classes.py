@@ -11,7 +11,10 @@ from atlas.check.rules import broken_rules
 from workers import Settings, System, solve_tile
 from workers.cell.averages import shears
 from workers.results import (
+    CONSERVATIVE,
+    DIES_AWAY,
     FAILED,
+    FLIES_OFF,
     INVALID,
     LOCKING,
     NEVER_RECURS,
@@ -248,13 +251,50 @@ def test_what_dies_away_or_grows_for_ever_is_no_torus(system: str, params: dict[
     """Its exponents go to zero, as those of a torus do, but it never comes back: speeds fall as R^n, or grow with n."""
     found = solved(system, **params)
     assert found["regime"] == UNDETERMINED
-    assert found["reason"] in (NEVER_RECURS, PERIODS_SPENT)
+    assert found["reason"] == (DIES_AWAY if system == "impact-pair" else NEVER_RECURS)
 
 
 @pytest.mark.parametrize("method", ["adaptive", "fixed"])
 def test_growth_without_end_is_the_reason_that_a_resonant_mass_gives(method: str) -> None:
     found = solved("single-mass", Settings(method=method, survival=2000), **RESONANT)
     assert (found["regime"], found["reason"]) == (UNDETERMINED, NEVER_RECURS)
+
+
+FREE = {"name": "free", "coordinates": ["x"], "mass": [[1.0]]}
+STOP = {"gap": [1.0], "lower": 0.0}
+
+
+def reason_of(given: dict[str, Any], values: dict[str, float], **settings: Any) -> tuple[int, int]:
+    system = System.from_mapping(FREE | given)
+    found = solve_tile(system, values, Settings(max_periods=2000, survival=0, **settings))
+    return int(found["regime"]), int(found["reason"])
+
+
+@pytest.mark.parametrize("method", ["adaptive", "fixed"])
+@pytest.mark.parametrize("stop", [STOP | {"restitution": 0.7},
+                                  {"contacts": [{"name": "stop", "stiffness": 3.0, **STOP}]}])  # fmt: skip
+def test_a_mass_that_moves_off_at_a_constant_speed_never_comes_back(stop: dict[str, Any], method: str) -> None:
+    """x'' = sin t, so x = 1 + t - sin t: no stop is above."""
+    values = {"omega": 1.0, "tau": 0.0, "x": 1.0}
+    assert reason_of({"force": [1.0]} | stop, values, method=method) == (UNDETERMINED, FLIES_OFF)
+
+
+def test_a_mass_between_walls_that_nothing_drives_dies_away() -> None:
+    """Speeds fall as .6^n, and the times between impacts grow as much: it never rests."""
+    walls = {"gap": [1.0], "lower": -1.0, "upper": 1.0, "restitution": 0.6}
+    assert reason_of(walls, {"v": 1.0}) == (UNDETERMINED, DIES_AWAY)
+
+
+@pytest.mark.parametrize("method", ["adaptive", "fixed"])
+@pytest.mark.parametrize("stop", [STOP | {"restitution": 1.0},
+                                  {"contacts": [{"name": "stop", "stiffness": 5.0, **STOP}]}])  # fmt: skip
+def test_a_machine_that_loses_nothing_has_no_attractor(stop: dict[str, Any], method: str) -> None:
+    """A ball on an elastic table that shakes: the map keeps areas. With the least loss something attracts."""
+    ball, values = {"load": [-1.0], "force": [0.02]} | stop, {"omega": 1.0, "x": 1.0}
+    regime, reason = reason_of(ball, values, method=method)
+    assert (regime, reason) == (UNDETERMINED, CONSERVATIVE)
+    regime, reason = reason_of(ball | {"damping": [[1e-6]]}, values, method=method)
+    assert (regime, reason) == (UNDETERMINED, PERIODS_SPENT)
 
 
 def test_a_mass_that_flies_from_wall_to_wall_without_loss_is_a_torus_still() -> None:

@@ -20,7 +20,7 @@ from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.history import within_periods
 from workers.model.entries import DefinitionError
-from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC
+from workers.results import CENTRE, CHAOTIC, NO_IMPACT, PERIODIC, QUASIPERIODIC, UNDETERMINED
 
 SPECTRUM = Settings(exponents="spectrum")
 
@@ -308,3 +308,34 @@ def test_the_oracle_goes_round_the_cycles_of_random_pairs_of_masses() -> None:
 @pytest.mark.slow
 def test_the_oracle_goes_round_the_cycles_of_many_random_pairs_of_masses() -> None:
     assert sum(cycles_close(seed) for seed in range(100, 300)) >= 100
+
+
+# At the ends of rests
+
+
+@pytest.mark.parametrize("load", [0.1, 0.4, 0.8])
+def test_the_share_of_rest_leaves_out_the_hops_before_it_wherever_a_turn_begins(load: float) -> None:
+    """Loads scale this cycle and change no time: the share is one number, that of rests event by event."""
+    system = System.from_mapping({
+        "name": "rests", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 1.0]],
+        "damping": [[0.3, 0.0], [0.0, -0.2]], "stiffness": [[3.0, -2.0], [-2.0, 3.0]], "load": [load, 0.0],
+        "contacts": [{"name": "stop", "gap": [1.0, 0.0], "upper": 0.05, "restitution": 0.5},
+                     {"name": "far", "gap": [0.0, 1.0], "upper": 1.0, "lower": -1.0, "stiffness": 30.0}],
+        "parameters": {"x2": 0.3},
+    })  # fmt: skip
+    found = solve_tile(system, {}, Settings(max_periods=2000))
+    assert found["regime"] == PERIODIC
+    assert found["stuck_fraction"] == pytest.approx(0.18701167369097602, abs=1e-11)
+    assert found["stop_fraction"] == pytest.approx(0.18701167369097602, abs=1e-11)
+
+
+@pytest.mark.parametrize("x", [0.4, 2.0])
+def test_a_block_whose_friction_does_not_fall_swings_for_ever_below_the_speed_of_its_belt(x: float) -> None:
+    """x'' + x = .3 while it slides: from outside it comes to the circle that touches the belt's speed, no nearer."""
+    system = System.from_mapping({
+        "name": "even", "coordinates": ["x"], "mass": [[1.0]], "stiffness": [[1.0]], "parameters": {"x": 0.4},
+        "friction": [{"name": "belt", "row": [1.0], "kinetic": 0.3, "static": 0.3, "belt": 0.5}],
+    })  # fmt: skip
+    found = solve_tile(system, {"x": x}, Settings(max_periods=2000))
+    assert (found["regime"], found["reason"]) == (UNDETERMINED, CENTRE)
+    assert np.hypot(found["state"][0] - 0.3, found["state"][1]) == pytest.approx(min(x - 0.3, 0.5), abs=1e-8)

@@ -258,3 +258,31 @@ def test_an_observable_that_a_machine_does_not_have_is_refused_in_one_line(text:
         observables_of(text, definition)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_an_acceleration_is_greatest_at_the_end_of_a_chatter() -> None:
+    """The supremum over all hops, summed with 40 digits: the load still rises while the mass comes to rest."""
+    stop = {"gap": [1.0], "upper": 0.3, "restitution": 0.5}
+    system = System.from_mapping({
+        "name": "chatter", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "stiffness": [[1.0]],
+        "force": [0.8], "load": [0.9], "measures": {"a": {"acceleration": [1.0], "report": ["peak"]}}, **stop,
+    })  # fmt: skip
+    found = solve_tile(system, {"omega": 0.5, "tau": 0.0})
+    assert found["sticks"] and found["a_peak"] == pytest.approx(1.01083377429590057, rel=1e-13)
+
+
+def test_a_plateau_at_the_section_is_one_turning_point_of_its_kind() -> None:
+    """Dry friction holds the mass twice per period, at +-2.55; the phase shifts the section all along the orbit."""
+    block = {
+        "name": "block", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.04]], "stiffness": [[1.0]],
+        "force": [2.0], "friction": [{"name": "ground", "row": [1.0], "kinetic": 1.0, "static": 1.2}],
+        "measures": {"w": {"velocity": [1.0], "report": ["peak"]}},
+    }  # fmt: skip
+    kinds = ("maximum_x", "minimum_x", "maximum_w", "minimum_w")
+    tau = np.linspace(0.0, 6.0, 25)
+    found = seen(System.from_mapping(block), {"omega": 0.5, "tau": tau}, ",".join(k.replace("_", ":") for k in kinds))
+    assert np.all(found["ground_stuck"] > 0.2)
+    for kind in kinds:
+        assert np.all(found[f"{kind}_number"] == 1)
+        assert np.ptp(found[kind][:, 0]) < 1e-12
+    assert found["maximum_x"][0, 0] == pytest.approx(-found["minimum_x"][0, 0], rel=1e-12)

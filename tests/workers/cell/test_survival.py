@@ -8,7 +8,7 @@ import pytest
 
 from tests import naive
 from tests.paths import DATA
-from workers import Settings, solve_tile
+from workers import Settings, System, solve_tile
 from workers.cell.averages import clearly_positive
 from workers.cell.cells import RETURNS, Cells
 from workers.cell.course import RELAXATIONS, TORUS_RETURN, relaxation_periods
@@ -297,3 +297,98 @@ def test_long_orbits_are_found_where_the_exponent_is_clearly_negative() -> None:
     params = LOW_DAMPING | {"omega": omega[long], "R": R[long]} | states
     again = solve_tile("two-mass", params, Settings(max_period=1000))
     assert np.array_equal(again["period"], found["period"][long])
+
+
+# Machines with modes
+
+TWO_MASSES = {
+    "name": "two-masses", "coordinates": ["x1", "x2"], "mass": [[1.0, 0.0], [0.0, 0.01]],
+    "damping": [[0.002, 0.0], [0.0, 2.0]], "stiffness": [[1.0, -0.001], [-0.001, 0.05]], "force": [1.0, 0.0],
+}  # fmt: skip
+STOP = {"gap": [1.0, 0.0], "upper": 0.5, "restitution": 0.8}
+FAR = {"name": "far", "gap": [1.0, 0.0], "upper": 9.0, "stiffness": 1.0}
+"""A soft contact that is never met: it makes a machine one with modes, and changes no motion."""
+
+
+def both_kinds(omega: float) -> list[Cells]:
+    """A cell of one flow with a light mode, as a machine with one rigid contact and as one with modes."""
+    cells = []
+    for given in (STOP, {"contacts": [{"name": "stop", **STOP}, FAR]}):
+        system, settings = System.from_mapping(TWO_MASSES | given), Settings()
+        values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([omega])}
+        oscillators, reasons = system.build_many(values)
+        found = empty_results(system.variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
+        cells.append(Cells(oscillators, reasons, np.zeros((1, 4)), settings, found))
+    return cells
+
+
+def test_the_slowest_mode_decides_the_relaxation_in_both_kinds_of_machine() -> None:
+    rates = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [-k_m(), -c_m()]])).real
+    for hits in (0.0, 1.7):
+        exact = 1.0 / (2.0 * np.min(-rates) * 2.0 * np.pi / 1.7 + (1.0 - 0.8**2) * hits / 4.0)
+        for cells in both_kinds(1.7):
+            osc, impacts = cells.oscillators, np.array([hits])
+            contraction = 2.0 * math.log(0.8) * impacts - np.trace(c_m()) * 2.0 * np.pi / 1.7
+            found = relaxation_periods(osc, np.array([0]), impacts, contraction)
+            assert found == pytest.approx([exact], rel=1e-9)
+
+
+def k_m() -> np.ndarray:
+    return np.linalg.solve(TWO_MASSES["mass"], TWO_MASSES["stiffness"])
+
+
+def c_m() -> np.ndarray:
+    return np.linalg.solve(TWO_MASSES["mass"], TWO_MASSES["damping"])
+
+
+@pytest.mark.parametrize(("omega", "inside"), [(5.0, True), (1.7, False)])
+def test_motion_without_impact_is_a_known_orbit_in_both_kinds_of_machine(omega: float, inside: bool) -> None:
+    """The steady amplitude of x1 is about 1 / (omega^2 - 1)."""
+    for cells in both_kinds(omega):
+        assert has_coexisting_orbit(cells, np.array([0])).tolist() == [inside]
+
+
+@pytest.mark.parametrize("load", [0.9, 1.1])
+def test_a_mass_that_a_stop_can_hold_has_an_orbit_beside_its_motion_in_both_kinds_of_machine(load: float) -> None:
+    """The load pulls the mass from its stop at 0, and the force of amplitude 1 presses it on."""
+    stop = {"gap": [1.0], "lower": 0.0, "restitution": 0.5}
+    mass = {"name": "ball", "coordinates": ["x"], "mass": [[1.0]], "force": [1.0], "load": [load]}
+    two_phases = {"contacts": [{"name": "stop", **stop}], "phases": [{"start": 0.0}, {"start": 0.5}]}
+    for given in (stop, two_phases):
+        system, settings = System.from_mapping(mass | given), Settings()
+        values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([1.0])}
+        oscillators, reasons = system.build_many(values)
+        found = empty_results(system.variables(settings), (1,), {"exponent": 2, "state": 2, "sample": 0})
+        cells = Cells(oscillators, reasons, np.ones((1, 2)), settings, found)
+        with np.errstate(invalid="ignore"):
+            assert has_coexisting_orbit(cells, np.array([0])).tolist() == [load < 1.0]
+
+
+def test_a_chaotic_transient_of_a_machine_with_modes_is_watched_by_its_slowest_mode() -> None:
+    """Gyroscopic and circulatory coupling leaves one mode with a hundredth of the mean damping."""
+    C, K = [[0.12, -0.5], [0.5, 0.12]], [[1.0, 0.1], [-0.1, 1.2]]
+    stop = {"name": "stop", "gap": [1.0, 0.0], "upper": 0.4, "stiffness": 60.0, "damping": 0.3}
+    machine = {
+        "name": "slow-mode", "coordinates": ["x1", "x2"], "mass": np.eye(2).tolist(), "damping": C, "stiffness": K,
+        "force": [0.0, 0.5], "cosine": [0.5, 0.0], "contacts": [stop],
+    }  # fmt: skip
+    omega = 1.5448275862068965
+    found = solve_tile(System.from_mapping(machine), {"omega": omega})
+    rates = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [-np.array(K), -np.array(C)]])).real
+    assert found["regime"] == NO_IMPACT
+    assert found["largest"] == pytest.approx(np.max(rates) * 2.0 * np.pi / omega, rel=1e-9)
+
+
+def test_chaos_of_a_machine_that_loses_energy_at_contacts_only_relaxes() -> None:
+    """A ball on a table whose load is a square wave: flights have no damping."""
+    table = {"name": "table", "gap": [1.0], "lower": 0.0, "restitution": "R"}
+    ball = System.from_mapping({
+        "name": "ball", "coordinates": ["y"], "mass": [[1.0]], "contacts": [table],
+        "phases": [{"start": 0.0, "load": ["-1 - a"]}, {"start": 0.5, "load": ["-1 + a"]}],
+        "parameters": {"a": {"default": 1.112}, "R": {"default": 0.5}},
+    })  # fmt: skip
+    y, v = np.meshgrid(np.linspace(1.0, 3.0, 3), np.linspace(0.1, 4.0, 4))
+    found = solve_tile(ball, {"omega": 2.0, "y": y, "v": v}, Settings(tolerance=0.05, survival=2000))
+    chaotic = found["regime"] == CHAOTIC
+    assert chaotic.any() and np.all(found["largest"][chaotic] > 0.1)
+    assert NOT_RELAXED not in found["reason"]

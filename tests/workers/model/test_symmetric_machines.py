@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from mpmath import mp
 
+from atlas.query.machine import has_twins
 from tests.workers.model.test_systems import table
-from workers import System
+from workers import System, solve_tile
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
 from workers.kernel.period import mirror, propagate
 from workers.model.build import build
 from workers.model.oscillator import COLUMN, Machines, Oscillator, one_of
-from workers.results import NO_REASON
+from workers.results import NO_IMPACT, NO_REASON, PERIODIC
 
 
 def positive(rng: np.random.Generator, n: int, decades: float) -> np.ndarray:
@@ -136,3 +137,45 @@ def test_matrices_that_differ_by_more_than_rounding_stay_as_they_are() -> None:
     assert machines.stiffness[0, 0, 1] != machines.stiffness[0, 1, 0]
     values = {p.name: np.full(2, p.default) for p in system.parameters}
     assert system.build_many(values)[1].tolist() == [NO_REASON, NO_REASON]
+
+
+# Machines with modes
+
+LOADED = {
+    "name": "loaded", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.2]], "stiffness": [[1.0]], "force": [1.0],
+    "load": [3.0],
+}  # fmt: skip
+STOPS = {"gap": [1.0], "upper": 4.0, "lower": 2.0}
+
+
+def twins(system: System) -> bool:
+    return bool(has_twins(system, {p.name: p.default for p in system.parameters}, {"omega": np.ones(1)})[0])
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [
+        STOPS | {"restitution": 0.8},
+        {"contacts": [{"name": "stops", "restitution": 0.8, **STOPS},
+                      {"name": "far", "gap": [1.0], "upper": 30.0, "lower": -24.0, "stiffness": 1.0}]},
+        {"contacts": [{"name": "stops", "stiffness": 20.0, **STOPS}]},
+    ],
+    ids=["rigid", "with modes", "soft"],
+)  # fmt: skip
+def test_symmetry_counts_from_rest_in_all_kinds_of_machine(contacts: dict[str, Any]) -> None:
+    """Rest is at 3, midway between the stops; two motions strike both, and one strikes none."""
+    system = System.from_mapping(LOADED | contacts)
+    found = solve_tile(system, {"omega": np.array([1.0, 1.3, 2.0]), "x": 3.1})
+    assert found["regime"].tolist() == [PERIODIC, PERIODIC, NO_IMPACT]
+    assert found["symmetric"].all()
+    assert twins(system)
+    aside = System.from_mapping(LOADED | {"load": [3.0 + 1e-9]} | contacts)
+    assert not twins(aside)
+    assert not solve_tile(aside, {"omega": np.array([1.0, 1.3, 2.0]), "x": 3.1})["symmetric"].any()
+
+
+def test_a_free_mass_with_modes_is_symmetric_wherever_its_stops_are() -> None:
+    soft = [{"name": "stops", "gap": [1.0], "upper": 7.0, "lower": 6.0, "stiffness": 20.0}]
+    free = {key: value for key, value in LOADED.items() if key not in ("stiffness", "load")} | {"contacts": soft}
+    assert twins(System.from_mapping(free))
+    assert not twins(System.from_mapping(free | {"load": [0.1]}))

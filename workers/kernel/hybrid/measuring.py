@@ -15,7 +15,16 @@ from workers.kernel.flow import flow
 from workers.kernel.hybrid.motion import through_modes
 from workers.kernel.hybrid.notes import LEG, LEG_STATE
 from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
-from workers.kernel.hybrid.state import enter, leave, product, read_number, right_hand_side, turn_to, turned
+from workers.kernel.hybrid.state import (
+    enter,
+    leave,
+    product,
+    read_number,
+    reset,
+    right_hand_side,
+    turn_to,
+    turned,
+)
 from workers.kernel.jit import kernel
 from workers.kernel.lend import lend, row_in
 from workers.kernel.linalg import copy_into
@@ -121,13 +130,13 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
 
 
 @kernel
-def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, phase, omega, chatter):
+def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
     """Subtract the end of a chatter, from block state h (n, 2), from the time of contact c and of sticking friction.
 
     The mass flies in that time in mode ``before``, with another acceleration than in mode k. Integrated by Simpson's
-    rule.
+    rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which the rest begins.
     """
-    n = len(h)
+    n, along = len(h), elements.along
     reading.touching[c] -= chatter
     for e in range(len(slips)):
         if slips[e] == 0 and along[e, c] != 0.0:
@@ -145,6 +154,13 @@ def read_chatter(pieces, meter, reading, before, k, c, states, slips, along, h, 
                 there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
                 reading.first[m] += weight * (there - here)
                 reading.square[m] += weight * (there * there - here * here)
+        if node == 0:
+            reset(z, n, elements.row[c], elements.kick[c], -elements.R[c] * rate, 1.0)
+            right_hand_side(pieces, before, z, at, flying)
+        for m in range(len(meter.rows)):
+            if meter.orders[m] == ACCELERATION and meter.peaks[m] > 0.0:
+                there = product(meter.rows[m], flying, n)
+                reading.low[m], reading.high[m] = min(reading.low[m], there), max(reading.high[m], there)
 
 
 @kernel
@@ -224,8 +240,10 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally)
     if leg[LEG.chatter] != 0.0:
         at, chatter = int(leg[LEG.signal]) // SIGNALS, min(leg[LEG.chatter], s)
-        along = elements.along
-        read_chatter(pieces, meter, reading, before, k, at, states, slips, along, h, phase, table.omega, chatter)
+        rate = leg[LEG.rate]
+        read_chatter(
+            pieces, meter, reading, before, k, at, elements, states, slips, h, phase, table.omega, chatter, rate
+        )
     for m in range(len(meter.rows)):
         if meter.peaks[m] > 0.0:
             row, direct = output_row(pieces, k, meter.rows[m], meter.orders[m])
