@@ -133,11 +133,13 @@ def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch]
     wrong = _not_in_range(motion, k)
     if wrong is not None:
         return wrong
-    expected = (motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side) if event != NO_EVENT else (-1, 0)
-    last = k + 1 == len(motion.plan.legs)
-    if last and motion.itinerary.sides:  # it ends at the first event of the next turn
+    later = zip(motion.plan.legs[k + 1 :], motion.begins[0, k + 1 :].tolist(), strict=True)
+    expected = [
+        (leg.signal, leg.side) for (leg, _), begun in later if begun - end <= tolerance
+    ]  # of two at once either
+    if k + 1 == len(motion.plan.legs) and motion.itinerary.sides:  # it ends at the first event of the next turn
         first = motion.plan.legs[1][0] if motion.itinerary.sign > 0 else motion.plan.legs[1][0].mirrored
-        expected = first.signal, first.side
+        expected, event = [(first.signal, first.side)], motion.plan.legs[0][1]
     z, begun, since = motion.turn.states[0, k], np.array(leg.begun), 0.0
     if k and motion.plan.legs[k - 1][1] == lost and motion.plan.table[k - 1, ACT] == REBOUNDS:
         begun[leg.signal] = 2 * leg.side
@@ -150,7 +152,7 @@ def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch]
         touched = next(
             (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, here, period)), None
         )
-        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) == expected or expected[0] < 0)):
+        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) in expected or event == NO_EVENT)):
             return None
         if touched is None or not _turns_back(motion, touched, period):
             return Fault(CONTACT, time=here, signal=signal, side=side)
