@@ -5,6 +5,7 @@ Decided by the certified crossings of the kernel, leg by leg, without sampling.
 
 import math
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -133,10 +134,9 @@ def _of_leg(motion: OrbitMotion, k: int, period: float, touches: Sequence[Touch]
     wrong = _not_in_range(motion, k)
     if wrong is not None:
         return wrong
-    later = zip(motion.plan.legs[k + 1 :], motion.begins[0, k + 1 :].tolist(), strict=True)
-    expected = [
-        (leg.signal, leg.side) for (leg, _), begun in later if begun - end <= tolerance
-    ]  # of two at once either
+    # of several events at once any may be found first
+    at_once = takewhile(lambda j: motion.begins[0, j] - end <= tolerance, range(k + 1, len(motion.plan.legs)))
+    expected = [(motion.plan.legs[j][0].signal, motion.plan.legs[j][0].side) for j in at_once]
     if k + 1 == len(motion.plan.legs) and motion.itinerary.sides:  # it ends at the first event of the next turn
         first = motion.plan.legs[1][0] if motion.itinerary.sign > 0 else motion.plan.legs[1][0].mirrored
         expected, event = [(first.signal, first.side)], motion.plan.legs[0][1]

@@ -271,7 +271,11 @@ def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
     It fails as ``newton``, and where there is no oscillator.
     """
     try:
-        solved = newton(equations.residual, equations.with_jacobian, X[None], equations.scale[None], row)
+        forced = equations.motion(X).forced_sizes
+        sizes = np.pad(forced, [(0, 0), (0, len(X) - (row is not None) - forced.shape[1])])
+        solved = newton(
+            equations.residual, equations.with_jacobian, X[None], equations.scale[None], row, sizes=sizes
+        )  # fmt: skip
     except NoOscillatorError:
         return Solved(X, np.zeros((0, 0)), 0, False)
     return Solved(solved.X[0], solved.jacobian[0], solved.steps, bool(solved.converged[0]))

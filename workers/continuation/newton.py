@@ -19,10 +19,6 @@ BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
 
 UNCERTAIN = 1e-7
 """Step from which on a solution is not known, even if residuals are rounding: other orbits may be as near."""
-
-ALIKE = 0.3
-"""Share of the last step, or of the last residuals, from which on the next ones count as no smaller."""
-
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
 
@@ -45,6 +41,7 @@ def newton(
     scale: Array,
     row: Array | None = None,
     farthest: float = 1.0,
+    sizes: Array | None = None,
 ) -> Solved:
     """Newton's method from X (N, U).
 
@@ -52,13 +49,13 @@ def newton(
     scale (N, U)           of the unknowns
     row (U,)               a direction in which nothing changes, where there is one unknown more than equations
     farthest               first step from which on no solution is looked for: it would hardly be the one near X
+    sizes (N, E)           of terms of the residuals that no unknown tells, whose rounding they have
     A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
     below DONE, or where steps no longer shrink because steps or residuals are rounding. It fails where steps do
-    not shrink otherwise or stay UNCERTAIN, and at a singular matrix. Residuals are rounding where they are below
-    BACKWARD, or no longer shrink either: those of smooth equations do faster than steps, even where roots meet.
+    not shrink otherwise or stay UNCERTAIN, and at a singular matrix.
     """
     X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)
-    rows, step, left = np.arange(len(X)), 0, np.full(len(X), np.inf)
+    rows, step = np.arange(len(X)), 0
     known, J = with_jacobian(X, rows)
     while len(rows) and step < NEWTON_STEPS:
         step += 1
@@ -66,15 +63,14 @@ def newton(
         size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
         with np.errstate(all="ignore"):  # J may be infinite
             terms = np.vecdot(np.abs(J[rows]), np.abs(X[rows, None]))
-        off = np.max(np.abs(known), axis=1, initial=0.0)
-        exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) | (off > ALIKE * left[rows])
-        exact &= size < UNCERTAIN
+            terms = terms if sizes is None else terms + sizes[rows]
+        exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNCERTAIN)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]
         ratio = np.minimum(size / before if step > 1 else np.sqrt(size), 1.0)
-        stalled = (step > 1) & (size > ALIKE * before)
+        stalled = (step > 1) & (size > 0.3 * before)
         done = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (stalled & (exact | (good & (size < ROUNDING))))
-        converged[rows[done]], last[rows], left[rows] = True, size, off
+        converged[rows[done]], last[rows] = True, size
         on = good & ~done
         stale = (size > KEPT) & ((step == 1) | (size > 1e-2 * before))
         rows = rows[on]

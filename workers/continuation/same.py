@@ -58,8 +58,9 @@ def doubled(orbit: Orbit, span: float) -> Orbit:
 
 @cache
 def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
-    """The events of one orbit, counted on through the second half of a symmetric one, from which on its events and modes
-    are in the order of another itinerary. None where they are others; 0 where there is no event.
+    """The events of an orbit from which on its events and modes are in the order of another itinerary.
+
+    Events of the second half of a symmetric orbit are counted on. None where events differ; 0 where there are none.
     """
     if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
         return ()

@@ -36,6 +36,8 @@ class CurvePlane(OrbitRows):
     axes, x, y      the names of its axes, x first, and the values of both
     log             which of them is logarithmic
     speed (cells,)  the mean one of impacts, NaN where it has none
+    changes (cells, K)  what changes where orbits go on with other contacts or slides: whether it rests or sticks, and
+                    contacts at each stop; None where nothing is known of them
     """
 
     axes: tuple[str, str]
@@ -43,6 +45,7 @@ class CurvePlane(OrbitRows):
     y: Array
     log: tuple[bool, bool]
     speed: Array
+    changes: Cells | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -98,11 +101,14 @@ class CurvePlane(OrbitRows):
     @cached_property
     def regions(self) -> Cells:
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
-        orbit: regime, period, impacts, symmetry; 0 elsewhere.
+        orbit: regime, period, impacts, symmetry, contacts and slides; 0 elsewhere.
         """
         from atlas.query.connected import labelled  # not for every command: SciPy takes longer to load than all else
 
-        kinds = np.where(self.proven, self.kind + 1, 0).reshape(self.shape)
+        changes = np.zeros((len(self.kind), 0), dtype=np.int64) if self.changes is None else self.changes
+        own = np.column_stack([self.kind, changes])
+        kind = np.unique(own, axis=0, return_inverse=True)[1].ravel()
+        kinds = np.where(self.proven, kind + 1, 0).reshape(self.shape)
         return (
             labelled(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0].ravel().astype(np.int64)
         )
@@ -146,6 +152,7 @@ class CurvePlane(OrbitRows):
         names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        digest.update(b"" if self.changes is None else np.ascontiguousarray(self.changes).tobytes())
         return digest.hexdigest()
 
 
@@ -170,7 +177,10 @@ def plane_of(handle: Atlas) -> CurvePlane:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
-    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns_of(handle, needed).items()}
+    counts, shares = changes_of(system)
+    columns = columns_of(handle, list(dict.fromkeys((*needed, *counts, *shares))))
+    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns.items()}
+    changes = [leading[name] for name in counts] + [leading[name] > 0.0 for name in shares]
     x, y = spec.axes
     return CurvePlane(
         system=system,
@@ -180,5 +190,15 @@ def plane_of(handle: Atlas) -> CurvePlane:
         log=(x.scale == "log", y.scale == "log"),
         fixed={name: float(value) for name, value in spec.parameters.items()},
         speed=leading.pop(SPEED),
-        **leading,
+        changes=np.stack(changes, axis=1).astype(np.int64),
+        **{name: leading[name] for name in needed if name != SPEED},
     )
+
+
+def changes_of(system: System) -> tuple[list[str], list[str]]:
+    """The results that change where an orbit goes on with other contacts or slides: flags and counts of its contacts;
+    and shares of time that are 0 where its friction does not stick."""
+    own, definition = {variable.name for variable in system.own_variables}, system.definition
+    counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]
+    shares = [f"{friction.name}_stuck" for friction in definition.friction]
+    return ["sticks", *(name for name in counts if name in own)], [name for name in shares if name in own]

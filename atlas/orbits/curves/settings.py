@@ -8,7 +8,7 @@ from atlas.errors import InputError, shown
 from atlas.orbits.curves.plane import SMALL, CurvePlane
 from workers import SOLVER_VERSION
 
-VERSION = 4
+VERSION = 5
 """Of the search: raised whenever any curve may change."""
 
 

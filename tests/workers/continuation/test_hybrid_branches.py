@@ -195,7 +195,7 @@ def test_a_branch_whose_events_come_back_periods_later_is_closed() -> None:
 
 @pytest.mark.parametrize("first", [0, 1, 4])
 def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
-    """As a start is that has been recorded beyond changes of contacts; events from the third on are of the other half."""
+    """As a start that has been recorded beyond changes of contacts; events from the third on are of the other half."""
     family, orbit = pushed_by_damping()
     value, width = np.array([0.994272244]), np.array([2.2])
     equations = Extended(family, orbit, (), value, width)
@@ -220,8 +220,9 @@ def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
 
 @pytest.mark.slow
 def test_two_events_that_exchange_their_order_end_no_sticking() -> None:
-    """A belt under a mass with a soft stop: the stop opens and the sliding speed passes a vertex of the law, at one time
-    at u = .3817. The force that holds the mass is .257 of .9 there; the cycle goes on, as simulated motion has it.
+    """A belt under a mass with a soft stop: at u = .3817 the stop opens as the sliding speed passes a vertex of the law.
+
+    The force that holds the mass is .257 of .9 there; the cycle goes on, as simulated motion has it.
     """
     law = [[0.0, 0.5], [0.3, 0.25], [0.8, 0.2], [2.0, 0.5]]
     stop = {"name": "stop", "gap": [1.0], "upper": 0.7, "stiffness": 6.0, "damping": 0.2, "release": "force"}
