@@ -14,6 +14,7 @@ from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
 from atlas.store.store import Atlas
 from workers.model.parameter import TAU
+from workers.model.system import System
 from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 
 Cells = NDArray[np.int64]

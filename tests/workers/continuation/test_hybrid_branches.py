@@ -220,7 +220,7 @@ def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
 
 @pytest.mark.slow
 def test_two_events_that_exchange_their_order_end_no_sticking() -> None:
-    """A belt under a mass with a soft stop: at u = .3817 the stop opens as the sliding speed passes a vertex of the law.
+    """A belt under a mass with a soft stop: at u = .3817 the stop opens as the sliding speed passes a vertex.
 
     The force that holds the mass is .257 of .9 there; the cycle goes on, as simulated motion has it.
     """
