@@ -167,7 +167,7 @@ MAP_OVERLAYS = OVERLAYS[:4]
 CURVES = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
     "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
-    "vertex", "hopf", "border",
+    "vertex", "exchange", "hopf", "border",
     "codimension_two",
 )  # fmt: skip
 """Curves of a store that can be drawn alone: each kind, and the points of codimension two."""

@@ -169,6 +169,7 @@ LOOKS = {
     "grazing_sliding": EventLook("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
     "adding_sliding": EventLook("adding–sliding", "#642810", (0, (6, 4)), "h"),
     "vertex": EventLook("vertex of a law", "#8a1c7c", (0, (2, 1, 2, 3)), "8"),
+    "exchange": EventLook("exchange of two events", "#8a1c7c", (0, (4, 1, 2, 1)), "|"),
     "hopf": EventLook("Hopf", "#00785a", (0, (4, 1, 1, 3)), "*"),
     "border": EventLook("end of an equilibrium", "#000000", (0, (8, 3)), "H"),
 }

@@ -32,7 +32,10 @@ _CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
 _SYMMETRIES = (classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.ALONE)
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(classes.UNLISTED)}
 
-OF_A_COLOR = {"contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding", "vertex", "hopf", "border"}
+OF_A_COLOR = {
+    "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding", "vertex", "exchange", "hopf",
+    "border",
+}  # fmt: skip
 """Kinds of events with the colour of another: losses of some kind, and those of what sticks or slides."""
 PALETTES = {
     "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},

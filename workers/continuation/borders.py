@@ -1,5 +1,7 @@
 """Events on a step at which orbits cease: grazes, lost events, onset and end of stick."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from workers.continuation.admissible import CONTACT, LOST, ORDER, Fault, peak_of
@@ -13,7 +15,7 @@ from workers.continuation.events import (
     solution,
     solved_on,
 )
-from workers.continuation.extended import ENDS, GRAZE, ONSET, SPEED, Condition, conditions_on, time_shift
+from workers.continuation.extended import ENDS, GRAZE, MEETS, ONSET, SPEED, Condition, conditions_on, time_shift
 from workers.continuation.legs import ACT, SLOWS
 from workers.continuation.motion import OrbitMotion
 from workers.continuation.onward import asks_multipliers, is_smooth
@@ -74,11 +76,17 @@ def _of_fault(step: Step, X: Array, why: Fault) -> LocatedEvent | None:
 
 
 def _of_holding(step: Step, X: Array, motion: OrbitMotion, why: Fault) -> LocatedEvent | None:
-    """The point at which the force that would hold friction at an event equals its static level."""
-    if why.impact < 0 or why.signal < SIGNALS * motion.lin.elements.soft.shape[1]:
+    """The point at which the force that would hold friction at an event equals its static level; or at which any other
+    signal reaches its end at an event: the two exchange their order there.
+    """
+    if why.impact < 0:
         return None
+    friction = why.signal - SIGNALS * motion.lin.elements.soft.shape[1]
+    after = next(leg for (_, event), (leg, _) in pairwise(motion.plan.legs) if event == why.impact)
     turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.plan.turning)
-    condition = Condition(ONSET if turns else ENDS, side=why.side, impact=why.impact, signal=why.signal)
+    sticks = friction >= 0 and after.code.slips[friction] == 0
+    kind = ONSET if turns else ENDS if sticks else MEETS
+    condition = Condition(kind, side=why.side, impact=why.impact, signal=why.signal)
     return solved_on(step, X, (*step.equations.conditions, condition))
 
 

@@ -215,8 +215,7 @@ def _one_direction(
             steps += walk.newton_steps + beyond.newton_steps
             points += beyond.points
             end, seen, walk = "", beyond.seen, beyond.walk
-            if walk.equations.itinerary == begun.equations.itinerary:
-                walk.start = begun.start  # where it may close
+            walk.start = begun.start  # where it may close
     return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), steps + walk.newton_steps)
 
 
@@ -268,8 +267,8 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
         if not edge.converged:
             return _Passage(EDGE)
         there, end = edge.X, EDGE
-    elif walk.closes():
-        there, end = walk.start[0], CLOSED
+    elif (start := walk.closes()) is not None:
+        there, end = start, CLOSED
     after = monitored(eq, there)
     step, slid = Step(after.equations, here, there), not is_minimal(eq.motion(there))
     may_repeat = walk.length > SHORTEST * walk.longest
@@ -279,6 +278,8 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
         passage = _meeting(step) or _meeting(Step(eq, here, here)) or _Passage(SHORTER)
     else:
         passage = _meeting(step) or _passage(step, seen, after, end, until)
+    if passage.end == INADMISSIBLE and may_repeat:  # it may have slid onto another root of an event
+        return None
     accounted = _accounted_for(seen, passage)
     return accounted if may_repeat else accounted or passage
 

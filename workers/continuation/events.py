@@ -12,6 +12,7 @@ from workers.continuation.extended import (
     CUSP,
     ENDS,
     GRAZE,
+    MEETS,
     MINUS_ONE,
     ONSET,
     PAIR,
@@ -36,7 +37,7 @@ FOLD, SYMMETRY_BREAKING, PERIOD_DOUBLING, NEIMARK_SACKER = (
 )  # fmt: skip
 GRAZING, IMPACT_LOST, CONTACT_LOST = "graze", "impact_lost", "contact_lost"
 LOST = IMPACT_LOST, CONTACT_LOST
-STICK_ONSET, STICK_END, GRAZING_SLIDING = "stick_onset", "stick_end", "grazing_sliding"
+STICK_ONSET, STICK_END, GRAZING_SLIDING, EXCHANGE = "stick_onset", "stick_end", "grazing_sliding", "exchange"
 """Kinds of events with one condition."""
 
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
@@ -53,7 +54,7 @@ TRIES = 4
 """Halvings of a step that help to locate where a test function is zero."""
 
 
-BORDERS = (GRAZE, SPEED, ONSET, ENDS)
+BORDERS = (GRAZE, SPEED, ONSET, ENDS, MEETS)
 """Conditions of events at which an orbit ceases to be admissible."""
 
 
@@ -153,7 +154,7 @@ def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
     flip = SYMMETRY_BREAKING if symmetric else PERIOD_DOUBLING
     names = {
         UNIT: FOLD, MINUS_ONE: flip, PAIR: NEIMARK_SACKER, GRAZE: GRAZING, SPEED: IMPACT_LOST,
-        ONSET: STICK_ONSET, ENDS: STICK_END,
+        ONSET: STICK_ONSET, ENDS: STICK_END, MEETS: EXCHANGE,
     }  # fmt: skip
     if len(kinds) == 1:
         return names[kinds[0]]

@@ -39,12 +39,13 @@ REMEMBERED = 8
 SAME_EVENT = 1e-2
 """Share of a turn within which an event of an orbit is that of another one with other events too."""
 
-UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS = (
-    "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends",
+UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS, MEETS = (
+    "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends", "meets",
 )  # fmt: skip
 """Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
 time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
-hold friction where it turns round, or the force that holds it where it begins to stick, is its static level."""
+hold friction where it turns round, or the force that holds it where it begins to stick, is its static level; another
+signal reaches an end of its range at an event."""
 
 
 class Condition(NamedTuple):
@@ -68,7 +69,7 @@ def conditions_on(
     """
     kept, later = [], time_shift(orbit, former, span)
     for condition in conditions:
-        if condition.kind in (SPEED, ONSET, ENDS):
+        if condition.kind in (SPEED, ONSET, ENDS, MEETS):
             near, flips = _apart(orbit, former, span, later)
             if not np.any(near[:, condition.impact] < SAME_EVENT):
                 return None
@@ -207,7 +208,7 @@ class Extended:
             if condition.kind == GRAZE:
                 parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
                 graze += 1
-            elif condition.kind in (ONSET, ENDS):
+            elif condition.kind in (ONSET, ENDS, MEETS):
                 parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
             elif condition.kind == SPEED:
                 parts.append(motion.turn.signals[:, 1, condition.impact, None])
@@ -270,7 +271,11 @@ def solve(equations: Extended, X: Array, row: Array | None = None) -> Solved:
     It fails as ``newton``, and where there is no oscillator.
     """
     try:
-        solved = newton(equations.residual, equations.with_jacobian, X[None], equations.scale[None], row)
+        forced = equations.motion(X).forced_sizes
+        sizes = np.pad(forced, [(0, 0), (0, len(X) - (row is not None) - forced.shape[1])])
+        solved = newton(
+            equations.residual, equations.with_jacobian, X[None], equations.scale[None], row, sizes=sizes
+        )  # fmt: skip
     except NoOscillatorError:
         return Solved(X, np.zeros((0, 0)), 0, False)
     return Solved(solved.X[0], solved.jacobian[0], solved.steps, bool(solved.converged[0]))

@@ -224,6 +224,17 @@ class OrbitMotion:
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
+    @property
+    def forced_sizes(self) -> Array:
+        """The sizes (N, M) of the forced parts that are taken off states and guards and added again: they round.
+
+        Of light damping or a low frequency they are far larger than the motion.
+        """
+        own, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
+        blocks = np.abs(own.forced).sum(axis=(-2, -1)).reshape(*own.to_physical.shape[:-1], 1)
+        states = (np.abs(own.to_physical) @ blocks)[..., 0].max(axis=1)
+        return np.concatenate([states, np.abs(own.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
+
     def linearised(self, z: complex = 1) -> Table:
         """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
 

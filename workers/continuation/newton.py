@@ -19,7 +19,6 @@ BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
 
 UNCERTAIN = 1e-7
 """Step from which on a solution is not known, even if residuals are rounding: other orbits may be as near."""
-
 KEPT = 1e-4
 """Step after which the Jacobian is kept."""
 
@@ -42,6 +41,7 @@ def newton(
     scale: Array,
     row: Array | None = None,
     farthest: float = 1.0,
+    sizes: Array | None = None,
 ) -> Solved:
     """Newton's method from X (N, U).
 
@@ -49,6 +49,7 @@ def newton(
     scale (N, U)           of the unknowns
     row (U,)               a direction in which nothing changes, where there is one unknown more than equations
     farthest               first step from which on no solution is looked for: it would hardly be the one near X
+    sizes (N, E)           of terms of the residuals that no unknown tells, whose rounding they have
     A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
     below DONE, or where steps no longer shrink because steps or residuals are rounding. It fails where steps do
     not shrink otherwise or stay UNCERTAIN, and at a singular matrix.
@@ -62,6 +63,7 @@ def newton(
         size, before = np.max(np.abs(change), axis=1, initial=0.0), last[rows]
         with np.errstate(all="ignore"):  # J may be infinite
             terms = np.vecdot(np.abs(J[rows]), np.abs(X[rows, None]))
+            terms = terms if sizes is None else terms + sizes[rows]
         exact = np.all(np.abs(known) <= BACKWARD * terms, axis=1) & (size < UNCERTAIN)
         good = size < np.minimum(farthest, 2.0 * before)
         X[rows[good]] += (change * scale[rows])[good]

@@ -14,12 +14,21 @@ import numpy as np
 
 from workers.continuation.admissible import VERTEX
 from workers.continuation.equations import motion_of
-from workers.continuation.events import CONTACT_LOST, GRAZING, GRAZING_SLIDING, STICK_END, STICK_ONSET, Event
+from workers.continuation.events import (
+    CONTACT_LOST,
+    EXCHANGE,
+    GRAZING,
+    GRAZING_SLIDING,
+    STICK_END,
+    STICK_ONSET,
+    Event,
+)
 from workers.continuation.extended import MINUS_ONE, PAIR, UNIT, Condition, Extended, conditions_on, solve, time_shift
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.orbits import continued_to, known_states, many_of, states_at_sections
 from workers.continuation.oscillator import Family
 from workers.continuation.recording import halved, recorded
+from workers.continuation.same import beginnings
 from workers.continuation.stability import multipliers, pair_near
 from workers.continuation.walk import tangent_at
 from workers.model.family import NoOscillatorError
@@ -29,7 +38,7 @@ from workers.model.oscillator import Array
 
 LIFT_OFF = "lift_off"
 OF_CONTACTS = (GRAZING, CONTACT_LOST, LIFT_OFF)
-CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding", VERTEX)
+CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_sliding", VERTEX, EXCHANGE)
 """Kinds of events at which an orbit may continue with other contacts or slides."""
 
 OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)
@@ -232,15 +241,7 @@ def _solved(
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
     """Whether two itineraries have the same events and modes, whichever comes first."""
-    if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
-        return False
-    a, b = (_sequence(itinerary.twice if itinerary.symmetric else itinerary) for itinerary in (one, other))
-    return any(a == b[k:] + b[:k] for k in range(len(b)))
-
-
-def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
-    sides = itinerary.sides or (0,)
-    return [(side, tuple(leg.code for leg in legs)) for side, legs in zip(sides, itinerary.chains, strict=True)]
+    return bool(beginnings(one, other))
 
 
 def is_same_event(equations: Extended, one: Event, other: Event) -> bool:

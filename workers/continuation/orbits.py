@@ -77,8 +77,9 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
         return there.turn.residuals, there.linearised()
 
     solved = newton(
-        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST
-    )
+        lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST,
+        sizes=start.forced_sizes,
+    )  # fmt: skip
     after, converged = orbits.orbits.at_rows(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
     fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields

@@ -57,6 +57,32 @@ def doubled(orbit: Orbit, span: float) -> Orbit:
 
 
 @cache
+def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
+    """The events of an orbit from which on its events and modes are in the order of another itinerary.
+
+    Events of the second half of a symmetric orbit are counted on. None where events differ; 0 where there are none.
+    """
+    if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
+        return ()
+    whole, wanted = _sequence(one.twice if one.symmetric and one.sides else one), _sequence(other)
+    turned = ((k, whole[k:] + whole[:k]) for k in range(len(whole)))
+    return tuple(k for k, sequence in turned if sequence[: len(wanted)] == wanted)
+
+
+def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
+    sides = itinerary.sides or (0,)
+    return [(side, tuple(leg.code for leg in legs)) for side, legs in zip(sides, itinerary.chains, strict=True)]
+
+
+def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> Orbit:
+    """The same orbit, of turns of length ``span``, from one of its ``beginnings`` on, as one of that itinerary."""
+    turns, events = np.divmod(first + np.arange(len(orbit.times)), max(1, len(orbit.times)))
+    times = orbit.times[events] + turns * span
+    speeds = orbit.speeds[events] * np.where(turns % 2 == 0, 1.0, itinerary.sign)
+    return Orbit(itinerary, times - times[0] if itinerary.is_cycle else times, speeds, orbit.length)
+
+
+@cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
     """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
     sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()

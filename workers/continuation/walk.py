@@ -1,12 +1,14 @@
 """Pseudo-arclength continuation: from one solution of an extended system with one unknown too many to the next."""
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from workers.continuation.extended import Extended, solve
 from workers.continuation.newton import Solved
+from workers.continuation.same import beginnings, begun_with
 from workers.model.oscillator import Array
 
 TURN, MOST_TURN = 0.1, 0.35
@@ -19,17 +21,23 @@ LEAST = 1e-6
 """The shortest step, in units of the longest."""
 
 
+BESIDE, SAME = 0.1, 1e-6
+"""How far off a step, in its length, its curve may pass the start; and difference of solutions that are one, in units
+of the scale."""
+
+
 class PseudoArclength:
     """A place on a curve of solutions: unknowns X, unit tangent in units of the scale, length of the next step.
 
     ``advance`` goes one step on; ``back`` returns to where the last one began, so that a shorter one can be tried.
-    ``equations`` may be bordered anew between steps.
+    ``equations`` may be bordered anew between steps. ``start``: the equations and the unknowns where it may close.
     """
 
     def __init__(self, equations: Extended, X: Array, longest: float, direction: Array) -> None:
         self.equations, self.longest, self.length = equations, longest, 0.2 * longest
         _, J = equations.with_jacobian(X[None])
-        self.X, self.tangent = self.start = X, tangent_at(equations, J[0], direction / equations.scale)
+        self.X, self.tangent = X, tangent_at(equations, J[0], direction / equations.scale)
+        self.start = equations, X
         self.former: tuple[Array, Array, float] | None = None
         self.newton_steps = 0
 
@@ -62,13 +70,24 @@ class PseudoArclength:
         self.former = None
         self.length = 0.5 * length
 
-    def closes(self) -> bool:
-        """Whether the last step passed the start in the direction in which the walk left it."""
+    def closes(self) -> Array | None:
+        """The start as unknowns (N,) of these equations, if the last step passed it; None if not.
+
+        Its events may be whole periods later by now, or begin with another one of them: it is the same orbit.
+        """
         assert self.former is not None
-        start, leaving = self.start
-        before, after = ((X - start) / self.equations.scale for X in (self.former[0], self.X))
-        passes = float(before @ leaving) < 0.0 <= float(after @ leaving)
-        return passes and bool(max(np.linalg.norm(before), np.linalg.norm(after)) < 1.5 * self.longest)
+        eq, here, (of, start) = self.equations, self.former[0], self.start
+        if here is start or np.max(np.abs(eq.values(here) - of.values(start)) / eq.width) > 1.5 * self.longest:
+            return None
+        step = Step(eq, here, self.X)
+        chord = (self.X - here) / eq.scale
+        for there in _as_unknowns(of, start, eq, here):
+            share = float((there - here) / eq.scale @ chord) / float(chord @ chord)
+            if -BESIDE < share < 1.0 + BESIDE:
+                passed = step.solution(share)
+                if passed.converged and np.max(np.abs(passed.X - there) / eq.scale) < SAME:
+                    return there
+        return None
 
     def _predicted(self) -> Array:
         """The next solution as the tangent has it, or the cubic through the last two solutions and their tangents."""
@@ -89,6 +108,27 @@ def tangent_at(equations: Extended, jacobian: Array, direction: Array) -> Array:
     """The unit tangent of the solutions, in units of the scale, on the side of a direction in these units."""
     tangent = np.linalg.qr((jacobian * equations.scale).T, mode="complete")[0][:, -1]
     return np.asarray(tangent * np.copysign(1.0, tangent @ direction))
+
+
+def _as_unknowns(equations: Extended, X: Array, other: Extended, near: Array) -> Iterator[Array]:
+    """The solution X of equations as unknowns of other ones, near unknowns of these in time; from each event on from
+    which its events and modes are theirs."""
+    orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
+    lin, own, times = equations.model(values), other.itinerary, other.orbit(near).times
+    span, period = orbit.span(lin), 2.0 * math.pi / float(lin.omega[0])
+    whole = span * (2 if own.symmetric else 1)
+    for first in beginnings(orbit.itinerary, own):
+        there = begun_with(orbit, first, own, span)
+        later = 0.0
+        if own.is_cycle:  # times count from the first event
+            later = -float(orbit.times[first % len(times)] + first // len(times) * span)
+        elif len(times):
+            later = period * round(float(np.mean(times - there.times)) / period)
+            there = there._replace(times=there.times + later)
+        touched = contacts + later
+        touched = touched + whole * np.round((other.contacts(near) - touched) / whole)
+        unmoved = equations.itinerary == own and first == 0 and later == 0.0 and np.array_equal(touched, contacts)
+        yield X if unmoved else other.pack(there, touched, values)
 
 
 class Step(NamedTuple):

@@ -113,6 +113,8 @@ def _one_period(oscillators: Oscillator, table: Table, state: Array, number: int
 
     z, code, tally = oscillators.with_modes(followed, np.zeros(1, dtype=np.int64))
     known = legs[~np.isnan(legs[:, LEG.start])]
-    if tally[STATUS] != RUNNING or len(known) == RECORD:
+    if len(known) == RECORD:
+        raise ValueError(f"found {RECORD} events or more in one period of the motion, followed are orbits with fewer")
+    if tally[STATUS] != RUNNING:
         raise ValueError("the motion cannot be followed through one period of the force")
     return known, z, int(code[0]), float(WORK_OF_A_TRIAL - tally[WORK])

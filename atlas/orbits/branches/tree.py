@@ -41,7 +41,7 @@ LEAVES = ("symmetry_breaking", "period_doubling")
 
 GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
-    "vertex",
+    "vertex", "exchange",
 )  # fmt: skip
 """Kinds of events at which a branch may end, and one of orbits with other contacts or slides begin: through continuous
 ones the branch itself continues."""

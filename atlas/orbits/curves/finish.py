@@ -17,7 +17,8 @@ from atlas.orbits.curves.table import KINDS, Corner, Curve, Curves
 def finished(search: CurveSearch) -> Curves:
     """The curves of a search that has ended, and its report."""
     kept = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
-    curves = sorted((as_curve(curve) for curve in kept), key=_order)
+    model = search.orbits.family.model
+    curves = sorted((as_curve(curve, bool(model(curve.values).mirrored.all())) for curve in kept), key=_order)
     return Curves(search.plane.axes, tuple(curves), report_of(search, len(search.curves) - len(kept)))
 
 
@@ -53,11 +54,14 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
     }
 
 
-def as_curve(followed: Followed) -> Curve:
-    """A curve as it is kept: from the end with the lesser x, or y where that is the same."""
+def as_curve(followed: Followed, mirrored: bool) -> Curve:
+    """A curve as it is kept: from the end with the lesser x, or y where that is the same.
+
+    ``mirrored``: the mirror images of its orbits are orbits too, and the one with more impacts above stands for both.
+    """
     itinerary = followed.of.orbit.itinerary
     hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
-    if np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
+    if mirrored and np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
         hits = hits[:, ::-1]
     points, unstable, ends, corners = followed.values, followed.unstable, followed.ends, followed.corners
     if tuple(points[-1]) < tuple(points[0]):

@@ -12,7 +12,7 @@ from workers.continuation.admissible import VERTEX
 from workers.continuation.branches import EDGE, BranchRun, Until
 from workers.continuation.curves import loses_impact, without_impact
 from workers.continuation.equilibria import HOPF, OF_EQUILIBRIA, equilibria, is_equilibrium
-from workers.continuation.events import GRAZING, LOST
+from workers.continuation.events import EXCHANGE, GRAZING, LOST
 from workers.continuation.extended import PAIR, Extended, conditions_on, solve
 from workers.continuation.hopf import hopf_curve
 from workers.continuation.same import same_orbit
@@ -124,9 +124,9 @@ def _towards(
         run = equilibria(family, orbit, value, window, resolution=resolution).run
     else:
         run = branch(family, orbit, value, window, resolution=resolution, until=until)
-    events = []
+    events, ends = [], {id(point): end for point, end in zip((run.points[0], run.points[-1]), run.ends, strict=True)}
     for event in run.events if behind < end else run.events[::-1]:
-        if bounds_stability(event):
+        if bounds_stability(event) or (event.kind == EXCHANGE == ends.get(id(event.point))):
             values = here.copy()
             values[axis] = event.point.values[0]
             events.append(_located(event, values))
@@ -135,7 +135,7 @@ def _towards(
 
 def bounds_stability(event: Event) -> bool:
     """Whether an event of a branch is one where a stable orbit loses stability or ends."""
-    return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind != VERTEX
+    return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind not in (VERTEX, EXCHANGE)
 
 
 def _located(event: Event, values: Array) -> Located:

@@ -14,6 +14,7 @@ from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
 from atlas.store.store import Atlas
 from workers.model.parameter import TAU
+from workers.model.system import System
 from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 
 Cells = NDArray[np.int64]
@@ -26,8 +27,7 @@ JUMP, ALONE = 0.03, 3.0
 is more than both, the orbit may be another one of the same kind."""
 
 SPEED = "mean_impact_speed"
-STICKS = "sticks"
-NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED, STICKS)
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,7 +37,8 @@ class CurvePlane(OrbitRows):
     axes, x, y      the names of its axes, x first, and the values of both
     log             which of them is logarithmic
     speed (cells,)  the mean one of impacts, NaN where it has none
-    held (cells, K) whether the orbit sticks, and its counts at each contact, of which a stop may have several
+    changes (cells, K)  what changes where orbits go on with other contacts or slides: whether it rests or sticks, and
+                    contacts at each stop; None where nothing is known of them
     """
 
     axes: tuple[str, str]
@@ -45,16 +46,7 @@ class CurvePlane(OrbitRows):
     y: Array
     log: tuple[bool, bool]
     speed: Array
-    held: Cells
-
-    @cached_property
-    def kind(self) -> Cells:
-        """See OrbitRows. Orbits that differ in ``held`` are of two kinds.
-
-        A change at which nothing jumps lies between them: it ends no branch, but it bounds a region.
-        """
-        parts = np.concatenate([super().kind[:, None], self.held], axis=1)
-        return np.asarray(np.unique(parts, axis=0, return_inverse=True)[1].ravel())
+    changes: Cells | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -110,11 +102,14 @@ class CurvePlane(OrbitRows):
     @cached_property
     def regions(self) -> Cells:
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
-        orbit: regime, period, impacts, those of each contact, symmetry, sticking; 0 elsewhere.
+        orbit: regime, period, impacts, symmetry, contacts and slides; 0 elsewhere.
         """
         from atlas.query.connected import labelled  # not for every command: SciPy takes longer to load than all else
 
-        kinds = np.where(self.proven, self.kind + 1, 0).reshape(self.shape)
+        changes = np.zeros((len(self.kind), 0), dtype=np.int64) if self.changes is None else self.changes
+        own = np.column_stack([self.kind, changes])
+        kind = np.unique(own, axis=0, return_inverse=True)[1].ravel()
+        kinds = np.where(self.proven, kind + 1, 0).reshape(self.shape)
         return (
             labelled(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0].ravel().astype(np.int64)
         )
@@ -155,9 +150,10 @@ class CurvePlane(OrbitRows):
     def digest(self) -> str:
         """Of all that curves depend on: cells, axes, system and fixed parameters."""
         digest = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
-        names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "held", "state")
+        names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        digest.update(b"" if self.changes is None else np.ascontiguousarray(self.changes).tobytes())
         return digest.hexdigest()
 
 
@@ -182,9 +178,10 @@ def plane_of(handle: Atlas) -> CurvePlane:
             raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
-    counts = [variable.name for variable in system.own_variables if variable.endless]
-    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns_of(handle, (*needed, *counts)).items()}
-    held = np.stack([leading.pop(name) for name in (STICKS, *counts)], axis=1).astype(np.int64)
+    counts, shares = changes_of(system)
+    columns = columns_of(handle, list(dict.fromkeys((*needed, *counts, *shares))))
+    leading: dict[str, Any] = {name: values[:, 0] for name, values in columns.items()}
+    changes = [leading[name] for name in counts] + [leading[name] > 0.0 for name in shares]
     x, y = spec.axes
     return CurvePlane(
         system=system,
@@ -194,6 +191,15 @@ def plane_of(handle: Atlas) -> CurvePlane:
         log=(x.scale == "log", y.scale == "log"),
         fixed={name: float(value) for name, value in spec.parameters.items()},
         speed=leading.pop(SPEED),
-        held=held,
-        **leading,
+        changes=np.stack(changes, axis=1).astype(np.int64),
+        **{name: leading[name] for name in needed if name != SPEED},
     )
+
+
+def changes_of(system: System) -> tuple[list[str], list[str]]:
+    """The results that change where an orbit goes on with other contacts or slides: flags and counts of its contacts;
+    and shares of time that are 0 where its friction does not stick."""
+    own, definition = {variable.name for variable in system.own_variables}, system.definition
+    counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]
+    shares = [f"{friction.name}_stuck" for friction in definition.friction]
+    return ["sticks", *(name for name in counts if name in own)], [name for name in shares if name in own]

@@ -18,7 +18,7 @@ VERSION = 1
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
-    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "hopf",
+    "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "exchange", "hopf",
 )  # fmt: skip
 """Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is kept."""
 

@@ -2,15 +2,18 @@
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from distributed import Client
 
 import atlas
 from atlas.orbits.branches.table import Branches
 from atlas.orbits.curves import following
+from atlas.orbits.curves.asking import curves_of
 from atlas.orbits.curves.cells import PERSISTS
 from atlas.orbits.curves.chords import passes
 from atlas.orbits.curves.finish import finished
@@ -68,7 +71,7 @@ def test_an_event_whose_curve_has_one_point_alone_is_told_in_words(monkeypatch: 
     assert found == "the grazing sliding is alone: no step along its curve converges"
 
 
-def plane_of_two_regions(periods: tuple[int, int] = (1, 2), held: tuple[int, int] = (0, 0)) -> CurvePlane:
+def plane_of_two_regions(periods: tuple[int, int] = (1, 2), changes: tuple[int, int] = (0, 0)) -> CurvePlane:
     """Six by six cells, of one period at the left and another at the right: six edges between them."""
     x, y, cells = np.linspace(1.0, 2.0, 6), np.linspace(0.4, 0.9, 6), 36
     left = np.arange(cells) % 6 < 3
@@ -76,16 +79,16 @@ def plane_of_two_regions(periods: tuple[int, int] = (1, 2), held: tuple[int, int
     return CurvePlane(
         system=STICK_SLIP, axes=("omega", "u"), x=x, y=y, log=(False, False), fixed={}, regime=np.full(cells, PERIODIC),
         period=period, impacts_upper=none, impacts_lower=none, symmetric=np.zeros(cells, dtype=np.bool_),
-        speed=np.full(cells, np.nan), state=np.zeros((cells, 2)), held=np.where(left, *held)[:, None],
+        speed=np.full(cells, np.nan), state=np.zeros((cells, 2)), changes=np.where(left, *changes)[:, None],
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("held", "edges"), [((0, 0), 0), ((0, 1), 6), ((3, 4), 6)])
+@pytest.mark.parametrize(("changes", "edges"), [((0, 0), 0), ((0, 1), 6), ((3, 4), 6)])
 def test_cells_of_one_orbit_that_stick_or_not_have_a_border_and_so_have_other_counts_at_a_contact(
-    held: tuple[int, int], edges: int
+    changes: tuple[int, int], edges: int
 ) -> None:
     """Nothing jumps there, and the branch goes on: without a border none would look for its curve."""
-    assert len(plane_of_two_regions((1, 1), held).edges) == edges
+    assert len(plane_of_two_regions((1, 1), changes).edges) == edges
 
 
 def sliding(omega: list[float], force: list[float], **given: float) -> atlas.Spec:
@@ -101,7 +104,7 @@ def test_a_store_tells_the_search_which_cells_stick(solved_once: Callable[[atlas
     """Below the line of Den Hartog the mass stops, above it does not."""
     force = least_force(0.8)
     plane = plane_of(open_handle(solved_once(sliding([0.8, 0.805], [0.9 * force, 1.1 * force], s=1.0, zeta=0.0))))
-    assert plane.held[:, 0].tolist() == [1, 1, 0, 0]
+    assert plane.changes[:, 0].tolist() == [1, 1, 0, 0]
     assert plane.edges.tolist() == [[0, 2], [1, 3]]
 
 
@@ -150,3 +153,50 @@ def test_an_orbit_that_goes_on_beyond_a_border_makes_it_one_of_basins() -> None:
     assert finished(search).report["edges"]["regions"] == {
         "all": 6, "curve": 0, "basins": 6, "unexplained": 0, "not_tried": 0,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("changed", [0, 1])
+def test_cells_that_stick_and_cells_that_do_not_are_two_regions_though_all_else_is_alike(changed: int) -> None:
+    """The left three columns stick, or have another contact: six edges, and none without such a change."""
+    plane, cells = plane_of_two_regions(), np.arange(36)
+    alike = replace(plane, period=np.ones(36, dtype=np.int64), changes=np.zeros((36, 2), dtype=np.int64))
+    assert len(alike.edges) == 0
+    changes = np.zeros((36, 2), dtype=np.int64)
+    changes[cells % 6 < 3, changed] = 1
+    parted = replace(alike, changes=changes)
+    assert len(parted.edges) == 6
+    assert len({plane.digest, alike.digest, parted.digest}) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("omega", "A", "kind"), [
+    (0.990514757, 1.316622742, "stick_onset"), (0.826138815, 1.314929928, "stick_end"),
+])  # fmt: skip
+def test_a_branch_has_the_end_of_sticking_where_the_curve_must_pass(omega: float, A: float, kind: str) -> None:
+    """Truth: points that a search found when branches ended there; the branch now continues through the event.
+
+    It starts below: of the first point where the mass does not stick, of the second where it does.
+    """
+    window = (omega - 0.002, omega + 0.002)
+    found = atlas.branch({"omega": omega - 1e-3, "A": A}, along="omega", window=window, system="friction-oscillator")
+    assert found.events.kind.tolist() == [kind]
+    assert found.events.omega.tolist() == [pytest.approx(omega, abs=2e-9)]
+    assert found.branches.last_end.tolist() == ["edge"]
+
+
+@pytest.mark.slow
+def test_the_border_of_sticking_has_its_curve_though_branches_continue_through_it(
+    tmp_path: Path, client: Client
+) -> None:
+    axes = {"omega": {"start": 0.6, "stop": 1.1, "num": 5}, "A": {"start": 1.05, "stop": 2.05, "num": 5}}
+    atlas.run(atlas.Spec("friction-oscillator", axes), tmp_path / "stick.zarr", client=client)
+    atlas.find_curves(tmp_path / "stick.zarr", client=client)
+    curves = curves_of(atlas.open(tmp_path / "stick.zarr"))
+    edges = curves.report["edges"]["regions"]
+    assert (edges["all"], edges["curve"]) == (9, 9)
+    (ends,) = curves.of_kind("stick_end")
+    assert ends.ends == ("edge", "edge")
+    for at in ((0.990514757, 1.316622742), (0.826138815, 1.314929928), (0.646426019, 1.929849689)):
+        assert np.min(np.hypot(*(ends.points - at).T)) < 0.01  # its points are up to .02 apart
+    (onset,) = curves.of_kind("adding_sliding")
+    assert onset.points[:, 1] == pytest.approx(1.2, abs=1e-12)  # an amplitude of static friction moves the mass

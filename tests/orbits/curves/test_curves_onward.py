@@ -249,7 +249,7 @@ def test_an_end_at_which_the_orbit_becomes_another_one_counts_as_its_neighbour(d
 
 
 def test_a_curve_has_the_impacts_of_each_of_its_points(followed: Followed) -> None:
-    made = as_curve(followed)
+    made = as_curve(followed, mirrored=False)
     assert made.label == "2-2-0, 2-1-0"
     assert len(made.impacts_upper) == len(made.points)
     assert [corner.kind for corner in made.corners] == ["graze_period_doubling"] * 2

@@ -261,7 +261,8 @@ def exact_ball(kind: str, label: str, symmetric: bool) -> Any:
         "fold": fold,
         "period_doubling": lambda R: math.hypot(fold(R), 2.0 * (1.0 + R**2) / (1.0 + R) ** 2),
     }.get(kind)
-    return None if label != "1-1-0" or gamma is None else lambda R: math.sqrt(gamma(R) / 1.2)
+    # the table is its lower stop, and no motion of a ball has a mirror image
+    return None if label != "1-0-1" or gamma is None else lambda R: math.sqrt(gamma(R) / 1.2)
 
 
 def exact_pair(kind: str, label: str, symmetric: bool) -> Any:

@@ -11,11 +11,15 @@ import xarray as xr
 
 from atlas.errors import ChunkError, InputError
 from atlas.orbits.curves.export import export
+from atlas.orbits.curves.finish import as_curve
+from atlas.orbits.curves.following import Followed, Located
 from atlas.orbits.curves.table import Corner, Curve, Curves, read_curves, write_curves
 from atlas.spec.spec import Spec
 from atlas.store.making import create
 from atlas.store.store import Atlas
 from tests.curve_planes import same
+from workers.continuation import Condition, Itinerary, Orbit
+from workers.continuation.extended import UNIT
 
 FOLD = Curve(
     kind="fold",
@@ -122,3 +126,17 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"possible: \.csv, \.json"):
         export(BOTH, tmp_path / name)
     assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize(("mirrored", "label"), [(False, "1-0-1"), (True, "1-1-0")])
+def test_a_curve_counts_impacts_at_the_stop_where_they_are_unless_the_mirror_image_is_an_orbit_too(
+    mirrored: bool, label: str
+) -> None:
+    orbit = Orbit(Itinerary((-1,), 1), np.array([0.5]), np.array([-2.0]))
+    values, none = np.array([[0.8, 0.3], [0.9, 0.4]]), np.zeros(0)
+    followed = Followed(
+        of=Located("fold", Condition(UNIT), orbit, none, values[0], np.nan), values=values, orbits=[orbit, orbit],
+        contacts=np.zeros((2, 0)), conditions=[Condition(UNIT)] * 2, unstable=np.zeros(2, dtype=np.int64), corners=[],
+        ends=("edge", "edge"),
+    )  # fmt: skip
+    assert as_curve(followed, mirrored).label == label

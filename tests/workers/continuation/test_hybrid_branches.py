@@ -9,7 +9,10 @@ import pytest
 
 import atlas
 from tests.paths import DATA
-from workers.continuation import BranchRun, branch, family_of, orbit_from_state
+from workers.continuation import BranchRun, Family, Itinerary, Orbit, branch, family_of, orbit_from_state
+from workers.continuation.extended import Extended
+from workers.continuation.same import begun_with, distance
+from workers.continuation.walk import PseudoArclength
 from workers.model.system import System
 
 RECORDS = {
@@ -165,3 +168,78 @@ def test_an_orbit_of_two_periods_loses_its_only_impact_where_the_linear_answer_g
     K = np.array([[2.0, -1.0], [-1.0, 1.0]])
     answer = np.linalg.solve((1.0 + 2j * zeta * w) * K - w**2 * np.eye(2), [0.5, 0.5])
     assert found.events.b2.iloc[-1] == pytest.approx(abs(answer[1]), abs=1e-12)
+
+
+def pushed_by_damping() -> tuple[Family, Orbit]:
+    """x'' - .2 x' + f(x') + x = .1 cos omega t, f from 0 at speed 1 to .8 at 2, and its orbit at omega = .994272244."""
+    law = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.8]]
+    system = machine(damping=[[-0.2]], friction=[{"name": "ground", "row": [1.0], "law": law}])
+    values = {"A": 0.1, "omega": 0.994272244}
+    state = np.asarray(atlas.point(values, system=system)["state"])
+    orbit = orbit_from_state(system, values, state, 1, symmetric=True)
+    return family_of(system, {"A": 0.1}, ("omega",)), orbit
+
+
+def test_a_branch_whose_events_come_back_periods_later_is_closed() -> None:
+    family, orbit = pushed_by_damping()
+    found = branch(family, orbit, 0.994272244, (0.3, 2.5), resolution=0.1, budget=200)
+    assert found.ends == ("closed", "closed")
+    assert sorted(places(found, "fold")) == pytest.approx([0.962938714011, 1.02700475495], abs=1e-11)
+    first, last = found.points[0], found.points[-1]
+    shift, period = last.orbit.times - first.orbit.times, 2.0 * math.pi / 0.994272244
+    assert shift == pytest.approx([round(shift[0] / period) * period] * 3, abs=1e-9)
+    assert round(shift[0] / period) != 0
+    # a closed walk visits no place twice
+    assert sum(abs(point.values[0] - 0.994272244) < 1e-9 for point in found.points) == 2
+
+
+@pytest.mark.parametrize("first", [0, 1, 4])
+def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
+    """As a start that has been recorded beyond changes of contacts; events from the third on are of the other half."""
+    family, orbit = pushed_by_damping()
+    value, width = np.array([0.994272244]), np.array([2.2])
+    equations = Extended(family, orbit, (), value, width)
+    walk = PseudoArclength(equations, equations.pack(orbit, np.zeros(0), value), 0.2, np.eye(6)[5])
+    (sides, periods, _, legs), whole = orbit.itinerary, orbit.itinerary.twice
+    turned = Itinerary(
+        tuple((2 * whole.sides)[first : first + len(sides)]), periods, True,
+        tuple((2 * whole.legs)[first : first + len(legs)]),
+    )  # fmt: skip
+    other = begun_with(orbit, first, turned, orbit.span(equations.model(value)))
+    told = Extended(family, other, (), value, width)
+    walk.start = told, told.pack(other, np.zeros(0), value)
+    steps, closed = 0, None
+    while closed is None and steps < 100:
+        assert walk.advance()
+        closed, steps = (walk.closes() if steps else None), steps + 1
+    assert closed is not None
+    assert equations.values(closed) == pytest.approx(value, abs=1e-12)
+    assert distance(equations.orbit(closed), orbit, 0.994272244) < 1e-9
+    assert 10 < steps < 60
+
+
+@pytest.mark.slow
+def test_two_events_that_exchange_their_order_end_no_sticking() -> None:
+    """A belt under a mass with a soft stop: at u = .3817 the stop opens as the sliding speed passes a vertex.
+
+    The force that holds the mass is .257 of .9 there; the cycle goes on, as simulated motion has it.
+    """
+    law = [[0.0, 0.5], [0.3, 0.25], [0.8, 0.2], [2.0, 0.5]]
+    stop = {"name": "stop", "gap": [1.0], "upper": 0.7, "stiffness": 6.0, "damping": 0.2, "release": "force"}
+    system = System.from_mapping({
+        "name": "belt", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.03]], "stiffness": [[1.0]],
+        "friction": [{"name": "belt", "row": [1.0], "law": law, "static": 0.9, "belt": "u"}], "contacts": [stop],
+        "parameters": {"u": {"default": 0.376}},
+    })  # fmt: skip
+    found = atlas.branch({"x": 0.3}, along="u", window=(0.376, 0.386), system=system)
+    assert found.branches.last_end.tolist() == ["edge"]
+    (event,) = found.events.to_dict("records")
+    assert (event["kind"], event["u"]) == ("exchange", pytest.approx(0.381704884, abs=1e-9))
+    before, after = (
+        atlas.point({"x": 0.3, "u": event["u"] + off}, system=system)["cycle_period"] for off in (-1e-5, 1e-5)
+    )
+    along = found.points[["u", "cycle_period"]].to_numpy()
+    assert before > event["cycle_period"] > after
+    for off, period in ((-1e-5, before), (1e-5, after)):
+        near = np.interp(event["u"] + off, along[:, 0], along[:, 1])
+        assert near == pytest.approx(period, abs=1e-6)

@@ -1,10 +1,13 @@
 """Orbits from cells: proven periodic cells of the solver against the equations, and back to section states."""
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
+import atlas
 from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
@@ -13,7 +16,7 @@ from workers.continuation.equations import motion_of
 from workers.continuation.itinerary import many_orbits
 from workers.continuation.same import is_minimal
 from workers.continuation.stability import multipliers
-from workers.model.system import find_system
+from workers.model.system import System, find_system
 from workers.results import PERIODIC
 
 TWO_MASS = find_system("two-mass")
@@ -95,3 +98,39 @@ def test_an_orbit_of_no_periods_is_refused_in_one_line(name: str) -> None:
     system = find_system(name)
     with pytest.raises(ValueError, match=r"^periods: found 0, an orbit takes 1 or more$"):
         orbit_from_state(system, {}, np.zeros(len(system.states)), 0)
+
+
+def lifted(R: float) -> System:
+    """x'' + .5 x' = 1.02 sin .002 t - 1 above a stop at 0: one flight a period, and hops until it rests."""
+    return System.from_mapping({
+        "name": "lifted", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.5]], "force": [1.02], "load": [-1.0],
+        "contacts": [{"name": "stop", "gap": [1.0], "lower": 0.0, "restitution": R}],
+        "parameters": {"omega": {"default": 0.002}},
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(("R", "hops"), [(0.96, 150), (0.99, 450)])
+def test_an_orbit_of_hundreds_of_hops_is_found_though_the_last_ones_are_near_rounding(R: float, hops: int) -> None:
+    """Truth: it leaves where the force equals the load; then the closed form of one flight, whose end is a root."""
+    orbit = orbit_from_state(lifted(R), {}, np.zeros(2), 1)
+    c, a, omega, t0 = 0.5, 1.02, 0.002, math.asin(1.0 / 1.02) / 0.002
+
+    def forced(t: float) -> tuple[float, float]:
+        """A particular solution and its velocity."""
+        scale, sin, cos = a / (c * c + omega * omega), math.sin(omega * t), math.cos(omega * t)
+        return -t / c - scale * (c * cos / omega + sin), -1.0 / c + scale * (c * sin - omega * cos)
+
+    def height(t: float) -> float:
+        (x0, v0), (x, _), s = forced(t0), forced(t), t - t0
+        return x - x0 + v0 * math.expm1(-c * s) / c
+
+    landing = brentq(height, t0 + 100.0, t0 + 500.0, xtol=1e-12)
+    assert orbit.times[:2] == pytest.approx([t0, landing], abs=1e-7)
+    assert len(orbit.times) > hops
+
+
+def test_an_orbit_with_more_events_than_are_followed_is_refused_with_their_number() -> None:
+    cell = atlas.point({}, system=lifted(0.995))
+    assert cell["regime"] == "periodic"
+    with pytest.raises(ValueError, match="found 512 events or more in one period of the motion, followed are orbits"):
+        orbit_from_state(lifted(0.995), {}, np.array(cell["state"]), 1)
