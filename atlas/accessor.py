@@ -12,20 +12,20 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell
-from atlas.orbits.branches.table import Branches
-from atlas.orbits.curves import asking
-from atlas.query import connected
+from atlas.orbits.branches.table import BranchTable
+from atlas.orbits.curves import queries
+from atlas.query import connected_regions
 from atlas.query import queries as query
-from atlas.query.attractors import leading
+from atlas.query.attractors import select_dominant
 from atlas.query.basins import basins
-from atlas.query.cell import solved_cell
+from atlas.query.cell import read_cell_spec
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
 from atlas.query.window import Window, axis_names
 from atlas.render import check_path, figure, portrait
-from atlas.render.options import MapLook, PageOptions, ScaleOptions, split_look, takes
+from atlas.render.options import AtlasFigureOptions, FigureOptions, ScaleOptions, accepts_options, split_look
 from atlas.spec.spec import given_values
 from atlas.spec.system import stored_name
 
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
 
-    from atlas.explore.session import Exploration
+    from atlas.explore.session import ExplorerSession
 
 
-class DrawnComparison(Comparison):
+class PlottableComparison(Comparison):
     """A comparison that can draw itself."""
 
-    @takes(ScaleOptions)
+    @accepts_options(ScaleOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[ScaleOptions]) -> "Figure":
         """A matplotlib Figure of both maps: differences of exponents, and cells whose regimes differ.
 
@@ -50,11 +50,11 @@ class DrawnComparison(Comparison):
         return drawn
 
 
-class DrawnBranches(Branches):
+class PlottableBranches(BranchTable):
     """Branches that can draw themselves."""
 
-    @takes(PageOptions)
-    def plot(self, path: str | Path | None = None, **look: Unpack[PageOptions]) -> "Figure":
+    @accepts_options(FigureOptions)
+    def plot(self, path: str | Path | None = None, **look: Unpack[FigureOptions]) -> "Figure":
         """A matplotlib Figure of section values over the parameter, stable parts solid and unstable ones dashed.
 
         Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
@@ -80,7 +80,7 @@ class AtlasAccessor:
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
-        self._whole, self._ds = ds, leading(ds)
+        self._whole, self._ds = ds, select_dominant(ds)
 
     def __repr__(self) -> str:
         cells = " x ".join(f"{self._ds.sizes[name]} {name}" for name in axis_names(self._ds))
@@ -133,13 +133,13 @@ class AtlasAccessor:
         A row each, the largest first: its centre, its cell and its box in columns such as ``centre_omega``,
         ``cell_omega``, ``omega_from`` and ``omega_to``. See ``connected.regions``.
         """
-        return _table(map(connected.flat, connected.regions(self._ds, by, value, window, min_cells)))
+        return _table(map(connected_regions.flat, connected_regions.regions(self._ds, by, value, window, min_cells)))
 
     def labels(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> xr.DataArray:
         """The label of the region that each cell belongs to, 0 for none. See ``connected.labels``."""
-        return connected.labels(self._ds, by, value, window, min_cells)
+        return connected_regions.labels(self._ds, by, value, window, min_cells)
 
     def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
         """The attractors of a plane of initial states: shares, entropy and dimension. See ``basins.basins``."""
@@ -158,9 +158,9 @@ class AtlasAccessor:
     def curves(self, kind: str | None = None) -> "pd.DataFrame":
         """The curves that ``atlas find curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
 
-        See ``atlas.orbits.curves.asking.frame``.
+        See ``atlas.orbits.curves.queries.frame``.
         """
-        return asking.frame(asking.curves_of(self._ds), kind)
+        return queries.frame(queries.curves_of(self._ds), kind)
 
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
@@ -174,12 +174,12 @@ class AtlasAccessor:
 
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 
-    def compare(self, other: xr.Dataset, window: Window | None = None) -> DrawnComparison:
+    def compare(self, other: xr.Dataset, window: Window | None = None) -> PlottableComparison:
         """This atlas compared with another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
 
         See ``compare.Comparison``.
         """
-        return DrawnComparison.of(self._ds, leading(other), window)
+        return PlottableComparison.of(self._ds, select_dominant(other), window)
 
     def branch(
         self,
@@ -189,10 +189,10 @@ class AtlasAccessor:
         along: str,
         window: tuple[float, float],
         switch_branches: bool = False,
-        budget: int = MOST,
+        budget: int = MAX_BRANCHES,
         observe: str | None = None,
         **point: float,
-    ) -> DrawnBranches:
+    ) -> PlottableBranches:
         """The branch of the orbit of the cell nearest to a point.
 
         ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See
@@ -200,9 +200,9 @@ class AtlasAccessor:
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
         observable = observed_of(seed, observe)
-        return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
+        return PlottableBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
 
-    @takes(ScaleOptions)
+    @accepts_options(ScaleOptions)
     def beside(
         self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[ScaleOptions]
     ) -> "Figure":
@@ -213,8 +213,8 @@ class AtlasAccessor:
         drawn: Figure = figure([self._ds, *others], kind, window, **look)
         return drawn
 
-    @takes(MapLook)
-    def plot(self, kind: str | None = None, window: Window | None = None, **options: Unpack[MapLook]) -> Any:
+    @accepts_options(AtlasFigureOptions)
+    def plot(self, kind: str | None = None, window: Window | None = None, **options: Unpack[AtlasFigureOptions]) -> Any:
         """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
 
         ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
@@ -234,7 +234,7 @@ class AtlasAccessor:
         folder: Path | None = None,
         port: int = 0,
         host: str = "127.0.0.1",
-    ) -> "Exploration":
+    ) -> "ExplorerSession":
         """A page that shows this atlas anywhere, at any depth; a notebook shows it in place, ``stop()`` ends it.
 
         Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
@@ -261,7 +261,7 @@ class AtlasAccessor:
 
         return write_page(self._whole, path)
 
-    @takes(PageOptions, others=True)
+    @accepts_options(FigureOptions, others=True)
     def portrait(
         self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
     ) -> "Figure":
@@ -274,9 +274,9 @@ class AtlasAccessor:
         look, named = split_look(point)
         for name in named:
             if name not in self._ds.coords:
-                possible = ", ".join([*axis_names(self._ds), "path", *PageOptions.__annotations__])
+                possible = ", ".join([*axis_names(self._ds), "path", *FigureOptions.__annotations__])
                 raise InputError(f"unknown option {name!r}; possible: {possible}")
         if path is not None:
             check_path(path)
-        cell = solved_cell(self._ds, given_values(given, named))
+        cell = read_cell_spec(self._ds, given_values(given, named))
         return portrait(cell.parameters, system=cell.system, settings=cell.settings, path=path, **look)

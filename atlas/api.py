@@ -4,35 +4,35 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas import errors
-from atlas.arguments import checked_flag, checked_kind
+from atlas.argument_checks import validate_flag, validate_type
 from atlas.cell.point import point
 from atlas.check.verify import verify
-from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_point
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.query.open import Chunks, open_atlas
 from atlas.render import portrait
 from atlas.robustness.attractors import attractors
-from atlas.robustness.one_cell import stability
+from atlas.robustness.cell_stability import stability
 from atlas.robustness.saddles import saddles
 from atlas.service.extend import extend
 from atlas.service.options import RunOptions
 from atlas.service.pack import pack
 from atlas.service.plan import Plan, make_plan
-from atlas.service.probe import probed
+from atlas.service.probe import add_probe
 from atlas.service.retry import retry
 from atlas.service.run import run
-from atlas.service.status import Status, read_status
+from atlas.service.status import StoreStatus, read_status
 from atlas.spec.spec import Spec, given_values
-from atlas.store.location import Given
-from atlas.store.store import open_handle
+from atlas.store.object_backend import Given
+from atlas.store.store import open_store
 from workers import Settings
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
     import xarray
 
-    from atlas.accessor import DrawnBranches
+    from atlas.accessor import PlottableBranches
 
 __all__ = [
     "CurveSettings",
@@ -86,13 +86,13 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     >>> found.tiling.cells, found.tiling.count
     (48, 4)
     """
-    checked_flag("probe", probe)
-    checked_kind("spec", spec, Spec, "an atlas.Spec")
+    validate_flag("probe", probe)
+    validate_type("spec", spec, Spec, "an atlas.Spec")
     made = make_plan(spec, RunOptions(workers=workers).workers)
-    return probed(made, lambda progress: None) if probe else made
+    return add_probe(made, lambda progress: None) if probe else made
 
 
-def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> Status:
+def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> StoreStatus:
     """The progress of a store: finished tiles and cells, regimes, and the run on it. Arguments as of ``open``.
 
     Raises atlas.errors.InputError where the store is not an atlas.
@@ -101,7 +101,7 @@ def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> St
     >>> atlas.status("plane.zarr").fraction
     1.0
     """
-    return read_status(open_handle(store, storage_options))
+    return read_status(open_store(store, storage_options))
 
 
 def branch(
@@ -113,10 +113,10 @@ def branch(
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
     switch_branches: bool = False,
-    budget: int = MOST,
+    budget: int = MAX_BRANCHES,
     observe: str | None = None,
     **named: Any,
-) -> "DrawnBranches":
+) -> "PlottableBranches":
     """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
 
     ``omega=4.0`` or a mapping gives parameters other than the defaults; the cell is solved first. The orbit, as the
@@ -136,8 +136,8 @@ def branch(
     >>> [(kind, round(b, 4)) for kind, b in zip(found.events["kind"], found.events["b"])]
     [('symmetry_breaking', 0.087)]
     """
-    from atlas.accessor import DrawnBranches
+    from atlas.accessor import PlottableBranches
 
     seed = seed_of_point(given_values(given, named), system, settings)
     observable = observed_of(seed, observe)
-    return DrawnBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
+    return PlottableBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)

@@ -6,13 +6,17 @@ from collections.abc import Iterable, Mapping
 
 from workers.model.parameter import unknown_name
 
-LONGEST_LINE = 500
+MAX_MESSAGE_LENGTH = 500
 """Most characters of a message; the middle of a longer one is left out."""
 
-MADE_BY = {"curves": "atlas find curves", "labels": "atlas attractors label", "stability": "atlas attractors measure"}
+REBUILD_COMMANDS = {
+    "curves": "atlas find curves",
+    "labels": "atlas attractors label",
+    "stability": "atlas attractors measure",
+}
 """The commands that make a damaged group of a store anew; a run makes all other groups."""
 
-PACK = "pack the atlas again"
+REPACK_HINT = "pack the atlas again"
 """The remedy for a damaged zip file."""
 
 _short = reprlib.Repr()
@@ -23,7 +27,7 @@ class InputError(ValueError):
     """Bad input, in one line: what was found and what is valid. The command answers it with exit code 2."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(one_line(message))
+        super().__init__(to_one_line(message))
 
 
 class RunError(RuntimeError):
@@ -47,19 +51,19 @@ def without_secrets(text: str) -> str:
     return _QUERY.sub(r"\1***", _USER.sub(r"\1***@", text))
 
 
-def one_line(message: str) -> str:
+def to_one_line(message: str) -> str:
     """The message on one line of bounded length: white space as single blanks, the middle left out where too long.
 
     Secrets of URLs are left out.
     """
     line = without_secrets(" ".join(message.split()))
-    if len(line) <= LONGEST_LINE:
+    if len(line) <= MAX_MESSAGE_LENGTH:
         return line
-    half = (LONGEST_LINE - 5) // 2
+    half = (MAX_MESSAGE_LENGTH - 5) // 2
     return f"{line[:half]} ... {line[-half:]}"
 
 
-def shown(value: object) -> str:
+def brief_repr(value: object) -> str:
     """A value as Python writes it, shortened so that a message with it can be read."""
     try:
         return _short.repr(value)
@@ -82,10 +86,10 @@ class ChunkError(RunError):
     def __str__(self) -> str:
         damage = "; ".join(self.lines)
         if self.store.lower().endswith(".zip"):
-            return f"{self.store}: {damage}: {PACK}"
+            return f"{self.store}: {damage}: {REPACK_HINT}"
         groups = {key.partition("/")[0] for key in self.faults}
-        if len(groups) == 1 and groups <= MADE_BY.keys():
-            return f"{self.store}: {damage}: {MADE_BY[groups.pop()]} {self.store} makes it anew"
+        if len(groups) == 1 and groups <= REBUILD_COMMANDS.keys():
+            return f"{self.store}: {damage}: {REBUILD_COMMANDS[groups.pop()]} {self.store} makes it anew"
         return f"{self.store}: {damage}: atlas verify --repair {self.store}, then run it again"
 
 
@@ -99,4 +103,4 @@ def check_names(kind: str, given: Iterable[object], known: Iterable[str]) -> Non
     names = list(known)
     for name in given:
         if not isinstance(name, str) or name not in names:
-            raise InputError(unknown_name(kind, name if isinstance(name, str) else shown(name), names))
+            raise InputError(unknown_name(kind, name if isinstance(name, str) else brief_repr(name), names))

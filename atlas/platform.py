@@ -51,7 +51,7 @@ def processor_name() -> str:
     return platform.processor() or platform.machine()
 
 
-def give_back_memory() -> None:
+def release_memory() -> None:
     """Return memory that this process has freed to the system; where the C library is not glibc, nothing is done.
 
     It keeps what several threads have allocated and freed for later: gigabytes, after an hour of drawing.

@@ -30,7 +30,7 @@ from rig.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
 from rig.heyoka_reference import INSTALLED, SoftTaylor, Taylor
 from scripts.measured import parsed, print_table
 from workers import Settings, solve_tile
-from workers.cell.stretch import run_periods
+from workers.cell.interval import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import EVALUATIONS
 from workers.model.oscillator import COLUMN

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from atlas.overview.upkeep import Overviews
+from atlas.overview.builder import OverviewBuilder
 from atlas.spec.spec import Spec
-from atlas.store.making import create
-from atlas.store.records import put_together
-from atlas.store.store import done_tiles, find
+from atlas.store.create import create_store
+from atlas.store.store import done_tiles, find_store
+from atlas.store.tile_records import compact_records
 from atlas.store.tiles import write_tile
 from atlas.store.tiling import Tile
 from scripts.measured import parsed, print_table
@@ -65,16 +65,16 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
         "b": {"start": 0.05, "stop": 0.5, "num": cells},
     }
     spec = Spec("two-mass", axes=axes, store={"tile": [tile, tile]})
-    handle = find(path) or create(path, spec, (tile, tile))
+    handle = find_store(path) or create_store(path, spec, (tile, tile))
     done = done_tiles(handle)
     missing = [due for due in handle.tiling.tiles() if due.index not in done]
     begin = time.perf_counter()
-    overviews = Overviews(handle)
+    overviews = OverviewBuilder(handle)
     for count, due in enumerate(missing):
         if count % 100 == 0:
             print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
         write_tile(handle, due.index, synthetic(spec, due))
-    put_together(handle)
+    compact_records(handle)
     middle = time.perf_counter()
     print("writing overviews", file=sys.stderr)
     overviews.finish()

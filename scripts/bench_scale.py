@@ -36,14 +36,14 @@ import atlas
 from atlas.platform import peak_memory
 from atlas.service.plan import make_plan
 from atlas.service.progress import Progress
-from atlas.service.status import Census
-from atlas.store.location import place_of
-from atlas.store.making import create
-from atlas.store.record import record_key
-from atlas.store.store import Atlas, chunk_key, open_handle
+from atlas.service.status import StatusReader
+from atlas.store.create import create_store
+from atlas.store.object_backend import open_backend
+from atlas.store.record_format import record_key
+from atlas.store.store import AtlasStore, chunk_key, open_store
 from atlas.store.tiles import write_tile
 from rig import ROOT
-from rig.loopback import ObjectStore, object_store
+from rig.fake_object_store import FakeObjectStore, object_store
 from scripts.measured import parsed, print_table
 from workers.results import PERIODIC, REGIME, empty_results
 
@@ -205,7 +205,7 @@ HEAD = (
 )
 
 
-def left_by_workers(handle: Atlas, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
+def left_by_workers(handle: AtlasStore, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
     """The objects by which tiles are done, as workers leave them: regime and record, all those of the first tile."""
     first = (0,) * len(handle.spec.shape)
     states = handle.spec.extra_sizes
@@ -223,7 +223,7 @@ def left_by_workers(handle: Atlas, indices: Iterable[tuple[int, ...]]) -> dict[s
 class Counted:
     """Seconds, and the requests of a server, from one call to the next."""
 
-    def __init__(self, server: ObjectStore) -> None:
+    def __init__(self, server: FakeObjectStore) -> None:
         self._server, self._begin = server, time.perf_counter()
         server.forget()
 
@@ -238,7 +238,7 @@ def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str,
     with object_store() as server, mock.patch.dict(os.environ, server.environment):
         url = "s3://scale/plane.zarr"
         plan = make_plan(spec_of(side), 1000)
-        handle = create(place_of(url), spec_of(side), plan.tiling.tile)
+        handle = create_store(open_backend(url), spec_of(side), plan.tiling.tile)
         tiles = [tile.index for tile in plan.tiling.tiles()]
         half, bucket = tiles[: len(tiles) // 2], "scale/plane.zarr/"
         objects = {bucket + key: data for key, data in left_by_workers(handle, tiles).items()}
@@ -266,10 +266,10 @@ def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str,
     return rows
 
 
-def _status(url: str, server: ObjectStore, whose: str, tiles: int) -> tuple[str, str, str]:
+def _status(url: str, server: FakeObjectStore, whose: str, tiles: int) -> tuple[str, str, str]:
     """What a first and a second status of an atlas take, of which so many tiles are done."""
     counted = Counted(server)
-    census = Census(open_handle(place_of(url)))
+    census = StatusReader(open_store(open_backend(url)))
     looks = []
     for settled in (True, False):
         counted = counted if settled else Counted(server)

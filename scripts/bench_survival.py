@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from scripts.measured import header, keep_table, line, parsed
 from workers import Settings, solve_tile
-from workers.attractors.starts import wilson
-from workers.cell.cells import Cells
-from workers.cell.course import Course
+from workers.attractors.initial_states import wilson
+from workers.cell.cell_batch import CellBatch
+from workers.cell.schedule import AdaptiveSchedule
 from workers.model.system import DEFAULT, find_system
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, UNDETERMINED, result_variables
 from workers.tile import result_arrays
@@ -84,8 +84,8 @@ def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray
     oscillators, reasons = record.build_many(flat)
     found = result_arrays(result_variables(settings), settings, count, len(record.states))
     starts = np.stack([flat[name] for name in record.states], axis=-1)
-    cells = Cells(oscillators, reasons, starts, settings, found)
-    course = Course(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
+    cells = CellBatch(oscillators, reasons, starts, settings, found)
+    course = AdaptiveSchedule(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
         course.take()
     return found

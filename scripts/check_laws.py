@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from rig.hybrids import follow
 from rig.oracle.smooth import SmoothMass, orbit
+from rig.solver_bridge import follow
 from scripts.bench_kernel import CELLS, Array, in_turn, one_core, processor_seconds
 from scripts.measured import parsed, print_table
 from workers import Settings, System, solve_tile
-from workers.model.hybrid import build_hybrid
+from workers.model.mode_table import build_hybrid
 
 FORCED: dict[str, Any] = {"coordinates": ["x"], "mass": [[1.0]], "damping": [[0.1]], "phase": ["pi / 2"]}
 QUARTER = math.pi / 2.0

@@ -27,10 +27,10 @@ from statistics import linear_regression
 from unittest.mock import patch
 
 import atlas
-from atlas.explore.session import Exploration, explore
-from atlas.explore.sheets import SheetKey
-from atlas.explore.view import TileKey
-from atlas.store.zoom import drop_sheet
+from atlas.explore.metatiles import MetatileKey
+from atlas.explore.session import ExplorerSession, explore
+from atlas.explore.viewport import TileKey
+from atlas.store.zoom import drop_metatile
 from rig.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
@@ -145,14 +145,14 @@ class Visitor:
 class Report:
     """What was solved and how much memory everything takes, line by line, and a summary."""
 
-    def __init__(self, running: Exploration, scheduler: int, workers: list[int]) -> None:
+    def __init__(self, running: ExplorerSession, scheduler: int, workers: list[int]) -> None:
         self._running, self._scheduler, self._workers = running, scheduler, workers
         self._begin = time.monotonic()
         self.counts: Counter[TileKey] = Counter()
         self.moves = 0
         self._memory: list[tuple[float, float, float]] = []
         self._minutes: list[float] = []
-        self._drop = patch("atlas.explore.kept.drop_sheet", wraps=drop_sheet).start()
+        self._drop = patch("atlas.explore.persistent_tiles.drop_metatile", wraps=drop_metatile).start()
         plane = running.explorer.subject.plane
         running.explorer.listen("soak", lambda of, key: self.counts.update([key] if of == plane else []))
 
@@ -192,7 +192,7 @@ class Report:
             print(f", where it rises by {slope:.0f} MiB an hour")
         twice = [key for key, count in self.counts.items() if count > 1]
         dropped = {drop.args[2] for drop in self._drop.call_args_list}
-        again = [key for key in twice if SheetKey.of(key).name not in dropped]
+        again = [key for key in twice if MetatileKey.of(key).name not in dropped]
         failed = len(self._running.explorer.failures)
         print(f"sheets dropped for room: {len(dropped)}; their tiles solved again: {len(twice) - len(again)}")
         print(f"other tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")

@@ -12,7 +12,7 @@ import time
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from atlas.explore.painter import Painter
+from atlas.explore.picture_renderer import PictureRenderer
 from atlas.explore.session import explore
 from atlas.query.open import open_atlas
 from atlas.render.provenance import metadata, provenance_of
@@ -36,7 +36,7 @@ def main() -> None:
         with started() as browser, opened(browser, f"{running.url}&{WINDOW}", *SIZE) as tab:
             end = time.monotonic() + given.seconds
             tab.until(tab.image, 120.0)
-            painters = [who for who in running.explorer.listeners if isinstance(who, Painter)]
+            painters = [who for who in running.explorer.listeners if isinstance(who, PictureRenderer)]
             while time.monotonic() < end and any(painter.busy for painter in painters):
                 tab.page.wait_for_timeout(1e3)
             left, top, width, height = tab.plot()

@@ -24,7 +24,7 @@ from typing import IO
 
 import numpy as np
 
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from atlas.store.tiles import read_tile
 from rig.faults import attempts, environment
 
@@ -147,7 +147,7 @@ def _differences(store: Path) -> tuple[str, ...]:
     """Variables of a store that are not what solve_tile gives, tile by tile."""
     from workers.tile import solve_tile
 
-    handle = open_handle(store)
+    handle = open_store(store)
     spec, found = handle.spec, set()
     for tile in handle.tiling.tiles():
         stored = read_tile(handle, tile.index)

@@ -20,10 +20,10 @@ from distributed import Worker, get_worker
 
 from atlas.overview.pyramid import level_key
 from atlas.service import batches
-from atlas.store.location import place_of
-from atlas.store.record import CELLS, WIDTH
-from atlas.task import site
-from atlas.task.task import Job, Made, Receipt
+from atlas.store.object_backend import open_backend
+from atlas.store.record_format import CELLS, WIDTH
+from atlas.task import store_ref
+from atlas.task.tile_job import DerivedReport, RunJob, TileReport
 from workers.results import PENDING, PERIODIC, REGIME
 
 TOGETHER = 50
@@ -38,18 +38,18 @@ def pretend(seconds: float, draw: random.Random) -> None:
     row = [0.0] * WIDTH
     row[CELLS.start + PERIODIC - PENDING] = CELLS_OF_TILE
 
-    async def sleep(_act: object, job: Job) -> batches.Done[Any]:
+    async def sleep(_act: object, job: RunJob) -> batches.AttemptSuccess[Any]:
         if job.level:
-            await asyncio.to_thread(place_of(job.site.store).put, level_key(job.level, REGIME, job.index), b"")
-            return batches.Done(get_worker().address, Made(job.index))
+            await asyncio.to_thread(open_backend(job.site.store).put, level_key(job.level, REGIME, job.index), b"")
+            return batches.AttemptSuccess(get_worker().address, DerivedReport(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
         solved, counts = time.perf_counter() - begin, {"periodic": CELLS_OF_TILE}
-        receipt = Receipt(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
-        return batches.Done(get_worker().address, receipt)
+        receipt = TileReport(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
+        return batches.AttemptSuccess(get_worker().address, receipt)
 
-    batches.work = sleep  # type: ignore[assignment]
-    site.prepare = lambda *_: None
+    batches.run_on_worker = sleep  # type: ignore[assignment]
+    store_ref.prepare_worker = lambda *_: None
 
 
 async def work(address: str, workers: int, folder: str) -> None:

@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from rig.stress import modes as stress_modes
-from rig.stress.checks import recheck
-from rig.stress.findings import Findings
+from rig.stress.findings import StressFindings
+from rig.stress.orbit_checks import recheck
 from rig.stress.report import report, summary, table
-from rig.stress.results import cells_of, solve
+from rig.stress.result_checks import cells_of, solve
 from rig.stress.systems import CELLS
 from scripts.measured import keep_table, parsed
 from workers import Settings
@@ -54,7 +54,7 @@ class Task:
     recheck: bool
 
 
-def perform(task: Task) -> Findings:
+def perform(task: Task) -> StressFindings:
     """The findings over a task's cells."""
     settings = Settings(
         exponents="spectrum", max_periods=task.max_periods, survival=0, tolerance=0.05, section_samples=4
@@ -66,7 +66,7 @@ def perform(task: Task) -> Findings:
         cells = cells_of(task.seed, task.kind == "systems", task.numbers)
     if not task.recheck:
         return stress_modes.solve(cells, settings) if with_modes else solve(cells, settings)
-    found = Findings()
+    found = StressFindings()
     for cell in cells:
         found.add(stress_modes.recheck(cell, settings) if with_modes else recheck(cell, orbit=True))
     return found
@@ -89,7 +89,7 @@ def tasks(seed: int, cells: int, systems: float, modes: float, rechecked: int, m
     return slow + quick
 
 
-def spread(work: list[Task], workers: int) -> Iterator[Findings]:
+def spread(work: list[Task], workers: int) -> Iterator[StressFindings]:
     """The findings of each task as they come, from so many processes; 0 for this one."""
     if workers == 0:
         yield from map(perform, work)
@@ -119,7 +119,7 @@ def run(
     """Solve and check; the summary."""
     begun = time.perf_counter()
     work = tasks(seed, cells, systems, modes, rechecked, max_periods)
-    found = Findings()
+    found = StressFindings()
     for done, findings in enumerate(spread(work, workers), start=1):
         found.add(findings)
         if progress and (done % 20 == 0 or done == len(work)):

@@ -70,14 +70,14 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
     """
     import matplotlib
 
-    from atlas.render.provenance import computed_here, metadata
-    from atlas.render.style import house
+    from atlas.render.provenance import metadata, provenance_of_values
+    from atlas.render.style import rc_params
 
     matplotlib.use("Agg")
     from matplotlib import pyplot, rc_context
     from matplotlib.patheffects import withStroke
 
-    look_of_pages: Any = house(1.1)
+    look_of_pages: Any = rc_params(1.1)
     with rc_context(look_of_pages):
         figure, axes = pyplot.subplots(1, 2, figsize=(10.0, 5.0), sharey=True, layout="constrained")
         for panel, kind in zip(axes, TARGET, strict=True):
@@ -123,7 +123,9 @@ def draw_picture(path: str, points: list[Point], errors: Array, cells: list[Cell
         settings = {method: sorted({point.setting for point in points if point.method == method}) for method in LOOKS}
         spec = {"system": "two-mass", "cells": [cell.params for cell in cells], "settings": settings}
         kind = Path(path).suffix.removeprefix(".")
-        figure.savefig(path, dpi=200, metadata=metadata(computed_here("two-mass, time against error", spec), kind))
+        figure.savefig(
+            path, dpi=200, metadata=metadata(provenance_of_values("two-mass, time against error", spec), kind)
+        )
         pyplot.close(figure)
 
 

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 import atlas
-from atlas.orbits.curves.finish import finished
 from atlas.orbits.curves.plane import CurvePlane
-from atlas.orbits.curves.record import curve_from_json
 from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.search_result import finish_search
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curve, Curves
-from atlas.orbits.curves.tasks import do
+from atlas.orbits.curves.tasks import run_task
+from atlas.orbits.curves.to_json import curve_from_json
 
 QUICK = {"max_periods": 1000, "tolerance": 0.1}
 
@@ -41,10 +41,10 @@ def found_serially(plane: CurvePlane, settings: CurveSettings | None = None) -> 
     parts: dict[str, dict[str, Any]] = {}
     while tasks := search.tasks():
         for name, task in tasks.items():
-            found = do(task, search.orbits, parts.__getitem__, lambda part: curve_from_json(parts[part]["curve"]))
+            found = run_task(task, search.orbits, parts.__getitem__, lambda part: curve_from_json(parts[part]["curve"]))
             parts[name] = json.loads(json.dumps(found))
         search.take([parts[name] for name in tasks])
-    return finished(search)
+    return finish_search(search)
 
 
 def same(one: Curve, other: Curve) -> bool:

@@ -5,10 +5,10 @@ from typing import Any
 from mpmath import mp
 
 from rig.oracle.linear import Number
-from rig.oracle.model import Machine
+from rig.oracle.model import OracleMachine
 
 
-def rates(machine: Machine, held: bool) -> Any:
+def rates(machine: OracleMachine, held: bool) -> Any:
     """Matrix of z' = B z for z = (x, v, sin k phi..., cos k phi..., 1); held: without acceleration of the gap.
 
     Held, x'' = P M^-1 (F - C x' - K x), P = 1 - M^-1 g g^T / (g M^-1 g): the stop's force has no other effect.
@@ -40,7 +40,7 @@ def rates(machine: Machine, held: bool) -> Any:
     return B
 
 
-def flown(machine: Machine, state: Any, span: Number, start: Number = 0, held: bool = False) -> list[Number]:
+def flown(machine: OracleMachine, state: Any, span: Number, start: Number = 0, held: bool = False) -> list[Number]:
     """Displacements and velocities a time span after ``state``, which is at the time ``start`` since the section."""
     n, H = len(machine.gap_row), len(machine.force_sin)
     phi = machine.omega * mp.mpf(start) + machine.tau

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.paths import DATA
-from workers.continuation.events import Event, Point
-from workers.continuation.extended import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
+from workers.continuation.events import Event, SolutionPoint
+from workers.continuation.extended_system import GRAZE, MINUS_ONE, PAIR, UNIT, Condition
+from workers.continuation.families import Family, family_of
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import EVENT, MODE, NO_EVENT, fly_leg, saltate
-from workers.continuation.motion import OrbitMotion
-from workers.continuation.oscillator import Family, family_of
+from workers.continuation.shooting import OrbitMotion
 from workers.kernel.borrow import row_of
-from workers.kernel.hybrid.state import turned
+from workers.kernel.hybrid.state import harmonics_at
 from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import FLYING
 from workers.model.system import find_system
@@ -66,7 +66,7 @@ def reference_event(record: dict[str, Any], free: tuple[str, ...]) -> tuple[Fami
         if name == "neimark_sacker":
             kappa = float(record["extra"][0])
         conditions.append(Condition(CONDITIONS[name], side=1, kappa=0.0 if math.isnan(kappa) else kappa))
-    point = Point(values, reference_orbit(record), np.array(contacts), np.zeros(0, dtype=np.complex128), 0)
+    point = SolutionPoint(values, reference_orbit(record), np.array(contacts), np.zeros(0, dtype=np.complex128), 0)
     return family, Event(record["kind"], tuple(conditions), point, kappa), values
 
 
@@ -99,7 +99,7 @@ def factors(motion: OrbitMotion) -> Array:
     )
     for k, row in enumerate(plan.table):
         z, D, begin, end = motion.turn.states[0, k].copy(), np.eye(size), motion.begins[0, k], motion.ends[0, k]
-        before, after = (turned(lin.tau[0] + lin.omega[0] * t, harmonics) for t in (begin, end))
+        before, after = (harmonics_at(lin.tau[0] + lin.omega[0] * t, harmonics) for t in (begin, end))
         fly_leg(modes, row[MODE], end - begin, before, after, z, D, h, V)
         if row[EVENT] != NO_EVENT:
             saltate(modes, lin.elements, plan.table, k, 0, lin.omega[0], z, after, 0.0, D, room)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from workers.model.oscillator import Mode, Oscillator
+from workers.model.oscillator import GuardedFlow, Oscillator
 from workers.model.system import find_system
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Exponentials:
     rates: NDArray[np.complex128]
 
     @classmethod
-    def of(cls, signal: Mode, h: Array, phase: float) -> "Exponentials":
+    def of(cls, signal: GuardedFlow, h: Array, phase: float) -> "Exponentials":
         """The signal with block state h at a phase; no block may be critically damped."""
         weights, rates = [], []
         for eta, lam, row, (h0, h1) in zip(signal.eta, signal.lam, signal.row, h, strict=True):

@@ -6,16 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from workers.model.build import build
-from workers.model.oscillator import Machines, Oscillator, one_of
+from workers.model.oscillator import Oscillator, SingleContactMachines, take_one
 from workers.results import NO_REASON, InvalidError
 
 
-def build_one(machine: Machines) -> Oscillator:
+def build_one(machine: SingleContactMachines) -> Oscillator:
     """The oscillator of the only machine; InvalidError where there is a reason against it."""
     oscillators, reasons = build(machine)
     if reasons[0] != NO_REASON:
         raise InvalidError(int(reasons[0]))
-    return one_of(oscillators, 0)
+    return take_one(oscillators, 0)
 
 
 def mass_spring(
@@ -39,4 +39,4 @@ def mass_spring(
         mass, damping, stiffness, row, force, np.zeros_like(force), np.zeros(len(row)) if load is None else load,
         omega, tau, b_upper, -b_lower, R,
     )  # fmt: skip
-    return build_one(Machines(*(np.asarray(field, dtype=np.float64)[None] for field in fields)))
+    return build_one(SingleContactMachines(*(np.asarray(field, dtype=np.float64)[None] for field in fields)))

@@ -13,14 +13,14 @@ from matplotlib import colors
 from matplotlib.figure import Figure
 from PIL import Image
 
-from atlas.cell.orbit import CellOrbit
-from atlas.orbits.curves.table import Corner, Curve, Curves
+from atlas.cell.trajectory import CellTrajectory
+from atlas.orbits.curves.table import CodimTwoPoint, Curve, Curves
 from atlas.render import maps, style
-from atlas.render.kinds import TABLE
-from atlas.render.layers import Layers
-from atlas.render.page import STANDARD
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layers import MapLayers
+from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
@@ -49,11 +49,11 @@ def atlas(axes: dict[str, Any], scales: dict[str, str] | None = None, **variable
     )
 
 
-def layers(kind: str, *scale: Any, **variables: np.ndarray) -> Layers:
+def layers(kind: str, *scale: Any, **variables: np.ndarray) -> MapLayers:
     """The layers of a kind of map of variables (y, x), on the scale of others where that is given."""
     rows, columns = variables["regime"].shape
     ds = atlas({"omega": 1.0 + np.arange(columns), "b": 0.1 + 0.1 * np.arange(rows)}, **variables)
-    found: Layers = PAINTERS[kind](maps.read(TABLE[kind], ds, Wanted(STANDARD)), *scale)
+    found: MapLayers = PAINTERS[kind](maps.read(KIND_TABLE[kind], ds, PictureRequest(STANDARD)), *scale)
     return found
 
 
@@ -213,14 +213,14 @@ def labelled() -> tuple[xr.Dataset, xr.Dataset]:
     return ds, xr.Dataset({name: ("branch", values) for name, values in table.items()})
 
 
-def orbit() -> CellOrbit:
+def orbit() -> CellTrajectory:
     """A made-up periodic orbit of one impact at the upper stop: no solver is behind it."""
     parameters = {p.name: p.default for p in TWO_MASS.parameters}
     phase = np.linspace(0.0, 2 * np.pi, 201)
     states = np.stack([0.15 * np.cos(phase), 0.05 * np.sin(phase), -0.15 * np.sin(phase), 0.05 * np.cos(phase)], axis=1)
     exact = np.array([-0.2, -0.3, -0.5, -np.inf])
     settled = 1.0 + 1.0 / np.arange(1, 101)[:, None]
-    return CellOrbit(
+    return CellTrajectory(
         system=TWO_MASS,
         parameters=parameters,
         settings=Settings(exponents="spectrum"),
@@ -247,7 +247,7 @@ def orbit() -> CellOrbit:
     )
 
 
-def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[Corner, ...] = (), **orbit: Any) -> Curve:
+def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[CodimTwoPoint, ...] = (), **orbit: Any) -> Curve:
     """A curve of the 1-1-1 orbit, or of another; ``unstable`` along all of it or point by point."""
     at = np.asarray(points, dtype=float)
     own: dict[str, Any] = {"period": 1, "impacts_upper": 1, "impacts_lower": 1, "symmetric": False} | orbit
@@ -259,7 +259,7 @@ def curve(kind: str, points: Any, unstable: Any = 0, corners: tuple[Corner, ...]
 def curves() -> Curves:
     """Three curves over ``plane``, that of the doubling with a part where its orbit is otherwise unstable."""
     x = np.linspace(1.0, 5.0, 41)
-    corner = Corner("graze_period_doubling", 3.0, 0.37, 20)
+    corner = CodimTwoPoint("graze_period_doubling", 3.0, 0.37, 20)
     return Curves(
         ("omega", "b"),
         (
@@ -273,5 +273,5 @@ def curves() -> Curves:
 @contextmanager
 def keeping(found: Curves) -> Iterator[None]:
     """Every atlas, made by hand too, keeps these curves."""
-    with patch("atlas.orbits.curves.asking.curves_of", return_value=found):
+    with patch("atlas.orbits.curves.queries.curves_of", return_value=found):
         yield

@@ -4,8 +4,8 @@ import os
 
 import atlas
 from atlas.store import store
-from atlas.store.location import Place, place_of
-from atlas.store.making import check_run
+from atlas.store.create import check_run
+from atlas.store.object_backend import StoreBackend, open_backend
 
 
 def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
@@ -19,9 +19,9 @@ def plane_of(tile: tuple[int, int] = (2, 3), **changes: object) -> atlas.Spec:
     )
 
 
-def find(path: str | os.PathLike[str] | Place, spec: atlas.Spec) -> store.Atlas | None:
+def find(path: str | os.PathLike[str] | StoreBackend, spec: atlas.Spec) -> store.AtlasStore | None:
     """The handle of a store that a run of this spec may complete, None where it may make one; see ``check_run``."""
-    place = place_of(path)
-    handle = store.find(place)
+    place = open_backend(path)
+    handle = store.find_store(place)
     check_run(place, spec, handle)
     return handle

@@ -11,10 +11,10 @@ from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from atlas.service.batches import Done, Labour
-from atlas.service.dispatch import Workers, workforce
-from atlas.service.fitness import Failure
+from atlas.service.batches import AttemptSuccess, JobType
+from atlas.service.dispatch import WorkerStatus, open_dispatcher
 from atlas.service.timing import TIMING, Timing
+from atlas.service.worker_health import AttemptFailure
 
 
 @dataclass(frozen=True)
@@ -141,12 +141,16 @@ class Cluster:
     def _result(self, future: PretendedFuture) -> object:
         reason = self.fails(future.worker, future.job)
         seconds = self.seconds(future.worker, future.job)
-        return Failure(future.worker, reason) if reason else Done(future.worker, future.job, seconds)
+        return AttemptFailure(future.worker, reason) if reason else AttemptSuccess(future.worker, future.job, seconds)
 
 
 def outcomes(
-    client: Any, labour: Labour[Any, Any], jobs: Iterable[Any], tick: Callable[[Workers], None], timing: Timing = TIMING
+    client: Any,
+    labour: JobType[Any, Any],
+    jobs: Iterable[Any],
+    tick: Callable[[WorkerStatus], None],
+    timing: Timing = TIMING,
 ) -> Iterator[Any]:
     """The outcomes of jobs, the only ones of their run."""
-    with workforce(client, labour, timing) as force:
+    with open_dispatcher(client, labour, timing) as force:
         yield from force.outcomes(jobs, tick)

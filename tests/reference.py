@@ -7,10 +7,10 @@ from unittest.mock import patch
 from matplotlib.figure import Figure
 
 from atlas import render
-from atlas.render.kinds import TABLE
-from atlas.render.page import STANDARD
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layout import STANDARD
 from atlas.render.painters import draw
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 
 FOLDER = Path(__file__).parent / "reference"
@@ -29,13 +29,13 @@ def regions() -> Figure:
 def basins() -> Figure:
     ds, table = basin()
     with patch("atlas.query.basins.table", return_value=table):
-        return draw(TABLE["basins"], ds, Wanted(STANDARD))
+        return draw(KIND_TABLE["basins"], ds, PictureRequest(STANDARD))
 
 
 def labels() -> Figure:
     ds, table = labelled()
-    with patch("atlas.render.classes.branches", return_value=table):
-        return draw(TABLE["labels"], ds, Wanted(STANDARD))
+    with patch("atlas.render.class_maps.branches", return_value=table):
+        return draw(KIND_TABLE["labels"], ds, PictureRequest(STANDARD))
 
 
 PICTURES: dict[str, Callable[[], Figure]] = {

@@ -12,11 +12,11 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
-from workers.cell.cells import Cells
-from workers.kernel.device import translated
-from workers.kernel.lanes.frames import MAX_SPREAD, give_frame, spread_pass, transfer_pass
+from workers.cell.cell_batch import CellBatch
+from workers.kernel.device import make_translator
+from workers.kernel.lanes.frames import MAX_SPREAD, load_frame, spread_pass, transfer_pass
 from workers.kernel.lanes.layout import BLOCK_SIZE, FLYING, GAP_SIZE, LANE, LANE_SIZE, LANES, STRIDE
-from workers.kernel.lanes.rounds import take_round
+from workers.kernel.lanes.rounds import run_round
 from workers.kernel.lanes.run import load, park
 from workers.kernel.motion import axes
 from workers.model.system import find_system
@@ -32,12 +32,12 @@ SIZES = {"fields": LANE_SIZE + BLOCKS * BLOCK_SIZE, "frames": VECTORS * VECTORS 
 Array = NDArray[np.float64]
 
 
-def some_cells() -> Cells:
+def some_cells() -> CellBatch:
     """Cells of the default system in regular and in chaotic motion."""
     system, settings = find_system("two-mass"), Settings()
     params = broadcast(system, {"omega": np.linspace(2.0, 4.0, CELLS), "b": np.linspace(0.05, 0.4, CELLS)})
     found = result_arrays(system.variables(settings), settings, CELLS, VECTORS)
-    return Cells(*system.build_many(params), initial_state(system, params), settings, found)
+    return CellBatch(*system.build_many(params), initial_state(system, params), settings, found)
 
 
 def room(arrays: int) -> dict[str, Array]:
@@ -47,9 +47,9 @@ def room(arrays: int) -> dict[str, Array]:
     }
 
 
-def loaded(cells: Cells, arrays: int) -> dict[str, Array]:
+def loaded(cells: CellBatch, arrays: int) -> dict[str, Array]:
     """The cells in the lanes of one array, or each in the first lane of its own."""
-    plain, osc, motions = translated(lambda function: function), cells.oscillators, cells.batch.motions
+    plain, osc, motions = make_translator(lambda function: function), cells.oscillators, cells.batch.motions
     found, gap = room(arrays), osc.gap
     for fields in found["fields"]:
         for i in range(LANES):
@@ -60,7 +60,7 @@ def loaded(cells: Cells, arrays: int) -> dict[str, Array]:
             found["fields"][k], i, r, osc.head, osc.tau, gap.blocks, gap.waves, gap.numbers, motions.h, motions.tally
         )
         frame = found["frames"][k].reshape(VECTORS, -1)
-        plain(give_frame)(axes(BLOCKS), np.zeros(VECTORS), frame, np.zeros((VECTORS, STRIDE)), i)
+        plain(load_frame)(axes(BLOCKS), np.zeros(VECTORS), frame, np.zeros((VECTORS, STRIDE)), i)
     return found
 
 
@@ -70,12 +70,12 @@ def digest(found: dict[str, Array], k: int, i: int) -> str:
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
-def compiled(cells: Cells) -> tuple[list[str], int]:
+def compiled(cells: CellBatch) -> tuple[list[str], int]:
     """The bits of each lane after some rounds, and how many events they have been through."""
     found, events = loaded(cells, 1), 0
     fields, frames, partial, chosen, gathered = (array[0] for array in found.values())
     for _ in range(ROUNDS):
-        take_round(fields, BLOCKS, 0, True, True, CELLS, chosen, gathered)
+        run_round(fields, BLOCKS, 0, True, True, CELLS, chosen, gathered)
         spread_pass(fields, MAX_SPREAD, CELLS)
         for u in frames.reshape(VECTORS, -1):
             transfer_pass(fields, u, partial, CELLS)
@@ -83,10 +83,10 @@ def compiled(cells: Cells) -> tuple[list[str], int]:
     return [digest(found, 0, i) for i in range(CELLS)], events
 
 
-def on_device(cells: Cells) -> list[str]:
+def on_device(cells: CellBatch) -> list[str]:
     """The same of a thread for each lane."""
-    found, device = loaded(cells, CELLS), translated(cuda.jit(device=True))
-    one_round, spread, transfer = device(take_round), device(spread_pass), device(transfer_pass)
+    found, device = loaded(cells, CELLS), make_translator(cuda.jit(device=True))
+    one_round, spread, transfer = device(run_round), device(spread_pass), device(transfer_pass)
     size = VECTORS * STRIDE
 
     @cuda.jit

@@ -9,10 +9,10 @@ import xarray as xr
 import zarr
 
 import atlas
-from atlas.overview.upkeep import Overviews
+from atlas.overview.builder import OverviewBuilder
 from atlas.query.resample import view
-from atlas.store import making, store
-from atlas.store.spare import SPARE, packed_spare
+from atlas.store import create, store
+from atlas.store.metadata_backup import SPARE, encode_backup
 from atlas.store.tiles import put_record, read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
@@ -25,7 +25,7 @@ def spec_of(nx: int = 45, ny: int = 38, **axis: object) -> atlas.Spec:
     return atlas.Spec("two-mass", axes={"omega": omega, "b": {"start": 0.1, "stop": 0.5, "num": ny}})
 
 
-def results(handle: store.Atlas, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
+def results(handle: store.AtlasStore, index: Index, seed: int = 0) -> dict[str, np.ndarray]:
     """Random results of a tile: every regime but pending and failed, exponents -inf and NaN among them."""
     rng = np.random.default_rng([seed, *index])
     shape = handle.tiling.at(index).shape
@@ -41,11 +41,11 @@ def results(handle: store.Atlas, index: Index, seed: int = 0) -> dict[str, np.nd
     return made
 
 
-def indices(handle: store.Atlas) -> list[Index]:
+def indices(handle: store.AtlasStore) -> list[Index]:
     return [tile.index for tile in handle.tiling.tiles()]
 
 
-def fill(handle: store.Atlas, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
+def fill(handle: store.AtlasStore, skip: tuple[Index, ...] = (), seed: int = 0) -> None:
     """Write all tiles but some, without overviews."""
     tiles = {index: results(handle, index, seed) for index in indices(handle)}
     group = zarr.open_group(handle.path, mode="r+", use_consolidated=False)
@@ -59,12 +59,12 @@ def fill(handle: store.Atlas, skip: tuple[Index, ...] = (), seed: int = 0) -> No
         handle.path.joinpath("regime", "c", *map(str, index)).unlink()
 
 
-def overviews_of(handle: store.Atlas, side: int = 8, least: int = 8) -> Overviews:
+def overviews_of(handle: store.AtlasStore, side: int = 8, least: int = 8) -> OverviewBuilder:
     """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    return Overviews(handle, side=side, least=least)
+    return OverviewBuilder(handle, side=side, least=least)
 
 
-def keep(handle: store.Atlas, side: int = 8, least: int = 8) -> int:
+def keep(handle: store.AtlasStore, side: int = 8, least: int = 8) -> int:
     """Make all overviews that can be made; the number of chunks made."""
     overviews = overviews_of(handle, side=side, least=least)
     return overviews.finish()
@@ -72,9 +72,9 @@ def keep(handle: store.Atlas, side: int = 8, least: int = 8) -> int:
 
 def complete(
     path: Path, tile: Index = (8, 8), spec: atlas.Spec | None = None, side: int = 8, least: int = 8
-) -> store.Atlas:
+) -> store.AtlasStore:
     """A whole store with its overviews."""
-    handle = making.create(path, spec or spec_of(), tile)
+    handle = create.create_store(path, spec or spec_of(), tile)
     fill(handle)
     keep(handle, side, least)
     return handle
@@ -90,7 +90,7 @@ def set_attribute(path: Path, name: str, value: object) -> None:
 
 def respare(path: Path) -> None:
     """Make a store one whose metadata were made as they are now."""
-    (path / SPARE).write_bytes(packed_spare((path / "zarr.json").read_bytes()))
+    (path / SPARE).write_bytes(encode_backup((path / "zarr.json").read_bytes()))
 
 
 def change_root(path: Path, change: Any) -> None:
@@ -116,7 +116,7 @@ def naive_shares(codes: np.ndarray) -> dict[int, float]:
     return {code: float(np.mean(codes == code)) for code in np.unique(codes).tolist()}
 
 
-def assert_view_is_true(handle: store.Atlas) -> None:
+def assert_view_is_true(handle: store.AtlasStore) -> None:
     """Every level that can be looked at is what the cells in the store say, by definitions applied to the cells."""
     ds = atlas.open(handle.path)
     base = atlas.open(handle.path).load()
@@ -139,7 +139,7 @@ def assert_view_is_true(handle: store.Atlas) -> None:
     np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
 
 
-def assert_overviews_are_of(handle: store.Atlas) -> None:
+def assert_overviews_are_of(handle: store.AtlasStore) -> None:
     """Every chunk that counts as current, by either mark, says what the cells say now."""
     codes, largest = (atlas.open(handle.path)[name].values for name in ("regime", "largest"))
     coarse = xr.open_zarr(handle.path, group="overviews/1")
@@ -150,7 +150,7 @@ def assert_overviews_are_of(handle: store.Atlas) -> None:
     np.testing.assert_array_equal(coarse.regime.values[current], each_block(codes, 1, mode)[current])
 
 
-def store_levels(handle: store.Atlas) -> int:
+def store_levels(handle: store.AtlasStore) -> int:
     from atlas.overview.pyramid import Pyramid
 
     return Pyramid(handle).levels.count
@@ -173,9 +173,9 @@ def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
     return {str(name): ds[name].values.tobytes() for name in ds.data_vars}
 
 
-def record_again(path: Path) -> store.Atlas:
+def record_again(path: Path) -> store.AtlasStore:
     """Write the record of each tile by the cells that it has now."""
-    handle = store.open_handle(path)
+    handle = store.open_store(path)
     for index in store.done_tiles(handle):
         put_record(handle, index, record_of(handle, index, read_tile(handle, index)))
     return handle

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.cell.cells import work_allowed
-from workers.cell.stretch import batch_of, begin, run, stop_reasons
-from workers.kernel.cells import physical_states, reset_frames, states_within
-from workers.kernel.lanes.run import Batch
+from workers.cell.cell_batch import work_allowed
+from workers.cell.interval import batch_of, begin, run, stop_reasons
+from workers.kernel.cell_loops import physical_states, reset_frames, states_within
+from workers.kernel.lanes.run import MotionBatch
 from workers.kernel.motion import OVERDRAFT, PROGRESS, RECORDED, WORK
 from workers.model.oscillator import Array, Oscillator, map_fields
 from workers.model.system import System, find_system
@@ -20,7 +20,7 @@ from workers.tile import broadcast, initial_state
 RECORD = 4096
 """Room for the impacts of one period; a period with more is repeated with twice the room."""
 
-LONGEST = 1_000_000
+MAX_TRACE_PERIODS = 1_000_000
 """Most periods of a history, which is kept in memory: 300 MB and more."""
 
 
@@ -61,7 +61,7 @@ def trace(
     >>> history.states.shape, history.impacts.shape
     ((4, 4), (6, 3))
     """
-    check_whole("periods", periods, 0, LONGEST)
+    check_whole("periods", periods, 0, MAX_TRACE_PERIODS)
     record = find_system(system)
     settings = settings or Settings()
     parameters = broadcast(record, {name: float(value) for name, value in params.items()})
@@ -102,7 +102,7 @@ def trace(
     )
 
 
-def _a_period_later(batch: Batch, cell: NDArray[np.int64]) -> Batch:
+def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
     """The one motion of a batch a period later, with room for all of its impacts."""
     before = map_fields(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:

@@ -5,18 +5,18 @@ from dataclasses import dataclass
 
 EXPONENTS = ("none", "largest", "spectrum")
 METHODS = ("adaptive", "fixed")
-MOST_PERIODS = 500_000_000
+MAX_PERIODS = 500_000_000
 """Most periods of each kind: the cost of a cell must fit the 32 bits of ``periods_used``."""
-LONGEST_ORBIT = 10_000
+MAX_ORBIT_PERIOD = 10_000
 """Most forcing periods of an orbit: a cell keeps a section state of each while it is solved."""
-MOST_SAMPLES = 100_000
+MAX_SAMPLES = 100_000
 """Most section states of a cell, 3 MB, and most values of an observable."""
-CHOICES = {"exponents": EXPONENTS, "method": METHODS}
+VALID_WORDS = {"exponents": EXPONENTS, "method": METHODS}
 """Settings that are words, and their valid words."""
-WHOLE = {
-    "max_periods": (1, MOST_PERIODS), "survival": (0, MOST_PERIODS), "transient_periods": (0, MOST_PERIODS),
-    "periods": (1, MOST_PERIODS), "max_period": (1, LONGEST_ORBIT), "section_samples": (0, MOST_SAMPLES),
-    "observe_values": (1, MOST_SAMPLES),
+INTEGER_BOUNDS = {
+    "max_periods": (1, MAX_PERIODS), "survival": (0, MAX_PERIODS), "transient_periods": (0, MAX_PERIODS),
+    "periods": (1, MAX_PERIODS), "max_period": (1, MAX_ORBIT_PERIOD), "section_samples": (0, MAX_SAMPLES),
+    "observe_values": (1, MAX_SAMPLES),
 }  # fmt: skip
 """Settings that are integers, with the least and the greatest value."""
 
@@ -62,7 +62,7 @@ class Settings:
     observe_values: int = 64
 
     def __post_init__(self) -> None:
-        for name, known in CHOICES.items():
+        for name, known in VALID_WORDS.items():
             if getattr(self, name) not in known:
                 raise ValueError(f"{name}: found {getattr(self, name)!r}, must be one of {', '.join(known)}")
         if not isinstance(self.observe, str):
@@ -71,7 +71,7 @@ class Settings:
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a number > 0")
         if not 0 < self.tolerance <= sys.float_info.max:
             raise ValueError(f"tolerance: found {self.tolerance!r}, must be a finite number > 0")
-        for name, (low, high) in WHOLE.items():
+        for name, (low, high) in INTEGER_BOUNDS.items():
             check_whole(name, getattr(self, name), low, high)
 
     @property

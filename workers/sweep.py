@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from workers.cell.cells import Results
-from workers.kernel.cells import put_inside
+from workers.cell.cell_batch import Results
+from workers.kernel.cell_loops import clamp_to_stops
 from workers.model.oscillator import Array
 from workers.model.system import System, find_system
 from workers.results import NO_REASON
@@ -64,7 +64,7 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
         oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
         states_inside = last[known].copy()
         for row, upper, lower in oscillators.rigid_stops:
-            put_inside(row, upper, lower, states_inside)
+            clamp_to_stops(row, upper, lower, states_inside)
         built = reasons == NO_REASON  # solve_tile marks the others invalid
         states[known] = np.where(built[:, None], states_inside, last[known])
     return {name: states[..., k] for k, name in enumerate(record.states)}

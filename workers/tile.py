@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from workers.cell.cells import Cells, Results
-from workers.cell.cycles import convert_to_time
-from workers.cell.measuring import explain, measure
-from workers.cell.observing import observe
+from workers.cell.autonomous import convert_to_time
+from workers.cell.cell_batch import CellBatch, Results
+from workers.cell.measures import explain, measure
+from workers.cell.observables import observe
 from workers.cell.solve import solve
 from workers.model.observables import VALUE
 from workers.model.oscillator import Array
@@ -18,7 +18,7 @@ from workers.model.system import System, find_system
 from workers.results import ATTRACTOR, Variable, empty_results
 from workers.settings import Settings
 
-MEMORY_AT_ONCE, LEAST_AT_ONCE = 64 * 2**20, 256
+MAX_SECTION_BYTES, MIN_BATCH = 64 * 2**20, 256
 """Most bytes of section states of the active cells; least number of active cells."""
 
 MODES_AT_ONCE = 512
@@ -48,7 +48,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
 
     def solve_part(params: dict[str, Array], arrays: Results) -> None:
         unforced, starts = record.definition.unforced, initial_state(record, params)
-        cells = Cells(*record.build_many(params), starts, settings, arrays, unforced=unforced)
+        cells = CellBatch(*record.build_many(params), starts, settings, arrays, unforced=unforced)
         solve(cells)
         explain(cells, record.definition, params)
         measure(cells, record.definition, params)
@@ -58,7 +58,7 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
 
     kept, variables = settings.max_period + settings.section_samples, record.variables(settings)
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize
-    at_once = min(most, max(LEAST_AT_ONCE, MEMORY_AT_ONCE // (8 * len(record.states) * kept)))
+    at_once = min(most, max(MIN_BATCH, MAX_SECTION_BYTES // (8 * len(record.states) * kept)))
     return solve_parts(record, params, settings, variables, at_once, solve_part)
 
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from atlas.spec.spec import checked_parameters, given_settings, given_values
-from atlas.spec.system import checked_system
+from atlas.spec.spec import given_settings, given_values, validate_parameters
+from atlas.spec.system import parse_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import REASON, in_words
@@ -32,8 +32,8 @@ def point(
     """
     from workers.tile import solve_tile
 
-    record, settings = checked_system(system), given_settings(settings)
-    parameters = checked_parameters(record, given_values(given, named))
+    record, settings = parse_system(system), given_settings(settings)
+    parameters = validate_parameters(record, given_values(given, named))
     arrays = solve_tile(record, parameters, settings)
     results = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
     words = in_words(results)

@@ -5,16 +5,16 @@ from collections.abc import Iterator
 
 from atlas.check.metadata import copy_faults
 from atlas.check.report import COPIES, COPY, GROUP, MACHINE, PART, StoreFault
-from atlas.errors import MADE_BY, ChunkError
+from atlas.errors import REBUILD_COMMANDS, ChunkError
 from atlas.store.groups import groups_of, read_group
-from atlas.store.machines import machine_keys, recorded_machine
+from atlas.store.host_records import host_keys, read_host
+from atlas.store.metadata_backup import form_fault, without_consolidated
 from atlas.store.parts import damaged_parts
 from atlas.store.schema import OVERVIEWS
-from atlas.store.spare import alone, form_fault
-from atlas.store.store import ROOT, Atlas
+from atlas.store.store import ROOT, AtlasStore
 
 
-def check_groups(handle: Atlas) -> Iterator[StoreFault]:
+def check_groups(handle: AtlasStore) -> Iterator[StoreFault]:
     """Read all groups, and compare the metadata of other groups with their copies."""
     tables = groups_of(handle)
     faulty = {group: texts for group in tables if (texts := _group_faults(handle, group))}
@@ -30,12 +30,12 @@ def check_groups(handle: Atlas) -> Iterator[StoreFault]:
         yield StoreFault(None, f"{key} is damaged, or its copy is{_remedy(handle, group)}", part)
     for key in (key for group in tables for key in damaged_parts(handle, group)):
         yield StoreFault(None, f"{key} is damaged", (PART, key))
-    for key in machine_keys(handle):
-        if recorded_machine(handle.place, key) is None:
+    for key in host_keys(handle):
+        if read_host(handle.place, key) is None:
             yield StoreFault(None, f"{key} is damaged", (MACHINE, key))
 
 
-def _group_faults(handle: Atlas, group: str) -> list[str]:
+def _group_faults(handle: AtlasStore, group: str) -> list[str]:
     try:
         # Arrays without the metadata of their group: the metadata are lost, or the writer was killed.
         lost = read_group(handle, group) is None and any(handle.place.list_keys(f"{group}/"))
@@ -44,9 +44,11 @@ def _group_faults(handle: Atlas, group: str) -> list[str]:
     if lost:
         return [f"{group}/{ROOT} is missing"]
     metadata = handle.place.get(f"{group}/{ROOT}")
-    fault = metadata is not None and form_fault(alone(json.loads(metadata)))  # its copies: see copy_faults
+    fault = metadata is not None and form_fault(
+        without_consolidated(json.loads(metadata))
+    )  # its copies: see copy_faults
     return [f"{group}/{ROOT} {fault}"] if fault else []
 
 
-def _remedy(handle: Atlas, group: str) -> str:
-    return f" ({MADE_BY[group]} {handle.place} makes it anew)" if group in MADE_BY else ""
+def _remedy(handle: AtlasStore, group: str) -> str:
+    return f" ({REBUILD_COMMANDS[group]} {handle.place} makes it anew)" if group in REBUILD_COMMANDS else ""

@@ -11,15 +11,15 @@ from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
 from atlas.store.groups import CURVES, TABLES
-from atlas.store.machine import MACHINES
-from atlas.store.record import RECORD, TILES
+from atlas.store.host import MACHINES
+from atlas.store.metadata_backup import form_fault, without_consolidated
+from atlas.store.record_format import RECORD, TILES
 from atlas.store.schema import OVERVIEWS
-from atlas.store.spare import alone, form_fault
-from atlas.store.store import ROOT, ZOOM, Atlas, arrays_by, open_arrays, own_nodes
+from atlas.store.store import ROOT, ZOOM, AtlasStore, arrays_by, open_arrays, read_array_nodes
 from atlas.store.tiles import covered_variables, object_shape
 
 
-def metadata_faults(handle: Atlas) -> list[str]:
+def metadata_faults(handle: AtlasStore) -> list[str]:
     """Contradictions between a store's metadata and its spec, or within its metadata, in a few words each."""
     spec = handle.spec
     faults = []
@@ -34,7 +34,7 @@ def metadata_faults(handle: Atlas) -> list[str]:
             f"{ROOT}: axis {a['name']} differs from its coordinate" for a in handle.outline["axes"] if a not in ends
         ]
     try:
-        own, copied = arrays_by(handle, own_nodes(handle, handle.array_names)), arrays_by(handle, handle.nodes)
+        own, copied = arrays_by(handle, read_array_nodes(handle, handle.array_names)), arrays_by(handle, handle.nodes)
     except ChunkError as error:
         return [*faults, *error.lines]
     sizes, variables = spec.extra_sizes, handle.variables
@@ -77,7 +77,7 @@ def _values_fault(key: str, fault: str) -> str:
     return f"coordinate {key} {fault}: it cannot be made again"
 
 
-def copy_faults(handle: Atlas) -> dict[str, dict[str, Any]]:
+def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
     """Copies of metadata that differ from their originals, by the keys of the originals.
 
     The root, every level of an overview and every table hold copies of the metadata of their members. Among the
@@ -111,13 +111,13 @@ def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
     return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
 
 
-def _groups_with_copies(handle: Atlas) -> list[str]:
+def _groups_with_copies(handle: AtlasStore) -> list[str]:
     """The keys of the metadata of tables and of levels of overviews."""
     levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
     return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if handle.place.exists(key)]
 
 
-def _json(handle: Atlas, key: str) -> dict[str, Any] | None:
+def _json(handle: AtlasStore, key: str) -> dict[str, Any] | None:
     """Stored metadata; None if they are missing or cannot be read."""
     try:
         metadata = json.loads(handle.place.get(key) or b"")
@@ -130,14 +130,14 @@ def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> 
     """Whether metadata equal their copy; the attribute ``late`` may have been written after the copy was made."""
     if own is None or not isinstance(own.get("attributes", {}), dict):
         return False
-    one, other = alone(own), alone(copy)
+    one, other = without_consolidated(own), without_consolidated(copy)
     attributes = [dict(metadata.get("attributes", {})) for metadata in (one, other)]
     if late not in attributes[1]:
         attributes[0].pop(late, None)
     return one | {"attributes": attributes[0]} == other | {"attributes": attributes[1]}
 
 
-def coordinate_faults(handle: Atlas) -> list[str]:
+def coordinate_faults(handle: AtlasStore) -> list[str]:
     """Coordinates and copies that cannot be read, or differ from the spec's in any bit, in a few words each."""
     arrays = open_arrays(handle)
     faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.place.get(key) != data]

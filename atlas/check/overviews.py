@@ -9,21 +9,23 @@ from numpy.typing import NDArray
 
 from atlas.check.report import CHUNK, GROUP, StoreFault
 from atlas.errors import ChunkError
+from atlas.formatting import plural
 from atlas.overview.coarsen import CODES, coarsen
 from atlas.overview.coordinates import level_coordinates
 from atlas.overview.levels import Index
 from atlas.overview.pyramid import MARKS, Pyramid, level_key
-from atlas.query.source import Part
+from atlas.query.store_block import StoreBlock
 from atlas.store.schema import OVERVIEWS
-from atlas.store.store import READERS, ROOT, Atlas
-from atlas.text import plural
+from atlas.store.store import READERS, ROOT, AtlasStore
 from workers.results import REGIME
 
 ROUNDING = 1e-9
 """Largest difference of numbers, relative or absolute: widths of cells on log axes depend on the machine."""
 
 
-def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> tuple[int, list[StoreFault]]:
+def check_overviews(
+    handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
+) -> tuple[int, list[StoreFault]]:
     """Read every chunk of every level: the number of chunks read whole, and the faults.
 
     ``bad`` are the finished tiles with faults: chunks over them are not compared, since they go with the tiles.
@@ -39,7 +41,7 @@ def check_overviews(handle: Atlas, bad: set[Index], on_level: Callable[[int], No
     return chunks, faults
 
 
-def _form_faults(handle: Atlas) -> list[str]:
+def _form_faults(handle: AtlasStore) -> list[str]:
     """Faults of the metadata and coordinates of overviews: unreadable, or unlike those of new overviews."""
     pyramid, faults = Pyramid(handle), []
     levels = pyramid.levels
@@ -63,12 +65,14 @@ def _form_faults(handle: Atlas) -> list[str]:
     return faults
 
 
-def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) -> Iterator[tuple[int, list[StoreFault]]]:
+def _checked(
+    handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
+) -> Iterator[tuple[int, list[StoreFault]]]:
     """The chunks of all levels, from the first level on: arrays that are whole, and faults."""
     pyramid = Pyramid(handle)
     if not pyramid.made:
         return
-    part = Part(handle, tuple(slice(0, n) for n in handle.spec.shape), pyramid)
+    part = StoreBlock(handle, tuple(slice(0, n) for n in handle.spec.shape), pyramid)
     unsound: set[Index] = set()
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):
@@ -77,7 +81,7 @@ def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) ->
             # A chunk over unsound cells cannot be computed, whether or not the chunks between the two are stored.
             over = {pyramid.levels.above(index) for index in unsound}
             if level == 1:
-                over = {pyramid.levels.over(tile) for tile in bad}
+                over = {pyramid.levels.chunk_over(tile) for tile in bad}
             indices = sorted(complete | shown)
             checks = [(part, level, index, index in complete, index in over) for index in indices]
             unsound = over
@@ -87,7 +91,7 @@ def _checked(handle: Atlas, bad: set[Index], on_level: Callable[[int], None]) ->
                 yield whole, [StoreFault(None, text, (CHUNK, level, index)) for text in faults]
 
 
-def _check(part: Part, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
+def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
     """The number of arrays of a chunk that are whole, and its faults."""
     levels = part.pyramid.levels
     place = levels.block(level, index)

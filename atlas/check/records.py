@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from atlas.store.record import BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, record_key
-from atlas.store.records import EXCHANGED, Records, is_exchanged
-from atlas.store.store import Atlas
+from atlas.store.record_format import BY_REASON, CELLS, DIGEST, RECORDS, Index, Rows, record_key
+from atlas.store.store import AtlasStore
+from atlas.store.tile_records import EXCHANGED, TileRecords, is_exchanged
 from workers.results import REASON
 
 
-def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]) -> list[str]:
+def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Index, Rows]) -> list[str]:
     """The faults of a store's records; ``counted`` has the correct row of every finished tile, from its cells."""
     faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
     counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
@@ -22,7 +22,7 @@ def record_faults(handle: Atlas, records: Records, counted: Mapping[Index, Rows]
     return faults + [f"the record of tile {index} contradicts its cells" for index in wrong]
 
 
-def tile_faults(records: Records, index: Index, row: Rows) -> list[str]:
+def tile_faults(records: TileRecords, index: Index, row: Rows) -> list[str]:
     """The faults of a finished tile's record; ``row`` is the correct record, from its cells."""
     key = record_key(index)
     if key in records.damaged:

@@ -11,63 +11,63 @@ from typing import Any
 
 import numpy as np
 
-from atlas.check.find import Findings
+from atlas.check.find_faults import VerifyFindings
 from atlas.check.metadata import copy_faults
-from atlas.check.report import CHUNK, COORDINATES, COPIES, COPY, FOREIGN, GROUP, MACHINE, PART, Report
-from atlas.errors import MADE_BY
-from atlas.overview.pyramid import Pyramid, drop_all
+from atlas.check.report import CHUNK, COORDINATES, COPIES, COPY, FOREIGN, GROUP, MACHINE, PART, VerifyReport
+from atlas.errors import REBUILD_COMMANDS
+from atlas.formatting import plural
+from atlas.overview.pyramid import Pyramid, drop_overviews
+from atlas.store.backend import StoreBackend
 from atlas.store.groups import ARRAYS, drop_group, group_attributes
-from atlas.store.machines import mend_record, recorded_machine
-from atlas.store.place import Place
-from atlas.store.record import RECORDS, WIDTH
-from atlas.store.records import write_compaction
-from atlas.store.schema import OVERVIEWS
-from atlas.store.spare import (
+from atlas.store.host_records import mend_record, read_host
+from atlas.store.metadata_backup import (
     SPARE,
-    alone,
     copy_members,
     copy_metadata,
-    mend_by_spare,
-    packed_spare,
-    read_spare,
-    spare_faults,
+    encode_backup,
+    find_backup_faults,
+    read_backup,
+    restore_from_backup,
+    without_consolidated,
 )
+from atlas.store.record_format import RECORDS, WIDTH
+from atlas.store.schema import OVERVIEWS
 from atlas.store.store import ROOT, ZOOM, open_arrays
-from atlas.store.tiles import drop_tile, encoded
-from atlas.store.zoom import describe_planes, drop_sheet
-from atlas.text import plural
+from atlas.store.tile_records import write_compaction
+from atlas.store.tiles import drop_tile, encode_chunks
+from atlas.store.zoom import describe_planes, drop_metatile
 
 Names = Sequence[tuple[Any, ...]]
 """The names of faulty parts of one kind; the kind itself is left out."""
 
 
-def repair(findings: Findings, again: Callable[[], Findings]) -> Report:
+def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> VerifyReport:
     """Drop the faulty parts of a claimed store; without a fault nothing is written.
 
     Damaged metadata are written again, and then the store is read ``again``: no cell was read through them.
     """
-    if not findings.unread:
+    if not findings.is_unreadable:
         return _repaired(findings)
     written, first = _write_metadata(findings.handle.place), findings.report.faults
     findings = again()
-    if findings.unread:
+    if findings.is_unreadable:
         faults = tuple(dict.fromkeys((*first, *findings.report.faults)))
         return replace(findings.report, faults=faults, repaired=())
     report = _repaired(findings)
     return replace(report, faults=(*first, *report.faults), mended=(*written, *report.mended))
 
 
-def _write_metadata(place: Place) -> list[str]:
+def _write_metadata(place: StoreBackend) -> list[str]:
     """Write metadata as their spare has them, else the root's copies as the arrays have them; returns a line each."""
-    spare = read_spare(place)
-    if spare is not None and (lost := spare_faults(place, spare)):
-        mend_by_spare(place, spare, lost)
+    spare = read_backup(place)
+    if spare is not None and (lost := find_backup_faults(place, spare)):
+        restore_from_backup(place, spare, lost)
         return [f"{key} written again" for key in lost]
     copy_metadata(place, json.loads(place.get(ROOT) or b"{}"))
     return [f"{ROOT}: its consolidated metadata written again"]
 
 
-def _repaired(findings: Findings) -> Report:
+def _repaired(findings: VerifyFindings) -> VerifyReport:
     """Drop or mend the faulty parts, overviews before the tiles below them; returns the report with the repairs."""
     handle, faults = findings.handle, findings.report.faults
     tiles = sorted({fault.tile for fault in faults if fault.tile is not None})
@@ -77,7 +77,7 @@ def _repaired(findings: Findings) -> Report:
         return [part[1:] for part in parts if part[0] == kind]
 
     pyramid = Pyramid(handle)
-    dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.over(tile)) for tile in tiles)})
+    dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.chunk_over(tile)) for tile in tiles)})
     for index in tiles:
         drop_tile(handle, index)
     removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
@@ -87,51 +87,51 @@ def _repaired(findings: Findings) -> Report:
     return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, mended=tuple(mended))
 
 
-def _mend_spare(findings: Findings, _: Names) -> Iterator[str]:
+def _mend_spare(findings: VerifyFindings, _: Names) -> Iterator[str]:
     place = findings.handle.place
-    place.put(SPARE, packed_spare(place.get(ROOT) or b""))
+    place.put(SPARE, encode_backup(place.get(ROOT) or b""))
     yield f"{SPARE} written again"
 
 
-def _mend_coordinates(findings: Findings, _: Names) -> Iterator[str]:
+def _mend_coordinates(findings: VerifyFindings, _: Names) -> Iterator[str]:
     """Write the coordinates and their copies again, from the spec."""
     handle = findings.handle
     arrays, objects = open_arrays(handle), handle.copies
     for name, coordinate in handle.coordinates.items():
-        objects |= encoded(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
+        objects |= encode_chunks(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
     handle.place.put_all(objects)
     yield "coordinates written again"
 
 
-def _drop_groups(findings: Findings, names: Names) -> Iterator[str]:
+def _drop_groups(findings: VerifyFindings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (group,) in names:
         if group == OVERVIEWS:
-            drop_all(handle)
+            drop_overviews(handle)
         else:
             drop_group(handle, group)
             handle.place.remove_all(list(handle.place.list_keys(f"{group}/")))
-        command = f"{MADE_BY[group]} {handle.place}" if group in MADE_BY else "the next run"
+        command = f"{REBUILD_COMMANDS[group]} {handle.place}" if group in REBUILD_COMMANDS else "the next run"
         yield f"{group} dropped: {command} makes them anew"
 
 
-def _drop_parts(findings: Findings, names: Names) -> Iterator[str]:
+def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
     place = findings.handle.place
     for (key,) in names:
         place.remove(key)
-        yield f"{key} dropped: {MADE_BY[key.split('/')[1]]} {place} finds it again"
+        yield f"{key} dropped: {REBUILD_COMMANDS[key.split('/')[1]]} {place} finds it again"
 
 
-def _mend_copies(findings: Findings, names: Names) -> Iterator[str]:
+def _mend_copies(findings: VerifyFindings, names: Names) -> Iterator[str]:
     """Write metadata of groups again, by their copies."""
     copies = copy_faults(findings.handle)
     for (key,) in names:
         if key in copies:
-            findings.handle.place.put(key, json.dumps(alone(copies[key])).encode())
+            findings.handle.place.put(key, json.dumps(without_consolidated(copies[key])).encode())
         yield f"{key} written again, as its copy has it"
 
 
-def _mend_members(findings: Findings, names: Names) -> Iterator[str]:
+def _mend_members(findings: VerifyFindings, names: Names) -> Iterator[str]:
     """Write the copies of the metadata of sound tables again."""
     handle = findings.handle
     for (group,) in names:
@@ -139,15 +139,15 @@ def _mend_members(findings: Findings, names: Names) -> Iterator[str]:
         yield f"the copies of the metadata of {group} written again"
 
 
-def _mend_machines(findings: Findings, names: Names) -> Iterator[str]:
+def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (key,) in names:
-        if recorded_machine(handle.place, key) is None:
+        if read_host(handle.place, key) is None:
             whole = mend_record(handle, key)
             yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown machine"
 
 
-def _write_records(findings: Findings, _: Names) -> Iterator[str]:
+def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
     """Write the records of sound tiles by their cells, all together."""
     grid = findings.handle.tiling.grid
     rows, settled = np.zeros((*grid, WIDTH)), np.zeros(grid, dtype=bool)
@@ -157,7 +157,7 @@ def _write_records(findings: Findings, _: Names) -> Iterator[str]:
     yield f"records of {plural(len(findings.rows), 'tile')} collected"
 
 
-def _drop_zoom(findings: Findings, names: Names) -> Iterator[str]:
+def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
     """Remove sheets, named (plane, sheet), and planes (plane,) with all their sheets.
 
     The metadata of the group of all planes, named (), are written again.
@@ -171,12 +171,12 @@ def _drop_zoom(findings: Findings, names: Names) -> Iterator[str]:
             handle.place.remove(f"{ZOOM}/{plane}/{ROOT}")
             sheets = sorted({key.split("/")[2] for key in handle.place.list_keys(f"{ZOOM}/{plane}/")})
         for sheet in sheets:
-            drop_sheet(handle, plane, sheet)
+            drop_metatile(handle, plane, sheet)
     if folders:
         yield f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again"
 
 
-MENDERS: dict[str, Callable[[Findings, Names], Iterator[str]]] = {
+MENDERS: dict[str, Callable[[VerifyFindings, Names], Iterator[str]]] = {
     SPARE: _mend_spare,
     COORDINATES: _mend_coordinates,
     GROUP: _drop_groups,

@@ -3,11 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from atlas.errors import PACK
+from atlas.errors import REPACK_HINT
+from atlas.formatting import html_table, plural
 from atlas.store.tiling import Index
-from atlas.text import html_table, plural
 
-SHOWN = 50
+MAX_FAULTS_SHOWN = 50
 """Faults that a terminal gets to see; ``--json`` has all."""
 
 METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
@@ -32,7 +32,7 @@ class StoreFault:
 
 
 @dataclass(frozen=True)
-class Report:
+class VerifyReport:
     """The findings of a verification.
 
     tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
@@ -82,7 +82,7 @@ class Report:
     def remedy(self) -> str:
         """The remedy of the faults, in words."""
         if self.store.lower().endswith(".zip"):
-            return PACK
+            return REPACK_HINT
         solves = any(fault.tile is not None for fault in self.faults)
         return f"atlas verify --repair {self.store}" + ", then run it again" * solves
 
@@ -112,8 +112,12 @@ class Report:
         """Faults and repairs, and the verdict at the end, in lines."""
         lines = []
         for title, faults in (("found", self.faults), ("in doubt", self.doubts)):
-            lines += [f"{title}: {fault}" for fault in faults[:SHOWN]]
-            lines += [f"and {len(faults) - SHOWN} more {title}: --json lists them"] if len(faults) > SHOWN else []
+            lines += [f"{title}: {fault}" for fault in faults[:MAX_FAULTS_SHOWN]]
+            lines += (
+                [f"and {len(faults) - MAX_FAULTS_SHOWN} more {title}: --json lists them"]
+                if len(faults) > MAX_FAULTS_SHOWN
+                else []
+            )
         if self.faults and self.repaired is None:
             lines.append(f"remedy: {self.remedy}")
         if self.repaired is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.spec.spec import Spec
 from atlas.store.origin import ALLOWANCES
-from atlas.task.solving import solve_apart
+from atlas.task.solve_block import solve_independent
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, leading
 
 ERRORS = 5.0
@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Sample:
+class SampledCell:
     """A cell of a stored tile: its index in the atlas, its tile, and its results as arrays over a block of one cell."""
 
     cell: tuple[int, ...]
@@ -32,25 +32,25 @@ class Sample:
         return int(self.stored[REGIME.name].flat[0])
 
 
-def solve_again(spec: Spec, sample: Sample) -> Mapping[str, np.ndarray]:
+def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
     """The results of the cell solved now, in the shapes of the stored results."""
     block = tuple(slice(i, i + 1) for i in sample.cell)
     allowed = ALLOWANCES if spec.attractors is None else ()  # others cannot be retried
     given: dict[str, Any] = {allowance.setting: int(sample.stored[allowance.name].item()) for allowance in allowed}
-    arrays = solve_apart(spec, spec.cell_params(block), replace(spec.settings, **given))
+    arrays = solve_independent(spec, spec.cell_params(block), replace(spec.settings, **given))
     if spec.basins:  # attractors beyond the table get their labels once all cells are known
         beyond = arrays[LABEL.name] == BEYOND_TABLE
         arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
     return arrays
 
 
-def unequal(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
+def find_bit_differences(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
     """The differences of two solutions of a cell in any bit, in words; empty if there are none."""
     names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
     return _in_words(stored, again, names)
 
 
-def beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
+def find_differences_beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
     """The differences beyond their errors of two solutions of a cell by different machines, in words; or empty.
 
     The regimes have to be the same, for an orbit also the period and whether it sticks; the largest exponents have to

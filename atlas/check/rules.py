@@ -39,7 +39,7 @@ SUM_LAW = 1e-8
 """Largest error of a sum of exponents, relative to its exact value, or absolute where that is below 1."""
 TORUS = 1e-3
 """The same for a quasiperiodic cell, in addition: its first exponent is a weighted average, the others plain ones."""
-SAME = 1e-6
+AVERAGE_TOLERANCE = 1e-6
 """Largest difference, besides five errors, between two kinds of averages of the largest exponent."""
 
 
@@ -71,7 +71,7 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
         total = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
-        unlike = ~(np.abs(total - 1.0) < SAME)
+        unlike = ~(np.abs(total - 1.0) < AVERAGE_TOLERANCE)
         broken["shares, undecided and left do not add up to 1"] = np.logical_and(tried > 0, unlike)
     mirror = arrays["mirror"]
     back = np.take_along_axis(mirror, np.maximum(mirror, 0), axis=-1)
@@ -180,14 +180,16 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
         f"chaotic, but largest is not positive by {STANDARD_ERRORS:g} errors",
         (regime == CHAOTIC) & ~(clear & (largest > 0)),
     )
-    stays = arrays.get("stuck_fraction", np.zeros(regime.shape)) > 1 - SAME  # it could rest elsewhere as well
+    stays = (
+        arrays.get("stuck_fraction", np.zeros(regime.shape)) > 1 - AVERAGE_TOLERANCE
+    )  # it could rest elsewhere as well
     neutral = (largest == 0) & stays
     yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~((largest < 0) | neutral)
     yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
     if "average" in arrays:
         mean = arrays["average"].reshape(*regime.shape, -1)[..., 0]
         yield "average is NaN", known & np.isnan(mean)
-        unlike = ~(np.abs(mean - largest) <= SAME + 5.0 * error)
+        unlike = ~(np.abs(mean - largest) <= AVERAGE_TOLERANCE + 5.0 * error)
         yield "average is not the largest exponent of a chaotic cell", (regime == CHAOTIC) & unlike
     if "spectrum" not in arrays:
         return
@@ -197,7 +199,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     rises = spectrum[..., :-1] < spectrum[..., 1:]
     yield "spectrum is not descending", rises[..., 1:].any(axis=-1) | (rises[..., 0] & (regime != QUASIPERIODIC))
     first = np.where(np.isfinite(_cycles(arrays)), spectrum[..., 1], spectrum[..., 0])  # of a cycle the 0 along it
-    same = (first == largest) | (np.abs(first - largest) <= SAME + 5.0 * error)
+    same = (first == largest) | (np.abs(first - largest) <= AVERAGE_TOLERANCE + 5.0 * error)
     yield "largest is not the first of the spectrum", known & ~same
 
 

@@ -4,19 +4,19 @@ import random
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from atlas.arguments import checked_flag, checked_kind, is_whole
-from atlas.check.find import Findings, find
+from atlas.argument_checks import is_integer, validate_flag, validate_type
+from atlas.check.find_faults import VerifyFindings, find_faults
 from atlas.check.repair import repair as drop_faulty
-from atlas.check.report import Report
-from atlas.errors import InputError, shown
-from atlas.service.lease import claimed
-from atlas.service.notebook import reporting
+from atlas.check.report import VerifyReport
+from atlas.errors import InputError, brief_repr
+from atlas.service.lease import hold_lease
+from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
-from atlas.store.archive import refuse_packed
-from atlas.store.location import Given, place_of, refused
-from atlas.store.sidecar import notes_of
-from atlas.store.spare import read_spare
-from atlas.store.store import open_handle
+from atlas.store.metadata_backup import read_backup
+from atlas.store.object_backend import Given, open_backend, os_errors_as_input_errors
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import open_store
+from atlas.store.zip_backend import check_not_packed
 
 SAMPLE = 32
 
@@ -27,7 +27,7 @@ def verify(
     repair: bool = False,
     seed: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
-) -> Report:
+) -> VerifyReport:
     """Read a whole store, while no run is at work on it, and report all its faults.
 
     Metadata and coordinates are compared with the spec. Every chunk of every finished tile is read, which checks its
@@ -46,23 +46,23 @@ def verify(
     >>> atlas.verify("plane.zarr", sample=2).fine
     True
     """
-    if not is_whole(sample) or sample < 0:
-        raise InputError(f"sample: found {shown(sample)}, must be a whole number, 0 or more")
+    if not is_integer(sample) or sample < 0:
+        raise InputError(f"sample: found {brief_repr(sample)}, must be a whole number, 0 or more")
     if seed is not None:
-        checked_kind("seed", seed, int, "a whole number")
-    checked_flag("repair", repair)
-    place = place_of(store)
+        validate_type("seed", seed, int, "a whole number")
+    validate_flag("repair", repair)
+    place = open_backend(store)
     if repair:
-        refuse_packed(place)
-    with refused(place, "read"):
-        if read_spare(place) is None:
-            open_handle(place)  # raises without a store, before its claim is taken
+        check_not_packed(place)
+    with os_errors_as_input_errors(place, "read"):
+        if read_backup(place) is None:
+            open_store(place)  # raises without a store, before its claim is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
-    with reporting(on_progress) as report, ExitStack() as stack:
+    with progress_reporter(on_progress) as report, ExitStack() as stack:
         if repair:
-            place = stack.enter_context(claimed(notes_of(place), str(place))).guard(place)
+            place = stack.enter_context(hold_lease(sidecar_of(place), str(place))).fence_backend(place)
 
-        def read() -> Findings:
-            return find(place, sample, drawn, report or (lambda _: None))
+        def read() -> VerifyFindings:
+            return find_faults(place, sample, drawn, report or (lambda _: None))
 
         return drop_faulty(read(), read) if repair else read().report

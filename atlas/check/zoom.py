@@ -2,12 +2,12 @@
 
 import json
 
-from atlas.store.spare import form_fault
-from atlas.store.store import ROOT, ZOOM, Atlas
+from atlas.store.metadata_backup import form_fault
+from atlas.store.store import ROOT, ZOOM, AtlasStore
 from atlas.store.zoom import ABOUT
 
 
-def plane_faults(handle: Atlas) -> dict[str, str]:
+def plane_faults(handle: AtlasStore) -> dict[str, str]:
     """Damaged metadata of planes and of sheets, by their keys. Folders that are still being made are left out."""
     damage: dict[str, str] = {}
     folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.place.list_keys(f"{ZOOM}/")}

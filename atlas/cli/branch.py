@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.arguments import checked_suffix
+from atlas.argument_checks import validate_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Numbers,
-    asked_cell,
     at_option,
     check_cell_options,
     examples,
+    figure_options,
     input_errors,
     json_option,
-    look_options,
     maybe_store_argument,
-    opened,
+    open_selection,
     out_option,
+    resolve_cell,
     select_option,
     set_option,
     settings_options,
@@ -29,22 +29,22 @@ from atlas.cli.options import (
 )
 from atlas.cli.output import print_table, to_json
 from atlas.cli.progress import reporter
-from atlas.orbits.branches.branch import MOST, observed_of, tree_from
+from atlas.formatting import plural
+from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
-from atlas.orbits.branches.table import Branches, orbit_name
-from atlas.query.export import check_writable, write_rows, written_whole
-from atlas.render import FORMATS, LOOK, render
-from atlas.render.wanted import Wanted
+from atlas.orbits.branches.table import BranchTable, orbit_name
+from atlas.query.export import check_writable, replace_on_success, write_rows
+from atlas.render import FORMATS, SCALE_OPTION_NAMES, render
+from atlas.render.request import PictureRequest
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.system import system_of
 from atlas.task.compile import OBSERVED, ORBITS, kernels_for
-from atlas.text import plural
 from workers.results import CYCLE_PERIOD
 
 if TYPE_CHECKING:
     import pandas
 
-    from atlas.orbits.branches.seed import Seed
+    from atlas.orbits.branches.seed import BranchSeed
 
 TABLES = ("csv", "json")
 """Formats of files of branches, besides pictures."""
@@ -78,10 +78,12 @@ TABLES = ("csv", "json")
     metavar="NAME",
     help="What a picture shows in place of section values and a file has besides, such as impact_phase:stop.",
 )
-@click.option("--budget", type=click.IntRange(min=1), default=MOST, show_default=True, help="Branches followed in all.")
+@click.option(
+    "--budget", type=click.IntRange(min=1), default=MAX_BRANCHES, show_default=True, help="Branches followed in all."
+)
 @out_option(f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.")
 @json_option
-@look_options("vmin", "vmax")
+@figure_options("vmin", "vmax")
 @settings_options("exponents", "section_samples", "observe", "observe_values")
 def branch(
     store: str | None,
@@ -106,17 +108,17 @@ def branch(
     located to 1e-10 or better. Of a machine without a force it follows cycles and equilibria, with their Hopf points.
     """
     if out is not None:
-        checked_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
+        validate_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
         check_writable(out)
-    look = {name: options.pop(name) for name in LOOK if name in options}
-    Wanted.of(**look)  # before the branch is followed
+    look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
+    PictureRequest.of(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
         observable = observed_of(seed, observe)
         if observable is not None:
             prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
         show(Progress("following"))
-        branches = Branches.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
+        branches = BranchTable.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:
             _write(branches, out, look)
     message = {"file": str(out)} if out is not None else {}
@@ -128,7 +130,7 @@ def branch(
         click.echo(str(out))
 
 
-def summary(branches: Branches) -> dict[str, Any]:
+def summary(branches: BranchTable) -> dict[str, Any]:
     """Branches as plain values, without their points."""
     return {
         "system": branches.system.name,
@@ -153,20 +155,20 @@ def _seed(
     select: Numbers,
     system: str,
     options: dict[str, Any],
-) -> "Seed":
+) -> "BranchSeed":
     """The orbit of the requested cell."""
     check_cell_options(store)
     if store is None:
-        record, pairs, settings = asked_cell(given, system, options)
+        record, pairs, settings = resolve_cell(given, system, options)
         prepare_kernels(show, *kernels_for(record, ORBITS))
         show(Progress("solving"))
         return seed_of_point(pairs, record, settings)
-    ds = opened(store, select)
+    ds = open_selection(store, select)
     prepare_kernels(show, *kernels_for(system_of(ds.attrs), ORBITS))
     return seed_of_cell(ds, point)
 
 
-def _print(branches: Branches) -> None:
+def _print(branches: BranchTable) -> None:
     """A table of events, and how each branch ends."""
     cycles = [CYCLE_PERIOD.name] if branches.system.definition.unforced else []
     events = [event for traced in branches.traced for event in traced.run.events]
@@ -203,13 +205,13 @@ def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
     return rows
 
 
-def _write(branches: Branches, out: Path, look: dict[str, Any]) -> None:
+def _write(branches: BranchTable, out: Path, look: dict[str, Any]) -> None:
     """The points as CSV, everything as JSON, or a picture."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
         write_rows(out, _records(branches.points))
     elif suffix == ".json":
-        with written_whole(out) as unfinished:
+        with replace_on_success(out) as unfinished:
             unfinished.write_text(to_json(summary(branches) | {"points": _records(branches.points)}) + "\n")
     else:
         render(branches, out, **look)

@@ -12,16 +12,16 @@ from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Numbers,
-    asked_cell,
     at_option,
     check_cell_options,
     examples,
+    figure_options,
     input_errors,
     json_option,
-    look_options,
     maybe_store_argument,
-    opened,
+    open_selection,
     picture_option,
+    resolve_cell,
     select_option,
     set_option,
     settings_options,
@@ -29,16 +29,16 @@ from atlas.cli.options import (
     system_option,
 )
 from atlas.cli.output import print_cell, print_table, to_json
-from atlas.cli.progress import reporter, solving
+from atlas.cli.progress import reporter, show_solving
 from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.equation import equation_of
 from atlas.spec.examples import example_names, example_text
 from atlas.spec.json_schema import spec_schema
 from atlas.spec.laws import law_lines, uses_of_cell
-from atlas.spec.system import checked_system, unused_lines
+from atlas.spec.system import parse_system, unused_lines
 from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import System, find_system, system_names
 
 
@@ -60,10 +60,10 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
     from atlas.cell.point import point as solve_point
     from atlas.robustness.attractors import attractors
 
-    if starts != Starts.count and not every:
+    if starts != AttractorSettings.count and not every:
         raise InputError("--starts needs --attractors: without it one initial state is solved")
-    record, pairs, settings = asked_cell(given, system, solve)
-    with solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
+    record, pairs, settings = resolve_cell(given, system, solve)
+    with show_solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
             results = attractors(pairs, system=record, settings=settings, starts=starts)
         else:
@@ -87,7 +87,7 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
 @select_option
 @system_option
 @picture_option
-@look_options("vmin", "vmax")
+@figure_options("vmin", "vmax")
 @settings_options("exponents", "section_samples")
 def portrait(
     store: str | None,
@@ -102,20 +102,20 @@ def portrait(
 
     The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
     """
-    from atlas.query.cell import SolvedCell, solved_cell
-    from atlas.render import LOOK, check_path
+    from atlas.query.cell import CellSpec, read_cell_spec
+    from atlas.render import SCALE_OPTION_NAMES, check_path
     from atlas.render import portrait as draw_portrait
-    from atlas.render.wanted import Wanted
+    from atlas.render.request import PictureRequest
 
     check_path(out)
     check_cell_options(store)
-    look = {name: options.pop(name) for name in LOOK if name in options}
-    Wanted.of(**look)  # before the cell is solved
+    look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
+    PictureRequest.of(**look)  # before the cell is solved
     with input_errors(), reporter(sys.stderr) as show:
         if store is None:
-            cell = SolvedCell(*asked_cell(given, system, options))
+            cell = CellSpec(*resolve_cell(given, system, options))
         else:
-            cell = solved_cell(opened(store, select), point)
+            cell = read_cell_spec(open_selection(store, select), point)
         prepare_kernels(show, *kernels_for(cell.system, PATHS, settings=cell.settings))
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
@@ -128,7 +128,7 @@ def portrait(
 def systems(name: str | None, as_json: bool) -> None:
     """List the systems that can be solved, or describe one: its NAME, or the path of a .toml file."""
     if name is not None:
-        system = checked_system(name)
+        system = parse_system(name)
         click.echo(to_json(system.table())) if as_json else _print_system(system)
         return
     records = [find_system(known) for known in system_names()]

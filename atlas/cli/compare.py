@@ -9,20 +9,20 @@ from atlas.cli.options import (
     STORES,
     Bounds,
     examples,
+    figure_options,
     input_errors,
     json_option,
-    look_options,
     out_option,
-    say,
+    print_status,
     store_argument,
     window_option,
 )
 from atlas.cli.output import print_table, to_json
 from atlas.errors import InputError
+from atlas.formatting import plural
 from atlas.query.open import open_atlas
 from atlas.render import check_path, render
-from atlas.render.wanted import Wanted
-from atlas.text import plural
+from atlas.render.request import PictureRequest
 
 
 @click.command(epilog=examples("atlas compare plane.zarr other.zarr -o difference.png"))
@@ -31,26 +31,26 @@ from atlas.text import plural
 @window_option
 @out_option("Draw both maps of it; the suffix chooses the format.")
 @json_option
-@look_options()
+@figure_options()
 def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: bool, **look: Any) -> None:
     """Compare STORE with OTHER, of the same axes: cells by their regimes in both, differences of exponents.
 
     Differences are OTHER's minus STORE's.
     """
-    from atlas.query.attractors import leading
+    from atlas.query.attractors import select_dominant
     from atlas.query.compare import Comparison
 
     given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
     if out is not None:
         check_path(out)
-        Wanted.of(**look)
+        PictureRequest.of(**look)
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
     with input_errors():
-        compared = Comparison.of(leading(open_atlas(store)), leading(open_atlas(other)), window)
+        compared = Comparison.of(select_dominant(open_atlas(store)), select_dominant(open_atlas(other)), window)
         message = compared.as_dict()
         if out is not None:
-            say("drawing")
+            print_status("drawing")
             render(compared, out, **look)
     if as_json:
         click.echo(to_json(message | ({} if out is None else {"file": str(out)})))

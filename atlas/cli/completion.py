@@ -47,10 +47,10 @@ def examples(ctx: click.Context) -> Iterable[str]:
 
 def parameters(ctx: click.Context) -> Iterable[str]:
     """The parameters of the system on the command line, with an equals sign."""
-    from atlas.spec.system import checked_system
+    from atlas.spec.system import parse_system
     from workers.model.system import DEFAULT
 
-    return [f"{parameter.name}=" for parameter in checked_system(ctx.params.get("system") or DEFAULT).parameters]
+    return [f"{parameter.name}=" for parameter in parse_system(ctx.params.get("system") or DEFAULT).parameters]
 
 
 def axes(ctx: click.Context) -> Iterable[str]:
@@ -107,9 +107,9 @@ def _store(ctx: click.Context) -> str | None:
 def _spec(ctx: click.Context) -> "Spec":
     """The spec of the first store on the command line."""
     from atlas.spec.spec import Spec
-    from atlas.store.store import open_handle
+    from atlas.store.store import open_store
 
     store = str(_store(ctx))
     if Path(store).suffix == ".toml":
         return Spec.from_toml(store)
-    return open_handle(store).spec
+    return open_store(store).spec

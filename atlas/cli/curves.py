@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 from atlas.cli.options import (
-    crew_options,
     examples,
     json_option,
     out_option,
     store_argument,
+    worker_options,
 )
 from atlas.cli.output import to_json
 from atlas.cli.progress import resumable
@@ -35,7 +35,7 @@ def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., N
 @_budget("curves", "Curves followed, at most.")
 @_budget("points", "Points of all curves, at most.")
 @_budget("least", "Cells that a region must have for events to be looked for beside it.", "min-cells")
-@crew_options
+@worker_options
 @json_option
 def find_curves(
     ctx: click.Context,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from atlas.cli.options import examples, say
+from atlas.cli.options import examples, print_status
 
 EXAMPLE = "omega-b"
 
@@ -19,11 +19,11 @@ def demo(ctx: click.Context, folder: Path) -> None:
     """
     store, picture = str(folder / f"{EXAMPLE}.zarr"), str(folder / f"{EXAMPLE}.png")
     for words in (["run", EXAMPLE, "-o", store], ["plot", store, "-o", picture], ["query", store]):
-        say(f"$ atlas {' '.join(words)}")
+        print_status(f"$ atlas {' '.join(words)}")
         assert ctx.parent is not None
         group = ctx.parent.command
         assert isinstance(group, click.Group)
         command = group.commands[words[0]]
         with command.make_context(words[0], words[1:], parent=ctx.parent) as own:
             command.invoke(own)
-    say(f"the map: {picture}; next: atlas explore, atlas systems, atlas --help")
+    print_status(f"the map: {picture}; next: atlas explore, atlas systems, atlas --help")

@@ -17,12 +17,12 @@ from atlas.cli.options import (
     examples,
     input_errors,
     interruptible,
-    opened,
+    open_selection,
     options_given,
     out_option,
     pairs_option,
+    print_status,
     read_bounds,
-    say,
     scheduler_option,
     select_option,
     storage_option,
@@ -119,10 +119,12 @@ def explore(
             )
             try:
                 if running.explorer.tiles.keeper.handle is not None:
-                    say(f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none")
+                    print_status(
+                        f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none"
+                    )
                 click.echo(running.url)
                 if running.place != running.url:
-                    say(f"by the proxy of JupyterHub: {running.place}")
+                    print_status(f"by the proxy of JupyterHub: {running.place}")
                 if browser:
                     webbrowser.open(running.url)
                 while True:
@@ -130,7 +132,7 @@ def explore(
             finally:
                 running.stop()
     except KeyboardInterrupt:
-        say("ended")
+        print_status("ended")
         ctx.exit(INTERRUPTED)
 
 
@@ -141,17 +143,17 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
             name = "/".join([option.opts[-1], *option.secondary_opts])
             raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
     from atlas.explore.static.page import check_path, write_page
-    from atlas.query.window import within
+    from atlas.formatting import byte_size
+    from atlas.query.window import select_window
     from atlas.spec.examples import example_names
-    from atlas.text import byte_size
 
     if subject.endswith(".toml") or subject in example_names():
         run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
         check_path(out)
-        ds = within(opened(subject, chosen), window)
-        say("reading and painting")
+        ds = select_window(open_selection(subject, chosen), window)
+        print_status("reading and painting")
         written = write_page(ds, out)
-    say(byte_size(written.stat().st_size))
+    print_status(byte_size(written.stat().st_size))
     click.echo(str(written))

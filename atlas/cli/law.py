@@ -2,13 +2,13 @@
 
 import click
 
-from atlas.cell.law import CELLS, check_law, finer
+from atlas.cell.law_check import CELLS, check_law, finer
 from atlas.cli.options import examples, json_option, spec_argument
 from atlas.cli.output import print_table, to_json
-from atlas.cli.progress import solving
+from atlas.cli.progress import show_solving
 from atlas.spec.spec import Spec
 
-SHOWN = 20
+MAX_ROWS = 20
 """Cells that are listed."""
 
 
@@ -20,7 +20,7 @@ def check(spec: str, cells: int, as_json: bool) -> None:
     """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
     read = Spec.from_toml(spec)
     fine = finer(read)
-    with solving(read.record):
+    with show_solving(read.record):
         changes = check_law(read, fine, cells)
     if as_json:
         click.echo(to_json(changes.as_dict()))
@@ -36,8 +36,8 @@ def check(spec: str, cells: int, as_json: bool) -> None:
     if changes.changed:
         click.echo()
         rows = [
-            (*(f"{value:.6g}" for value in at.values()), here, there) for at, here, there in changes.changed[:SHOWN]
+            (*(f"{value:.6g}" for value in at.values()), here, there) for at, here, there in changes.changed[:MAX_ROWS]
         ]
         print_table("", [*changes.changed[0][0], "class", "with twice the segments"], rows)
-        if len(changes.changed) > SHOWN:
-            click.echo(f"... and {len(changes.changed) - SHOWN} more; --json lists all")
+        if len(changes.changed) > MAX_ROWS:
+            click.echo(f"... and {len(changes.changed) - MAX_ROWS} more; --json lists all")

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from atlas.cli.options import INTERRUPTED, examples
-from atlas.errors import InputError, RunError, one_line, shown
+from atlas.errors import InputError, RunError, brief_repr, to_one_line
 from workers.model.parameter import unknown_name
 
 _Table = Mapping[str, Mapping[str, tuple[str, str]]]
@@ -131,7 +131,7 @@ def _flush_or_drop(stream: Any) -> None:
 def _bad_usage(error: click.UsageError) -> _BadInput:
     """What click says of a wrong command line, without the usage before it."""
     where = error.ctx.command_path if error.ctx else "atlas"
-    return _BadInput(one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
+    return _BadInput(to_one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
 
 
 class _Group(click.Group):
@@ -189,7 +189,7 @@ class _Group(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
             if args[0] in _MEANT and ctx.parent is None:
-                raise InputError(f"unknown command {shown(args[0])}; did you mean 'atlas {_MEANT[args[0]]}'?")
+                raise InputError(f"unknown command {brief_repr(args[0])}; did you mean 'atlas {_MEANT[args[0]]}'?")
             raise InputError(unknown_name("command", args[0], self.commands))
         return super().resolve_command(ctx, args)
 

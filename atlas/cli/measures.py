@@ -4,13 +4,13 @@ import click
 
 from atlas.cli.options import (
     Numbers,
-    crew_options,
     examples,
     json_option,
     norm_option,
     pairs_option,
     read_number,
     store_argument,
+    worker_options,
 )
 from atlas.cli.output import to_json
 from atlas.cli.progress import resumable
@@ -31,7 +31,7 @@ from atlas.service.options import RunOptions
 @click.option("--shocks", is_flag=True, help="Also the smallest shock found of each attractor that leads to another.")
 @click.option("--margin", is_flag=True, help="Also the distance of each cell to the nearest curve of STORE.")
 @pairs_option("--scale", "AXIS=UNIT", "Unit of the margin along an axis; default: the plane's width.", read_number)
-@crew_options
+@worker_options
 @json_option
 def measure_attractors(
     ctx: click.Context,

@@ -16,16 +16,16 @@ from click.core import ParameterSource
 
 from atlas.cli import completion
 from atlas.cli.completion import Names, of_names
-from atlas.errors import ChunkError, InputError, NetworkError, shown
-from atlas.service.options import MOST_WORKERS, RunOptions
+from atlas.errors import ChunkError, InputError, NetworkError, brief_repr
+from atlas.service.options import MAX_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
-from atlas.spec.spec import SETTING_MEANINGS, checked_parameters, checked_settings, observable_settings
-from atlas.spec.system import checked_system
-from atlas.store.location import is_url, reached_by
+from atlas.spec.spec import SETTING_MEANINGS, observable_settings, parse_settings, validate_parameters
+from atlas.spec.system import parse_system
+from atlas.store.object_backend import default_storage_options, is_url
 from workers import Settings
-from workers.attractors.starts import MOST_STARTS, Starts
+from workers.attractors.initial_states import MAX_STARTS, AttractorSettings
 from workers.model.system import DEFAULT, System
-from workers.settings import CHOICES
+from workers.settings import VALID_WORDS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,7 +38,7 @@ _T = TypeVar("_T")
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
 workers_option = click.option(
     "--workers",
-    type=click.IntRange(1, MOST_WORKERS),
+    type=click.IntRange(1, MAX_WORKERS),
     help="Worker processes on this machine; default: one a processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
@@ -60,8 +60,8 @@ system_option = click.option(
 )
 starts_option = click.option(
     "--starts",
-    type=click.IntRange(1, MOST_STARTS),
-    default=Starts.count,
+    type=click.IntRange(1, MAX_STARTS),
+    default=AttractorSettings.count,
     show_default=True,
     help="Initial states from which all attractors are found.",
 )
@@ -109,7 +109,7 @@ def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> No
     """Set the storage options of this command's URLs."""
     ctx.meta[_STORAGE] = given
     if given:
-        ctx.with_resource(reached_by(read_pairs("--storage-option", given, lambda _, value: value)))
+        ctx.with_resource(default_storage_options(read_pairs("--storage-option", given, lambda _, value: value)))
 
 
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
@@ -145,7 +145,7 @@ def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
     return click.argument("store", required=False, shell_complete=STORES)(storage_option(command))
 
 
-def look_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """The options of a picture's size, type and scale, ``without`` some."""
     options = {
         "width": click.option("--width", metavar="LENGTH", help="Of the picture: 85mm, 8.5cm, 3.35in; default: 7in."),
@@ -173,7 +173,7 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
     """An option for every setting, ``without`` some, from the record of settings itself."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        choices = {name: click.Choice(known) for name, known in CHOICES.items()}
+        choices = {name: click.Choice(known) for name, known in VALID_WORDS.items()}
         for field in reversed([field for field in fields(Settings) if field.name not in without]):
             kinds = {int: click.INT, float: click.FLOAT, str: click.STRING}
             kind = choices.get(field.name) or kinds[type(field.default)]
@@ -220,14 +220,14 @@ def options_given(context: click.Context) -> Iterator[click.Parameter]:
             yield option
 
 
-def asked_cell(given: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
+def resolve_cell(given: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
     """The system, the checked parameters and the settings of a cell that is given on the command line."""
-    settings, record = checked_settings(solve), checked_system(system)
-    checked_parameters(record, given)
+    settings, record = parse_settings(solve), parse_system(system)
+    validate_parameters(record, given)
     return record, given, observable_settings(settings, record)
 
 
-def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
+def open_selection(store: str, place: Mapping[str, float]) -> "xr.Dataset":
     """The atlas of a STORE at these values of some axes; a message names the nearest cell of a value between two."""
     from atlas.query.open import open_atlas
     from atlas.query.window import select
@@ -235,11 +235,11 @@ def opened(store: str, place: Mapping[str, float]) -> "xr.Dataset":
     ds = select(open_atlas(store), place)
     for name, value in place.items():
         if name in ds.coords and not math.isclose(nearest := float(ds[name]), value, rel_tol=1e-9):
-            say(f"{name} = {nearest:.10g}, the nearest to {value:.10g}")
+            print_status(f"{name} = {nearest:.10g}, the nearest to {value:.10g}")
     return ds
 
 
-def say(text: str) -> None:
+def print_status(text: str) -> None:
     """A line for the user, on stderr; dropped where nobody reads that any more."""
     with suppress(BrokenPipeError):
         click.echo(text, err=True)
@@ -250,7 +250,7 @@ def timing_of(ctx: click.Context) -> Timing:
     return ctx.find_object(Timing) or TIMING
 
 
-def crew_options(command: Callable[..., None]) -> Callable[..., None]:
+def worker_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options of a command that needs workers, as ``RunOptions``: --scheduler, --workers, --dashboard."""
 
     @scheduler_option
@@ -305,7 +305,7 @@ def input_errors() -> Iterator[None]:
     except (NetworkError, BrokenPipeError):
         raise
     except ChunkError:
-        from atlas.overview.guard import abandon_reads
+        from atlas.overview.verifying_store import abandon_reads
 
         abandon_reads()
         raise
@@ -333,7 +333,7 @@ def read_number(where: str, value: str) -> float:
     try:
         return float(value)
     except ValueError:
-        raise InputError(f"{where}: found {shown(value)}, must be a number") from None
+        raise InputError(f"{where}: found {brief_repr(value)}, must be a number") from None
 
 
 def read_factors(given: tuple[str, ...]) -> int | dict[str, int]:
@@ -348,17 +348,17 @@ def read_whole(where: str, value: str) -> int:
     try:
         return int(value)
     except ValueError:
-        raise InputError(f"{where}: found {shown(value)}, must be a whole number") from None
+        raise InputError(f"{where}: found {brief_repr(value)}, must be a whole number") from None
 
 
 def read_bounds(where: str, value: str) -> tuple[float, float]:
     """The two numbers of LOW:HIGH."""
     low, colon, high = value.partition(":")
     if not colon:
-        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH")
+        raise InputError(f"{where}: found {brief_repr(value)}, must be LOW:HIGH")
     bounds = read_number(where, low), read_number(where, high)
     if not bounds[0] <= bounds[1]:
-        raise InputError(f"{where}: found {shown(value)}, must be LOW:HIGH with LOW <= HIGH")
+        raise InputError(f"{where}: found {brief_repr(value)}, must be LOW:HIGH with LOW <= HIGH")
     return bounds
 
 

@@ -14,25 +14,25 @@ from atlas.cli.options import (
     Bounds,
     Numbers,
     examples,
+    figure_options,
     input_errors,
-    look_options,
     meanings,
-    opened,
+    open_selection,
     out_option,
     picture_option,
-    say,
+    print_status,
     select_option,
     storage_option,
     window_option,
     workers_option,
 )
-from atlas.cli.paper import figures as draw_figures
+from atlas.cli.paper_figures import figures as draw_figures
 from atlas.cli.progress import reporter
 from atlas.errors import InputError
 from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from atlas.service.options import RunOptions
 
 
@@ -91,7 +91,7 @@ from atlas.service.options import RunOptions
 )
 @window_option
 @select_option
-@look_options()
+@figure_options()
 def plot(
     stores: tuple[str, ...],
     out: Path,
@@ -111,7 +111,7 @@ def plot(
 
     Several, which differ in a parameter, are drawn side by side on one scale, as maps of exponents or periods.
     """
-    from atlas.query.reads import counted
+    from atlas.query.read_counter import counted
 
     check_path(out)
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
@@ -119,11 +119,11 @@ def plot(
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
     of_one: dict[str, Any] = {"overlay": overlay, "curves": curves, "names": names, "variable": variable, "log": log}
-    Wanted.of(kind, window, **of_one, observe=observe, **look)  # before stores are read
+    PictureRequest.of(kind, window, **of_one, observe=observe, **look)  # before stores are read
     with input_errors(), counted() as reads:
-        atlases = [opened(store, select) for store in stores]
-        other = None if against is None else opened(against, select)
-        say("drawing")
+        atlases = [open_selection(store, select) for store in stores]
+        other = None if against is None else open_selection(against, select)
+        print_status("drawing")
         if len(atlases) > 1:
             stems = [os.path.basename(store.rstrip("/" + os.sep)) for store in stores]
             draw(atlases, out, kind, window, titles=stems, **look)
@@ -132,7 +132,7 @@ def plot(
                 atlases[0], out, kind=kind, window=window, against=other, observe=observe, **of_one, **look
             )  # fmt: skip
     if reads.chunks:
-        say(str(reads))
+        print_status(str(reads))
     click.echo(str(out))
 
 

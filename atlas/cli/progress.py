@@ -10,7 +10,7 @@ from typing import IO
 
 import click
 
-from atlas.cli.options import INTERRUPTED, interruptible, say
+from atlas.cli.options import INTERRUPTED, interruptible, print_status
 from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.task.compile import kernels_for
@@ -37,16 +37,16 @@ def resumable(
         with interruptible(), reporter(sys.stderr) as show:
             yield replace(options, on_progress=of(show))
     except KeyboardInterrupt:
-        say(f"interrupted: {advice}")
+        print_status(f"interrupted: {advice}")
         ctx.exit(INTERRUPTED)
 
 
 @contextmanager
-def solving(record: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
+def show_solving(record: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
     """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(record, *kernels, settings=settings))
-        show(Progress("solving"))
+        show(Progress("show_solving"))
         yield
 
 

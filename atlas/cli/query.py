@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.arguments import checked_suffix
+from atlas.argument_checks import validate_suffix
 from atlas.cli import completion
 from atlas.cli.completion import of_names
 from atlas.cli.options import (
@@ -17,29 +17,29 @@ from atlas.cli.options import (
     examples,
     input_errors,
     json_option,
-    opened,
+    open_selection,
     out_option,
+    print_status,
     read_whole,
-    say,
     select_option,
     store_argument,
     window_option,
 )
 from atlas.cli.output import print_attractors, print_table, text, to_json
 from atlas.errors import InputError
-from atlas.query.attractors import leading
-from atlas.query.classes import asked_class
+from atlas.formatting import plural
+from atlas.query.attractors import select_dominant
+from atlas.query.classes import parse_class
 from atlas.service.progress import reason_lines
 from atlas.spec.laws import law_lines, uses_of_cell
 from atlas.spec.system import stored_system
-from atlas.text import plural
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from atlas.query.window import Window
 
-SHOWN = 40
+MAX_ROWS = 40
 """Rows that a terminal shows; ``--json`` and ``-o`` have all."""
 _PATTERN = ("regime", "period", "impacts")
 _list_option = out_option("Write the whole list to a .csv file instead.")
@@ -63,8 +63,14 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
     with _asked(store, select, window, counted=not point and not as_json) as (ds, bounds):
         from atlas.query import queries as questions
 
-        results: dict[str, Any] = questions.at(ds, point) if point else dict(questions.fractions(leading(ds), bounds))
-        why = questions.reasons(leading(ds), bounds) if {"undetermined", "invalid", "failed"} & results.keys() else {}
+        results: dict[str, Any] = (
+            questions.at(ds, point) if point else dict(questions.fractions(select_dominant(ds), bounds))
+        )
+        why = (
+            questions.reasons(select_dominant(ds), bounds)
+            if {"undetermined", "invalid", "failed"} & results.keys()
+            else {}
+        )
         if as_json:
             click.echo(to_json(results | ({"reasons": why} if why else {})))
             return
@@ -73,9 +79,9 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
             used = uses_of_cell(system, results) if system else {}
             _print_values(results, "coexisting")
         else:
-            used = questions.laws(leading(ds), bounds)
+            used = questions.laws(select_dominant(ds), bounds)
             shown = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
-            print_table("", ["regime", f"share of {_measured(leading(ds))}"], shown)
+            print_table("", ["regime", f"share of {_measured(select_dominant(ds))}"], shown)
         click.echo("".join(f"{line}\n" for line in (*reason_lines(why), *law_lines(used))), nl=False)
 
 
@@ -94,10 +100,10 @@ def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool
     from atlas.query.export import FORMATS, check_writable
     from atlas.query.export import export as write
 
-    checked_suffix(out, FORMATS)
+    validate_suffix(out, FORMATS)
     check_writable(out)
     with _asked(store, select, window) as (ds, bounds):
-        say("reading and writing")
+        print_status("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}
         click.echo(to_json(message)) if as_json else _print_values(message)
 
@@ -148,14 +154,14 @@ def regions(
         hint = "" if ":" not in value else f"; --window {class_} limits an axis"
         raise InputError(f"{class_}: must be {', '.join(_PATTERN)}, or one of them =VALUE{hint}")
     meant: object = read_whole("period", value) if equals and by == "period" else value if equals else None
-    by, meant = asked_class(by, meant)
+    by, meant = parse_class(by, meant)
     if out is not None:
         _check_list(out)
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
-        from atlas.query import connected
+        from atlas.query import connected_regions
 
-        listed = connected.regions(leading(ds), by, meant, bounds, min_cells)
-        rows = [connected.flat(region) for region in listed]
+        listed = connected_regions.regions(select_dominant(ds), by, meant, bounds, min_cells)
+        rows = [connected_regions.flat(region) for region in listed]
         if not _answered({"by": by, "regions": listed}, rows, out, as_json):
             _print_regions(listed, by)
 
@@ -187,7 +193,7 @@ def extremes(
     with _asked(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
-        rows = find(leading(ds), variable, by, bounds)
+        rows = find(select_dominant(ds), variable, by, bounds)
         if _answered({"variable": variable, "by": by, "extremes": rows}, rows, out, as_json):
             return
         if not rows:
@@ -210,7 +216,7 @@ def _check_list(out: Path) -> None:
     """InputError unless a list can be written there."""
     from atlas.query.export import check_writable
 
-    checked_suffix(out, [".csv"])
+    validate_suffix(out, [".csv"])
     check_writable(out)
 
 
@@ -219,12 +225,12 @@ def _asked(
     store: str, select: Numbers, window: Bounds, counted: bool = False
 ) -> Iterator[tuple["xr.Dataset", "Window"]]:
     """The dataset and the window of a question; ``counted`` prints the number of chunks read at the end."""
-    from atlas.query import reads
+    from atlas.query import read_counter
 
-    with input_errors(), reads.counted() as cost:
-        yield opened(store, select), window
+    with input_errors(), read_counter.counted() as cost:
+        yield open_selection(store, select), window
     if counted:
-        say(f"{plural(cost.chunks, 'chunk')} read from the store")
+        print_status(f"{plural(cost.chunks, 'chunk')} read from the store")
 
 
 def _print_values(values: dict[str, Any], listed: str = "") -> None:
@@ -247,15 +253,15 @@ def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
             *(f"{low:.6g} to {high:.6g}" for low, high in region["box"].values()),
             ", ".join(region["cut"]),
         )
-        for region in listed[:SHOWN]
+        for region in listed[:MAX_ROWS]
     ]
     axes = list(listed[0]["centre"]) if listed else []
     columns = ["", by, "cells", "area", "share", *(f"centre {name}" for name in axes), *axes, "cut by"]
     if rows:
         print_table("", columns, rows)
-    if len(listed) > SHOWN:
-        rest = sum(region["share"] for region in listed[SHOWN:])
-        none = f"and {len(listed) - SHOWN} smaller ones, {100 * rest:.3g} % in all: --json or -o FILE.csv lists them"
+    if len(listed) > MAX_ROWS:
+        rest = sum(region["share"] for region in listed[MAX_ROWS:])
+        none = f"and {len(listed) - MAX_ROWS} smaller ones, {100 * rest:.3g} % in all: --json or -o FILE.csv lists them"
     total = sum(region["share"] for region in listed)
     click.echo(none or f"{plural(len(listed), 'region')}, {100 * total:.3g} % in all")
 

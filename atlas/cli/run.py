@@ -12,18 +12,18 @@ import click
 from atlas.cli import progress
 from atlas.cli.options import (
     SPECS,
-    crew_options,
     examples,
     json_option,
     options_given,
+    print_status,
     read_factors,
     read_whole,
-    say,
     spec_argument,
     storage_option,
     storage_words,
     store_argument,
     timing_of,
+    worker_options,
 )
 from atlas.cli.output import to_json
 from atlas.errors import InputError, without_secrets
@@ -31,21 +31,21 @@ from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
 from atlas.service.options import RunOptions
-from atlas.service.plan import make_plan, refuse_shortage
-from atlas.service.probe import probed, with_time
+from atlas.service.plan import check_free_space, make_plan
+from atlas.service.probe import add_probe, with_time
 from atlas.service.retry import retry as retry_store
 from atlas.service.retry import submit_retry
 from atlas.service.run import run as run_spec
 from atlas.service.submit import submit as submit_spec
-from atlas.service.summary import Summary
+from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
-from atlas.store.archive import refuse_packed
-from atlas.store.location import place_of
-from atlas.store.sidecar import notes_of
+from atlas.store.object_backend import open_backend
+from atlas.store.sidecar import sidecar_of
+from atlas.store.zip_backend import check_not_packed
 
 CANCEL_SECONDS = 60
 """How long ``atlas cancel`` waits for a run to stop."""
-KEPT = "finished tiles are kept"
+TILES_KEPT_NOTE = "finished tiles are kept"
 
 
 points_option = click.option(
@@ -73,23 +73,23 @@ def plan(
     """Estimate the cost of SPEC: cells, tiles, bytes, probed time."""
     read = _read(spec, points, observe)
     made = make_plan(read, workers)
-    place = place_of(out)
-    refuse_packed(place)
+    place = open_backend(out)
+    check_not_packed(place)
     if place.local is not None:
         try:
-            refuse_shortage(made, place.local)
+            check_free_space(made, place.local)
         except InputError as error:
-            say(f"atlas run will refuse this: {error}")
+            print_status(f"atlas run will refuse this: {error}")
     if probe:
         with progress.reporter(sys.stderr) as show:
-            made = probed(made, show)
+            made = add_probe(made, show)
     click.echo(to_json(made.as_dict()) if as_json else str(made))
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
     """The spec, with the options --points and --observe."""
     read = Spec.from_toml(spec, points)
-    return read if observe is None else read.observing(observe)
+    return read if observe is None else read.with_observables(observe)
 
 
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
@@ -127,7 +127,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @_tls_options
 @points_option
 @observe_option
-@crew_options
+@worker_options
 @click.option(
     "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
 )
@@ -153,13 +153,16 @@ def run(
         _check_submit(ctx, options.scheduler)
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
-    options = options.updated(tls=_tls(**tls), tile=index, performance_report=report)
+    options = options.replace_fields(tls=_tls(**tls), tile=index, performance_report=report)
     if leave:
         _submit(out, options, lambda shown: submit_spec(read, out, shown))
         return
     words = ["run", spec, "-o", out, *["--no-dashboard"] * (not options.dashboard)]
     line = _line(options, *words, points=points, observe=observe, performance_report=report, **tls)
-    with _logged(log), progress.resumable(ctx, options, f"{KEPT}; resume with\n  {line}", with_time) as shown:
+    with (
+        _logged(log),
+        progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; resume with\n  {line}", with_time) as shown,
+    ):
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
 
@@ -176,7 +179,7 @@ def run(
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than the spec's.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer watch than the spec's.")
 @_tls_options
-@crew_options
+@worker_options
 @_submit_option
 def retry(
     ctx: click.Context,
@@ -195,13 +198,13 @@ def retry(
     REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
     command resumes a retry that was stopped.
     """
-    options = options.updated(tls=_tls(**tls))
+    options = options.replace_fields(tls=_tls(**tls))
     if leave:
         _check_submit(ctx, options.scheduler)
         _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
         return
     line = _line(options, "retry", store, regimes, "-o", out, max_periods=max_periods, survival=survival, **tls)
-    with progress.resumable(ctx, options, f"{KEPT}; resume with\n  {line}") as shown:
+    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; resume with\n  {line}") as shown:
         summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
     _report(ctx, summary)
 
@@ -223,10 +226,10 @@ def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str
         with progress.reporter(sys.stderr) as show:
             where = hand_over(replace(options, on_progress=show))
     except KeyboardInterrupt:
-        say(f"interrupted: the cluster may have begun already\n{advice}")
+        print_status(f"interrupted: the cluster may have begun already\n{advice}")
         raise
     click.echo(f"{out}: at work on the cluster, coordinated by {where}")
-    say(advice)
+    print_status(advice)
 
 
 @click.command(epilog=examples("atlas cancel plane.zarr"))
@@ -234,7 +237,7 @@ def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str
 @click.pass_context
 def cancel(ctx: click.Context, store: str) -> None:
     """Stop the run on STORE, on any machine. Finished tiles are kept."""
-    stopped = cancel_run(notes_of(store), store, CANCEL_SECONDS, say, timing_of(ctx))
+    stopped = cancel_run(sidecar_of(store), store, CANCEL_SECONDS, print_status, timing_of(ctx))
     click.echo(f"{store}: {stopped} has stopped")
 
 
@@ -249,7 +252,7 @@ def cancel(ctx: click.Context, store: str) -> None:
     "--refine", metavar="N or NAME=N", multiple=True, help="Refinement factor for all axes, or NAME=N for one."
 )
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
-@crew_options
+@worker_options
 def extend(
     ctx: click.Context,
     store: str,
@@ -267,7 +270,7 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    with progress.resumable(ctx, options, f"{KEPT}; the same command resumes", with_time) as shown:
+    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; the same command resumes", with_time) as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
 
@@ -308,12 +311,12 @@ def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
     return shlex.join(map(without_secrets, line))
 
 
-def _report(ctx: click.Context, summary: Summary) -> None:
+def _report(ctx: click.Context, summary: RunSummary) -> None:
     """Print the summary of a run, and exit with 1 if a tile failed."""
     click.echo(str(summary))
     for worker, reason in summary.refused.items():
-        say(f"worker {worker} was excluded: {reason}")
+        print_status(f"worker {worker} was excluded: {reason}")
     for failure in summary.failures:
-        say(str(failure))
+        print_status(str(failure))
     if summary.failures:
         ctx.exit(1)

@@ -5,27 +5,27 @@ from typing import Any
 
 import click
 
-from atlas.arguments import checked_suffix
+from atlas.argument_checks import validate_suffix
 from atlas.cli.options import (
     Bounds,
     Numbers,
-    asked_cell,
     examples,
     json_option,
     norm_option,
     out_option,
     pairs_option,
     read_bounds,
+    resolve_cell,
     set_option,
     settings_options,
     starts_option,
     system_option,
 )
 from atlas.cli.output import print_table, text, to_json
-from atlas.cli.progress import solving
+from atlas.cli.progress import show_solving
 from atlas.errors import InputError
 from atlas.query.export import write_rows
-from atlas.robustness.norm import checked_weights
+from atlas.robustness.norm import validate_weights
 from atlas.task.compile import ATTRACTORS
 
 
@@ -59,13 +59,13 @@ def saddles(
     """
     from atlas.robustness.saddles import saddles as find_saddles
 
-    record, pairs, settings = asked_cell(given, system, solve)
-    weights = checked_weights(norm, record)
+    record, pairs, settings = resolve_cell(given, system, solve)
+    weights = validate_weights(norm, record)
     if out is None and box:
         raise InputError("--box needs --out: it bounds the manifolds")
     if out is not None:
-        checked_suffix(out, [".csv"])
-    with solving(record, ATTRACTORS):
+        validate_suffix(out, [".csv"])
+    with show_solving(record, ATTRACTORS):
         results = find_saddles(
             pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=box
         )

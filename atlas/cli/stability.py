@@ -6,18 +6,18 @@ import click
 
 from atlas.cli.options import (
     Numbers,
-    asked_cell,
     examples,
     json_option,
     norm_option,
+    resolve_cell,
     set_option,
     settings_options,
     starts_option,
     system_option,
 )
 from atlas.cli.output import print_cell, to_json
-from atlas.cli.progress import solving
-from atlas.robustness.norm import checked_weights
+from atlas.cli.progress import show_solving
+from atlas.robustness.norm import validate_weights
 from atlas.task.compile import ATTRACTORS
 
 
@@ -45,10 +45,10 @@ def stability(
     **solve: Any,
 ) -> None:
     """Measure the stability of each attractor of one cell: basin stability, return time, reactivity and more."""
-    from atlas.robustness.one_cell import stability as measure
+    from atlas.robustness.cell_stability import stability as measure
 
-    record, pairs, settings = asked_cell(given, system, solve)
-    weights = checked_weights(norm, record)
-    with solving(record, ATTRACTORS):
+    record, pairs, settings = resolve_cell(given, system, solve)
+    weights = validate_weights(norm, record)
+    with show_solving(record, ATTRACTORS):
         measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
     click.echo(to_json(measures)) if as_json else print_cell(measures, record.name)

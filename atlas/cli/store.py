@@ -11,9 +11,9 @@ from atlas.cli.output import to_json
 from atlas.cli.progress import reporter
 from atlas.query.open import open_atlas
 from atlas.service.pack import pack as pack_store
-from atlas.service.status import Census, read_status, watch
-from atlas.spec.citation import bibtex, computed_by
-from atlas.store.store import open_handle
+from atlas.service.status import StatusReader, read_status, watch
+from atlas.spec.citation import bibtex, software_version
+from atlas.store.store import open_store
 
 WATCH_SECONDS = 2.0
 """Between two looks of ``atlas status --watch``."""
@@ -26,10 +26,10 @@ WATCH_SECONDS = 2.0
 @click.pass_context
 def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> None:
     """Print the progress of STORE: tiles, cells and regimes done, and the run at work on it."""
-    handle, timing = open_handle(store), timing_of(ctx)
+    handle, timing = open_store(store), timing_of(ctx)
     if watching:
         with reporter(sys.stderr) as show:
-            for now in watch(Census(handle, timing), WATCH_SECONDS):
+            for now in watch(StatusReader(handle, timing), WATCH_SECONDS):
                 show(now.progress)
     final = read_status(handle, timing)
     click.echo(to_json(final.as_dict()) if as_json else str(final))
@@ -75,6 +75,6 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
 @store_argument
 def cite(store: str) -> None:
     """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
-    handle = open_handle(store)
-    version = computed_by(str(open_atlas(handle).attrs.get("software", "")))
+    handle = open_store(store)
+    version = software_version(str(open_atlas(handle).attrs.get("software", "")))
     click.echo(bibtex(handle.spec.record, version, handle.solver_version))

@@ -7,16 +7,16 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from atlas.cell.orbit import CellOrbit, cell_orbit
-from atlas.explore.chosen import Chosen, Ends, Range
+from atlas.cell.trajectory import CellTrajectory, cell_orbit
+from atlas.explore.cell_lookup import CellResult
 from atlas.explore.explorer import Explorer
-from atlas.explore.known import Cell
 from atlas.explore.subject import Subject
-from atlas.explore.view import Sight
-from atlas.explore.words import data_address
-from atlas.render import orbit as portrait
+from atlas.explore.text import data_address
+from atlas.explore.view_state import Ends, Range, ViewState
+from atlas.explore.viewport import Viewport
+from atlas.render import portrait_figure as portrait
 from atlas.render import render
-from atlas.render.page import page
+from atlas.render.layout import page
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
@@ -27,7 +27,7 @@ PORTRAIT: Any = {"width": "90mm", "dpi": 220}
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
-def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, ends: Ends) -> tuple[str, str]:
+def picture_file(explorer: Explorer, chosen: ViewState, sight: Viewport, suffix: str, ends: Ends) -> tuple[str, str]:
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
     ds = explorer.known.seen(chosen.plane, sight, chosen.names).ds
@@ -38,23 +38,23 @@ def picture_file(explorer: Explorer, chosen: Chosen, sight: Sight, suffix: str, 
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
-def orbit_of(subject: Subject, cell: Cell) -> CellOrbit:
+def orbit_of(subject: Subject, cell: CellResult) -> CellTrajectory:
     """The motion of a cell, solved as the cell was; InputError for a cell without a motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return cell_orbit(cell.parameters, subject.system, settings)
 
 
-def portrait_image(orbit: CellOrbit) -> str:
+def portrait_image(orbit: CellTrajectory) -> str:
     """The portrait of a motion as the address of an image; its phase plane of the gap coordinate is the page's own."""
     sheet, data = page(**PORTRAIT), BytesIO()
     drawn = portrait.figure(orbit, sheet, gap_plane=False)
-    sheet.fit(drawn)
+    sheet.wrap_texts(drawn)
     drawn.savefig(data, format="png", dpi=sheet.dpi)
     return data_address("image/png", data.getvalue())
 
 
 @dataclass(frozen=True)
-class NewAtlas:
+class NewAtlasSpec:
     """The spec of an atlas: where its file lies, its text, the line that computes it, and what that costs."""
 
     file: Path
@@ -63,7 +63,7 @@ class NewAtlas:
     cost: str
 
 
-def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, folder: Path) -> NewAtlas:
+def new_atlas(subject: Subject, chosen: ViewState, x: Range, y: Range, cells: int, folder: Path) -> NewAtlasSpec:
     """Write the spec of a window with this many cells across as a new file in a folder.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
@@ -88,4 +88,4 @@ def new_atlas(subject: Subject, chosen: Chosen, x: Range, y: Range, cells: int, 
             continue
     plan = make_plan(spec)
     plan = replace(plan, probe=probe(spec, plan.tiling.tile))
-    return NewAtlas(file, text, f"atlas run {file.name} -o {file.stem}.zarr", str(plan))
+    return NewAtlasSpec(file, text, f"atlas run {file.name} -o {file.stem}.zarr", str(plan))

@@ -9,23 +9,23 @@ from typing import Any
 
 from bokeh.models import Div
 
-from atlas.explore.background import Background, Show
+from atlas.explore.background import BackgroundTasks, Show
+from atlas.explore.cell_lookup import CellResult
 from atlas.explore.explorer import Explorer
-from atlas.explore.known import Cell
+from atlas.explore.grid_patch import solve_patch
+from atlas.explore.jobs import Computation
 from atlas.explore.motion import motions
-from atlas.explore.motionpanel import MotionPanel
+from atlas.explore.motion_panel import MotionPanel
 from atlas.explore.panel import Panel
-from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Question
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Arrays, Subject
-from atlas.explore.words import compiled_first
+from atlas.explore.text import first_compile_notice
+from atlas.formatting import plural
 from atlas.query.attractors import attractors_listed
 from atlas.query.queries import at
-from atlas.render.classes import PALETTE
+from atlas.render.class_maps import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.task.compile import ATTRACTORS
-from atlas.text import plural
 from workers.model.system import System
 from workers.results import ATTRACTOR, LARGEST, REGIME
 
@@ -33,7 +33,7 @@ ALL = "<h4>all attractors of this cell</h4>"
 
 
 @dataclass(frozen=True)
-class KeptAttractors:
+class AttractorListing:
     """The attractors of a cell that are kept, the largest share first, each by its numbers in words.
 
     listed      the attractors
@@ -55,24 +55,24 @@ class KeptAttractors:
     trouble: str = ""
 
 
-def known_attractors(subject: Subject, cell: Cell) -> KeptAttractors | None:
+def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | None:
     """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
     if not subject.searched:
-        return KeptAttractors(trouble='all attractors are found by the method "adaptive" only')
+        return AttractorListing(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None
     results = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
     return _answer(results["coexisting"], results, stored=True)
 
 
-def attractors_asked(subject: Subject, cell: Cell) -> Question[KeptAttractors]:
+def attractor_computation(subject: Subject, cell: CellResult) -> Computation[AttractorListing]:
     """All attractors of a cell to be found."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
-    return Question(solve_patch, patch, partial(_solved, subject), cells=1)
+    return Computation(solve_patch, patch, partial(_solved, subject), cells=1)
 
 
-def _solved(subject: Subject, arrays: Arrays) -> KeptAttractors:
+def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
     """The attractors of the one cell of these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
@@ -80,25 +80,25 @@ def _solved(subject: Subject, arrays: Arrays) -> KeptAttractors:
     return _answer(attractors_listed(cell, many), cell, stored=False)
 
 
-def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> KeptAttractors:
-    return KeptAttractors(
+def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> AttractorListing:
+    return AttractorListing(
         tuple(listed), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
         float(numbers["unseen_share"]), int(numbers["own"]), stored,
     )  # fmt: skip
 
 
-class AttractorsPanel(Panel[Cell]):
+class AttractorsPanel(Panel[CellResult]):
     """Their table; ``motion`` gets their portraits."""
 
-    def __init__(self, explorer: Explorer, background: Background, motion: MotionPanel) -> None:
+    def __init__(self, explorer: Explorer, background: BackgroundTasks, motion: MotionPanel) -> None:
         super().__init__(explorer, background)
         self._motion = motion
         self.panel = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
 
-    def begin(self, cell: Cell) -> None:
+    def begin(self, cell: CellResult) -> None:
         """Look for the attractors of a cell in the store, and have them sought otherwise."""
         self.panel.text = ALL
-        self.work(lambda: partial(self._known, cell, known_attractors(self._subject, cell)))
+        self.work(lambda: partial(self._known, cell, stored_attractors(self._subject, cell)))
 
     def clear(self) -> None:
         """Show none."""
@@ -106,18 +106,18 @@ class AttractorsPanel(Panel[Cell]):
 
     def refuse(self, why: str) -> None:
         """Say why there are none."""
-        self._show(KeptAttractors(trouble=why))
+        self._show(AttractorListing(trouble=why))
 
-    def _known(self, cell: Cell, kept: KeptAttractors | None) -> None:
+    def _known(self, cell: CellResult, kept: AttractorListing | None) -> None:
         if kept is None:
-            first = compiled_first(self._subject.system, ATTRACTORS)
+            first = first_compile_notice(self._subject.system, ATTRACTORS)
             sought = f"being sought from {self._subject.starts.count} initial states{first}"
             self.panel.text = f'{ALL}<span class="waiting">{sought}</span>'
-            self.ask([attractors_asked(self._subject, cell)], partial(self._take, cell))
+            self.submit([attractor_computation(self._subject, cell)], partial(self._take, cell))
         else:
             self._take(cell, kept)
 
-    def _take(self, cell: Cell, kept: KeptAttractors) -> None:
+    def _take(self, cell: CellResult, kept: AttractorListing) -> None:
         """Show attractors, and draw the portraits of more than one."""
         self._show(kept)
         states = [attractor["state"] for attractor in kept.listed if "state" in attractor]
@@ -129,11 +129,11 @@ class AttractorsPanel(Panel[Cell]):
         if len(kept.listed) > 1:
             self.work(portraits)
 
-    def _show(self, kept: KeptAttractors) -> None:
+    def _show(self, kept: AttractorListing) -> None:
         self.panel.text = ALL + attractors_table(kept, self._subject)
 
 
-def attractors_table(kept: KeptAttractors, subject: Subject) -> str:
+def attractors_table(kept: AttractorListing, subject: Subject) -> str:
     """The attractors of a cell as an HTML table, and how sure it is that these are all."""
     if kept.trouble:
         return f'<span class="trouble">{html.escape(kept.trouble)}</span>'

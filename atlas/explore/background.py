@@ -18,7 +18,7 @@ THREADS = 2
 Show = Callable[[], None]
 
 
-class Background:
+class BackgroundTasks:
     """Threads of a page's own, made in the document's thread, in which ``refuse`` hears why something is not done."""
 
     def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.patches import Question
+from atlas.explore.jobs import Computation
 from atlas.explore.subject import Subject
 from atlas.task.compile import ATTRACTORS, compile_once, kernels_for
 from workers import Settings
-from workers.attractors.starts import Starts, boxes
+from workers.attractors.initial_states import AttractorSettings, boxes
 from workers.model.system import System
 from workers.results import LABEL
 
@@ -23,18 +23,18 @@ BAND = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class BasinGrid:
     """A plane of initial states of one machine: a displacement across and its velocity up, (SIDE,) values of each."""
 
     system: System
     parameters: Mapping[str, float]
     settings: Settings
-    starts: Starts
+    starts: AttractorSettings
     x: tuple[str, NDArray[np.float64]]
     y: tuple[str, NDArray[np.float64]]
 
     @classmethod
-    def of_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "Grid":
+    def of_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "BasinGrid":
         """The plane of the displacement that a stop limits, as far as initial states are sought there by default."""
         system, starts = subject.system, subject.starts
         oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
@@ -52,13 +52,13 @@ class Grid:
         return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
 
 
-def labels_asked(grid: Grid, rows: slice) -> Question[tuple[slice, NDArray[np.int32]]]:
+def label_computation(grid: BasinGrid, rows: slice) -> Computation[tuple[slice, NDArray[np.int32]]]:
     """Some rows of a plane of initial states to be solved."""
     count = len(grid.x[1]) * len(grid.y[1][rows])
-    return Question(solve_rows, (grid, rows), lambda labels: (rows, labels), count)
+    return Computation(solve_rows, (grid, rows), lambda labels: (rows, labels), count)
 
 
-def solve_rows(given: tuple[Grid, slice]) -> NDArray[np.int32]:
+def solve_rows(given: tuple[BasinGrid, slice]) -> NDArray[np.int32]:
     """Labels (rows, SIDE) of the attractors that initial states reach; negative where none of the table is known."""
     from workers.attractors.basins import solve_basins
 

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import samples_of
+from atlas.cell.trajectory import samples_of
 from atlas.errors import InputError
-from atlas.explore.chosen import Chosen, FollowedOrbit, Range
-from atlas.explore.chosen import Point as Where
-from atlas.explore.motion import POINTS, MotionPicture, motion_through
-from atlas.explore.patches import Question
+from atlas.explore.jobs import Computation
+from atlas.explore.motion import POINTS, MotionPlotData, motion_through
 from atlas.explore.subject import Subject, slider_range
-from atlas.explore.words import number
-from atlas.orbits.branches.branch import tree_from
+from atlas.explore.text import number
+from atlas.explore.view_state import FollowedOrbit, Range, ViewState
+from atlas.explore.view_state import Point as Where
+from atlas.orbits.branches.from_cell import tree_from
 from atlas.orbits.branches.seed import seed_of_point
-from atlas.orbits.branches.table import Branches, modulus
+from atlas.orbits.branches.table import BranchTable, modulus
 from atlas.task.compile import ORBITS, compile_once, kernels_for
 from workers import Settings
 from workers.model.system import System
 
 if TYPE_CHECKING:
-    from atlas.orbits.branches.tree import Branch, Tree
-    from workers.continuation import Family, Point
+    from atlas.orbits.branches.tree import Branch, BranchTree
+    from workers.continuation import Family, SolutionPoint
 
 Array = NDArray[np.float64]
 
@@ -40,14 +40,14 @@ ENDS = {
 
 
 @dataclass(frozen=True)
-class Drawn:
+class BranchDiagram:
     """Branches by the gap coordinate: stretches (stable or not, parameter, gap), and events (kind, parameter, gap)."""
 
     stretches: tuple[tuple[bool, Array, Array], ...]
     events: tuple[tuple[str, float, float], ...]
 
     @classmethod
-    def of(cls, table: Branches) -> "Drawn":
+    def of(cls, table: BranchTable) -> "BranchDiagram":
         """All branches of a table, with their mirror images; of these the events are not marked."""
         events = []
         for branch in table.traced:
@@ -57,7 +57,7 @@ class Drawn:
         return cls(tuple((stable, *line.T) for stable, line in table.lines()), tuple(events))
 
 
-class Mark(NamedTuple):
+class BranchMarker(NamedTuple):
     """An event of a branch, or its end: the number of its point, its kind in words, and the parameter there."""
 
     place: int
@@ -65,14 +65,14 @@ class Mark(NamedTuple):
     value: float
 
 
-class Here(NamedTuple):
+class BranchPosition(NamedTuple):
     """An orbit of a branch: its point, which is that of this number, or lies between it and the next; and the kind in
     words of the event that it is, else empty.
     """
 
     place: int
     value: float
-    point: "Point"
+    point: "SolutionPoint"
     kind: str = ""
 
     @property
@@ -85,7 +85,7 @@ class Here(NamedTuple):
 class FollowedBranch:
     """The branch of an orbit, which a table has alone, and the number of the point that is the cell's own orbit."""
 
-    table: Branches
+    table: BranchTable
     own: int
 
     @property
@@ -100,10 +100,10 @@ class FollowedBranch:
         return values
 
     @cached_property
-    def events(self) -> list[Mark]:
+    def events(self) -> list[BranchMarker]:
         """Its events, in order."""
         events = zip(self.branch.places, self.branch.run.events, strict=True)
-        return [Mark(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
+        return [BranchMarker(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 
     @cached_property
     def _family(self) -> "Family":
@@ -114,12 +114,12 @@ class FollowedBranch:
     def _all(self, value: float) -> dict[str, float]:
         return {**self.table.parameters, self.table.along: value}
 
-    def here(self, place: int, value: float) -> Here:
+    def here(self, place: int, value: float) -> BranchPosition:
         """The orbit of a point; or at a value between it and the next, by Newton's method where that finds one."""
-        from workers.continuation import Point
+        from workers.continuation import SolutionPoint
         from workers.continuation.equations import motion_of
+        from workers.continuation.floquet import multipliers
         from workers.continuation.itinerary import many_orbits
-        from workers.continuation.stability import multipliers
 
         place = min(max(place, 0), len(self.values) - 1)
         shares = [share for k, share in self.branch.passes(value) if k == place and 0.0 < share < 1.0]
@@ -127,22 +127,24 @@ class FollowedBranch:
             for share in shares:
                 orbit, at = self.branch.orbit_after(self._family, place, share, value), np.array([value])
                 modes = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
-                point = Point(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
-                return Here(place, value, point)
+                point = SolutionPoint(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
+                return BranchPosition(place, value, point)
         kind = next((mark.kind for mark in self.events if mark.place == place), "")
-        return Here(place, self.values[place], self.branch.run.points[place], kind)
+        return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
 
-    def passing(self, value: float, here: Here) -> int | None:
+    def passing(self, value: float, here: BranchPosition) -> int | None:
         """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
         passes = [(abs(k + share - here.place), k + int(share == 1.0)) for k, share in self.branch.passes(value)]
         return min(passes)[1] if passes else None
 
-    def beside(self, here: Here) -> tuple[Mark | None, Mark | None]:
+    def beside(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
         """The events next to an orbit of the branch before and after it, or where the branch ends; None where that is
         an end of the range.
         """
         last, ends = len(self.values) - 1, self.branch.run.ends
-        marks = [Mark(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS]
+        marks = [
+            BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
+        ]
         marks = sorted({mark.place: mark for mark in (*marks, *self.events)}.values())
         place = here.place if here.value == self.values[here.place] else here.place + 0.5
         before = [mark for mark in marks if mark.place < place]
@@ -151,7 +153,7 @@ class FollowedBranch:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)
 
-    def motion(self, here: Here) -> MotionPicture:
+    def motion(self, here: BranchPosition) -> MotionPlotData:
         """The motion of an orbit over all its periods, in closed form from event to event, so that unstable ones close.
 
         Its even steps begin at the sections t = k T, or at the first event of a cycle without a force.
@@ -172,7 +174,7 @@ class FollowedBranch:
         return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)
 
 
-class Arrow(NamedTuple):
+class EventArrow(NamedTuple):
     """From an orbit to an event over the plane, as far as the view reaches, with its text."""
 
     x0: float
@@ -182,13 +184,15 @@ class Arrow(NamedTuple):
     text: str
 
 
-def distance(mark: Mark, here: Here) -> str:
+def distance(mark: BranchMarker, here: BranchPosition) -> str:
     """How far an event lies along the parameter, with its sign, in up to five digits."""
     away = mark.value - here.value
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
 
-def arrows(branch: FollowedBranch, here: Here, subject: Subject, chosen: Chosen, cell: Where) -> list[Arrow]:
+def arrows(
+    branch: FollowedBranch, here: BranchPosition, subject: Subject, chosen: ViewState, cell: Where
+) -> list[EventArrow]:
     """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
     if branch.table.along not in subject.axes:
         return []
@@ -199,11 +203,11 @@ def arrows(branch: FollowedBranch, here: Here, subject: Subject, chosen: Chosen,
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
         if begin != end:
             text = f"{mark.kind} {distance(mark, here)}"
-            made.append(Arrow(begin, y, end, y, text) if across else Arrow(x, begin, x, end, text))
+            made.append(EventArrow(begin, y, end, y, text) if across else EventArrow(x, begin, x, end, text))
     return made
 
 
-def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> FollowedOrbit:
+def initial_follow(subject: Subject, chosen: ViewState, cell: Where, along: str) -> FollowedOrbit:
     """A cell's own orbit, to be followed in smaller steps over the visible part of an axis, or another's slider."""
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
@@ -212,7 +216,7 @@ def beginning(subject: Subject, chosen: Chosen, cell: Where, along: str) -> Foll
     return FollowedOrbit(along, min(low, value), max(high, value), 0, value)
 
 
-def branch_asked(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Question[FollowedBranch]:
+def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Computation[FollowedBranch]:
     """The branch of a cell's orbit along a parameter to be found, in smaller steps between two values of that."""
 
     def read(branch: FollowedBranch) -> FollowedBranch:
@@ -223,7 +227,9 @@ def branch_asked(subject: Subject, cell: Where, part: tuple[str, float, float]) 
     (along, low, high), axes = part, dict(zip(subject.axes, subject.spec.axes, strict=False))
     ends = (low, high, *(axes[along].values if along in axes else ()))
     windows = (min(ends), max(ends)), (low, high)
-    return Question(follow_orbit, (subject.system, subject.values(*cell), subject.spec.settings, along, windows), read)
+    return Computation(
+        follow_orbit, (subject.system, subject.values(*cell), subject.spec.settings, along, windows), read
+    )
 
 
 def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
@@ -238,7 +244,7 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
     seed = seed_of_point(values, system, settings)
     value, state = seed.values[along], section_state(system, seed.values, seed.orbit)
 
-    def traced(window: Range) -> "tuple[Tree, int]":
+    def traced(window: Range) -> "tuple[BranchTree, int]":
         tree = tree_from(seed, along, window)
         (branch,) = tree.branches
         near = np.argsort(np.abs(branch.values - value), kind="stable").tolist()
@@ -250,7 +256,7 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
         tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
     if np.ptp(tree.branches[0].values) == 0.0:
         raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
-    return FollowedBranch(Branches.of(tree), own)
+    return FollowedBranch(BranchTable.of(tree), own)
 
 
 def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":

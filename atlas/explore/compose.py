@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.explore.subject import Arrays, Subject, SubjectPlane
-from atlas.explore.view import STAGES, Sight, TileKey
-from atlas.query.open import note_store
+from atlas.explore.subject import Arrays, PlaneParameters, Subject
+from atlas.explore.viewport import STAGES, TileKey, Viewport
+from atlas.query.open import attach_store
 from atlas.query.resample import view as read_view
 from atlas.query.window import axis_values, cell_edges
 from atlas.store.schema import coordinates, variable_attributes
@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class InView:
+class VisibleCells:
     """The cells in view as a dataset, where they are, and how often halved in density a cell (y, x) is known.
 
     stages   at most STAGES + 1, also of a cell that is not known at all
@@ -31,19 +31,19 @@ class InView:
     """
 
     ds: "xr.Dataset"
-    sight: Sight
+    sight: Viewport
     stages: NDArray[np.uint8]
     of: str = ""
 
 
-def composed(
+def compose_view(
     subject: Subject,
-    plane: SubjectPlane,
-    sight: Sight,
+    plane: PlaneParameters,
+    sight: Viewport,
     tiles: Sequence[tuple[TileKey, Arrays]],
     names: Iterable[str],
     base: "xr.Dataset | None" = None,
-) -> InView:
+) -> VisibleCells:
     """The cells in view, the named variables and the regime; unknown cells are pending.
 
     ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. They
@@ -60,11 +60,11 @@ def composed(
     for key, arrays in tiles:
         if sight.stage(key) < own:
             _lay(canvas, stages, sight, key, arrays)
-    return InView(dataset(subject, plane, *subject.points(*sight), canvas), sight, stages)
+    return VisibleCells(dataset(subject, plane, *subject.points(*sight), canvas), sight, stages)
 
 
 def dataset(
-    subject: Subject, plane: SubjectPlane, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
+    subject: Subject, plane: PlaneParameters, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
 ) -> "xr.Dataset":
     """Cells of the plane as the dataset of an atlas."""
     import xarray
@@ -88,11 +88,11 @@ def dataset(
     }
     made = xarray.Dataset(arrays, coords, attrs)
     if subject.stored is not None and plane == subject.plane:
-        note_store(made, subject.stored)  # where its curves lie
+        attach_store(made, subject.stored)  # where its curves lie
     return made
 
 
-def seen_atlas(subject: Subject, sight: Sight, names: Iterable[str]) -> "xr.Dataset | None":
+def seen_atlas(subject: Subject, sight: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
     """The cells of the atlas itself in view and around it, on the overview that suits the density; None outside."""
     if subject.ds is None:
         return None
@@ -117,7 +117,7 @@ def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: In
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
-def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: SubjectPlane, key: TileKey) -> bool:
+def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneParameters, key: TileKey) -> bool:
     """Whether the atlas itself has all cells of a tile that is not finer than it.
 
     ``done`` says of each cell of the atlas (y, x) whether it is solved.
@@ -129,8 +129,8 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: Subjec
     return bool(inside and done[np.ix_(rows, columns)].all())
 
 
-def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Sight, key: TileKey, arrays: Arrays) -> None:
-    if not canvas.keys() <= arrays.keys() or not sight.shows(key):
+def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Viewport, key: TileKey, arrays: Arrays) -> None:
+    if not canvas.keys() <= arrays.keys() or not sight.contains(key):
         return
     rows, columns = sight.place(key)
     up = key.rows.holding(sight.y.level, sight.y.index[rows])
@@ -140,7 +140,7 @@ def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Sight, key: TileKey, 
     stages[rows, columns] = min(sight.stage(key), STAGES + 1)
 
 
-def _lay_base(canvas: Arrays, subject: Subject, sight: Sight, base: "xr.Dataset") -> NDArray[np.bool_]:
+def _lay_base(canvas: Arrays, subject: Subject, sight: Viewport, base: "xr.Dataset") -> NDArray[np.bool_]:
     """Lay cells of the atlas, and return which cells in view (y, x) have one."""
     places, inside = [], []
     dims = subject.axes[::-1]

@@ -11,13 +11,13 @@ from bokeh.layouts import row
 from bokeh.models import Button, Div, NumericInput, Select, Slider, Spinner, Toggle
 
 from atlas.errors import InputError
-from atlas.explore.access import named
-from atlas.explore.front.script import call, part
-from atlas.explore.state import State, Store
+from atlas.explore.accessibility import accessible_name
+from atlas.explore.front.script import call, html_part
+from atlas.explore.page_state import PageModel, PageState
 from atlas.explore.style import FOCUS, LOOK, TEXT
 from atlas.explore.subject import STEPS, Subject, slider_range
-from atlas.explore.words import symbol_of
-from atlas.text import plain
+from atlas.explore.text import symbol_of
+from atlas.formatting import mathtext_to_unicode
 
 CELLS = 400
 """Cells across a new atlas, unless asked otherwise."""
@@ -28,7 +28,7 @@ TYPED = 76
 class Controls:
     """The widgets of a page: they show the state, and change it. ``go`` opens another choice of axes or layer."""
 
-    def __init__(self, subject: Subject, store: Store, go: Callable[..., None]) -> None:
+    def __init__(self, subject: Subject, store: PageModel, go: Callable[..., None]) -> None:
         self.subject, self._store = subject, store
         chosen = store.now.chosen
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
@@ -53,7 +53,7 @@ class Controls:
         """The controls, from the top, with the buttons that cut."""
         states = self._sliders(states=True)
         return [
-            Div(text=part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
+            Div(text=html_part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
             heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             heading("axes"), *self.axes,
             heading("parameters"), *self._sliders(states=False), self.keep,
@@ -62,7 +62,7 @@ class Controls:
             *([heading("initial state"), *states] if states else []),
         ]  # fmt: skip
 
-    def show(self, state: State, kept: bool = False) -> None:
+    def show(self, state: PageState, kept: bool = False) -> None:
         """Have the widgets show the state, and whether its plane is kept."""
         chosen, own = state.chosen, self.subject.plane
         for name, value in chosen.plane.parameters:
@@ -112,8 +112,13 @@ class Controls:
         made: list[Any] = []
         for name in names:
             parameter = self.subject.system.parameter(name)
-            label = f"{parameter.meaning.split(':')[0]}, {plain(parameter.symbol or name)}"
-            line = row(self.sliders[name], self.typed[name], sizing_mode="stretch_width", html_attributes=named(label))
+            label = f"{parameter.meaning.split(':')[0]}, {mathtext_to_unicode(parameter.symbol or name)}"
+            line = row(
+                self.sliders[name],
+                self.typed[name],
+                sizing_mode="stretch_width",
+                html_attributes=accessible_name(label),
+            )
             made += [Div(text=html.escape(label), margin=(4, 5, -6, 5)), line]
         return made
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.explore.branches import Drawn
-from atlas.explore.chosen import Cut
-from atlas.explore.patch import packed, solve_patch
-from atlas.explore.patches import Question
-from atlas.explore.subject import Subject, SubjectPlane
+from atlas.explore.branches import BranchDiagram
+from atlas.explore.grid_patch import packed, solve_patch
+from atlas.explore.jobs import Computation
+from atlas.explore.subject import PlaneParameters, Subject
+from atlas.explore.view_state import Cut
 from atlas.query.machine import gap_rows
 from workers.model.observables import ENERGY_LOSS, GAP, MAXIMUM, MINIMUM, OF_IMPACTS, Observable
 from workers.results import ERROR, LARGEST, PERIODIC, REGIME, SECTION
@@ -25,27 +25,27 @@ STEPS = 256
 """Steps of a line from end to end once it is solved in full."""
 COARSE = 8
 """Every eighth point comes first, then those half way between, and so on."""
-TOGETHER = STEPS // COARSE + 1
+POINTS_PER_JOB = STEPS // COARSE + 1
 """Points that a worker solves at a time."""
 SAMPLES = 48
 """Section states of a cell that is not periodic."""
 SECTION_WORDS = "gap at t = kT"
 """The first choice of a cut."""
-LONGEST = 36
+MAX_IMPACTS = 36
 """Impacts of the orbits whose branches are followed: more than for a sweep, since whoever draws a cut can zoom in."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Line:
+class CutLine:
     """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS.
 
     observe   the observable of its cells that is shown; section states where it is None
     """
 
     subject: Subject
-    plane: SubjectPlane
+    plane: PlaneParameters
     ends: Cut
     observe: Observable | None = None
 
@@ -83,7 +83,7 @@ class Line:
         parts, step, begin = [], COARSE, 0
         while step:
             index = list(range(begin, STEPS + 1, 2 * step if begin else step))
-            parts += [tuple(index[k : k + TOGETHER]) for k in range(0, len(index), TOGETHER)]
+            parts += [tuple(index[k : k + POINTS_PER_JOB]) for k in range(0, len(index), POINTS_PER_JOB)]
             begin = step = step // 2
         return parts
 
@@ -95,7 +95,7 @@ class CutCells:
     index: NDArray[np.int64]
     results: dict[str, NDArray[Any]]
 
-    def joined(self, other: "CutCells | None") -> "CutCells":
+    def merged_with(self, other: "CutCells | None") -> "CutCells":
         """These and others, each once, in the order of the line."""
         if other is None:
             return self
@@ -104,7 +104,7 @@ class CutCells:
         return CutCells(index, results)
 
 
-def cells_asked(line: Line, part: tuple[int, ...]) -> Question[CutCells]:
+def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCells]:
     """Points of a line to be solved: the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
     points = line.points(index)
@@ -128,18 +128,18 @@ def cells_asked(line: Line, part: tuple[int, ...]) -> Question[CutCells]:
         gap[(period > 0) & (np.arange(SAMPLES) < SAMPLES - period)] = np.nan  # each point of an orbit once
         return CutCells(index, results | {"shown": gap})
 
-    return Question(solve_patch, patch, read, len(part))
+    return Computation(solve_patch, patch, read, len(part))
 
 
-def follow(sweep: "xr.Dataset") -> Drawn:
+def follow_branches(sweep: "xr.Dataset") -> BranchDiagram:
     """The branches through the periodic cells of a sweep, and the branches that begin on these."""
-    from atlas.orbits.branches.sweep import tree_through
-    from atlas.orbits.branches.table import Branches
+    from atlas.orbits.branches.from_sweep import tree_through
+    from atlas.orbits.branches.table import BranchTable
 
-    return Drawn.of(Branches.of(tree_through([sweep], LONGEST)))
+    return BranchDiagram.of(BranchTable.of(tree_through([sweep], MAX_IMPACTS)))
 
 
-def sweep_of(line: Line, cells: CutCells) -> "xr.Dataset":
+def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
     """The cells of a line along one axis as a sweep of that parameter.
 
     InputError for a line of which both parameters change.
@@ -166,10 +166,10 @@ def sweep_of(line: Line, cells: CutCells) -> "xr.Dataset":
 def too_long(cells: CutCells) -> int:
     """How many periodic cells have orbits of more than LONGEST impacts, whose branches are not followed."""
     impacts = cells.results["impacts_upper"] + cells.results["impacts_lower"]
-    return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > LONGEST)))
+    return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > MAX_IMPACTS)))
 
 
-def exponents(line: Line, cells: CutCells) -> dict[str, Array]:
+def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
     """The largest exponent and its error along a line, by the parameter ``x``, as columns; empty without exponents."""
     if LARGEST.name not in cells.results:
         return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
@@ -177,7 +177,7 @@ def exponents(line: Line, cells: CutCells) -> dict[str, Array]:
     return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
 
 
-def shown_points(line: Line, cells: CutCells) -> dict[str, NDArray[np.floating]]:
+def shown_points(line: CutLine, cells: CutCells) -> dict[str, NDArray[np.floating]]:
     """What is shown of cells along a line, gap coordinates or an observable, by the parameter ``x``, as columns."""
     x, shown = line.points(cells.index)[line.along], cells.results["shown"]
     known = np.isfinite(shown)

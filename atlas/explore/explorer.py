@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from atlas.explore.kept import MOST_BYTES, Keeper
-from atlas.explore.known import KnownCells
-from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Patches, PatchJob, Take, Task
-from atlas.explore.subject import Arrays, Subject, SubjectPlane
-from atlas.explore.tiles import Memory, TileStore
-from atlas.explore.view import TILE, Sight, TileKey
+from atlas.explore.cell_lookup import CellLookup
+from atlas.explore.grid_patch import solve_patch
+from atlas.explore.jobs import JobService, ServiceJob, Take, Task
+from atlas.explore.persistent_tiles import MAX_BYTES, PersistentTileCache
+from atlas.explore.subject import Arrays, PlaneParameters, Subject
+from atlas.explore.tile_cache import MemoryTileCache, TileCache
+from atlas.explore.viewport import TILE_CELLS, TileKey, Viewport
 from atlas.service.timing import TIMING, Timing
 
 if TYPE_CHECKING:
     from distributed import Client
 
-AGAIN = 60.0
+RETRY_SECONDS = 60.0
 """Seconds after which a tile that was given up may be tried again."""
-MOST_OTHERS = 4
+MAX_OTHER_EXPLORERS = 4
 """Other axes and layers whose cells are remembered; beyond these, axes that no page shows are forgotten."""
-MOST_FAILURES = 4096
+MAX_FAILURES = 4096
 """Tiles of which it is remembered that they could not be solved."""
 
 
@@ -45,23 +45,23 @@ class Explorer:
         subject: Subject,
         connect: "Callable[[], AbstractContextManager[Client]] | Explorer",
         keep: bool = True,
-        most_bytes: int = MOST_BYTES,
+        most_bytes: int = MAX_BYTES,
         timing: Timing = TIMING,
     ) -> None:
-        self.subject, self.failures = subject, dict[tuple[SubjectPlane, TileKey], float]()
+        self.subject, self.failures = subject, dict[tuple[PlaneParameters, TileKey], float]()
         self._keeping = keep, most_bytes
-        self._listeners: dict[Hashable, Callable[[SubjectPlane, TileKey], None]] = {}
+        self._listeners: dict[Hashable, Callable[[PlaneParameters, TileKey], None]] = {}
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
-        self._ending: list[Keeper] = []
-        self.patches: Patches
-        memory: Memory
+        self._ending: list[PersistentTileCache] = []
+        self.patches: JobService
+        memory: MemoryTileCache
         if isinstance(connect, Explorer):
             self.patches, memory = connect.patches, connect.tiles.memory
         else:
-            self.patches, memory = Patches(connect, timing), Memory()
-        self.tiles: TileStore = TileStore(subject, Keeper(subject, most_bytes, keep), memory)
-        self.known = KnownCells(self.tiles)
+            self.patches, memory = JobService(connect, timing), MemoryTileCache()
+        self.tiles: TileCache = TileCache(subject, PersistentTileCache(subject, most_bytes, keep), memory)
+        self.known = CellLookup(self.tiles)
 
     def stop(self) -> None:
         """End the work, and keep what waits to be kept."""
@@ -82,13 +82,13 @@ class Explorer:
             self._others[axes, layer] = explorer  # the last ones used come last
             idle = [key for key, other in self._others.items() if not other.listeners and key != (axes, layer)]
             self._ending = [keeper for keeper in self._ending if not keeper.ended]
-            for key in idle[: max(0, len(self._others) - MOST_OTHERS)]:
+            for key in idle[: max(0, len(self._others) - MAX_OTHER_EXPLORERS)]:
                 gone = self._others.pop(key).tiles
                 gone.drop()  # its last tiles are written while the page goes on
                 self._ending.append(gone.keeper)
             return explorer
 
-    def listen(self, who: Hashable, hear: Callable[[SubjectPlane, TileKey], None] | None) -> None:
+    def listen(self, who: Hashable, hear: Callable[[PlaneParameters, TileKey], None] | None) -> None:
         """Call ``hear``, in another thread, with every tile that is solved; None for a page that is gone."""
         with self._lock:
             if hear is None:
@@ -104,12 +104,12 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def want(self, who: Hashable, plane: SubjectPlane, sight: Sight, stages: range) -> int:
+    def want(self, who: Hashable, plane: PlaneParameters, sight: Viewport, stages: range) -> int:
         """Have the unknown tiles of a view solved, at these stages in this order, and return how many they are.
 
         A tile that failed is tried again by whoever looks at it AGAIN seconds later.
         """
-        since = time.monotonic() - AGAIN
+        since = time.monotonic() - RETRY_SECONDS
         wanted = [
             TileJob(self, plane, key)
             for stage in stages
@@ -119,15 +119,15 @@ class Explorer:
         self.patches.want(who, wanted)
         return len(wanted)
 
-    def note_failure(self, plane: SubjectPlane, key: TileKey) -> None:
+    def record_failure(self, plane: PlaneParameters, key: TileKey) -> None:
         """Note that a tile could not be solved; of too many the oldest notes go."""
         with self._lock:
             self.failures.pop((plane, key), None)
             self.failures[plane, key] = time.monotonic()
-            while len(self.failures) > MOST_FAILURES:
+            while len(self.failures) > MAX_FAILURES:
                 self.failures.pop(next(iter(self.failures)))
 
-    def take(self, plane: SubjectPlane, key: TileKey, arrays: Arrays) -> None:
+    def take(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
         self.tiles.put(plane, key, arrays)
         self.failures.pop((plane, key), None)
@@ -138,29 +138,29 @@ class Explorer:
 
 
 @dataclass(frozen=True)
-class TileJob(PatchJob):
+class TileJob(ServiceJob):
     """A tile of a plane to be solved for an explorer."""
 
     explorer: Explorer
-    plane: SubjectPlane
+    plane: PlaneParameters
     key: TileKey
 
     def ready(self) -> bool:
         """Cells that are to be kept are solved no faster than they can be written."""
         tiles = self.explorer.tiles
-        return not (tiles.keeper.full and tiles.keeps(self.plane))
+        return not (tiles.keeper.full and tiles.is_kept(self.plane))
 
     def make(self) -> tuple[Task, Take] | None:
         """The patch of the tile less the cells that the tile above has; its results and those cells make the tile."""
         tiles, subject = self.explorer.tiles, self.explorer.subject
-        if tiles.whole(self.plane, self.key) is not None:
+        if tiles.full_tile(self.plane, self.key) is not None:
             return None
         parent = tiles.parent(self.plane, self.key)
-        missing = np.ones((TILE, TILE), dtype=bool)
+        missing = np.ones((TILE_CELLS, TILE_CELLS), dtype=bool)
         missing[::2, ::2] = parent is None
 
         def take(results: Arrays) -> int:
-            arrays = subject.without_results(subject.variables, (TILE, TILE))
+            arrays = subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
             for name, array in arrays.items():
                 array[missing] = results[name]
                 if parent is not None:
@@ -171,5 +171,5 @@ class TileJob(PatchJob):
         return (solve_patch, subject.patch(self.plane, self.key, missing)), take
 
     def failed(self, why: str) -> None:
-        """See ``PatchJob``."""
-        self.explorer.note_failure(self.plane, self.key)
+        """See ``ServiceJob``."""
+        self.explorer.record_failure(self.plane, self.key)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.spec.axis import Axis
 
-LEAST_STEP = 64.0
+MIN_STEP_ULPS = 64.0
 """Units in the last place between two points, at least: closer ones are no longer evenly spaced."""
 
 
@@ -45,7 +45,7 @@ class Lattice:
     def deepest(self) -> int:
         """The deepest level: its points still differ by LEAST_STEP units in the last place."""
         steps = np.diff(self._points) / np.spacing(np.abs(self._points).max())
-        return max(0, math.floor(math.log2(float(steps.min()) / LEAST_STEP)))
+        return max(0, math.floor(math.log2(float(steps.min()) / MIN_STEP_ULPS)))
 
     def values(self, level: int, index: NDArray[np.int64]) -> NDArray[np.float64]:
         """The values of points of a level, (N,)."""
@@ -71,7 +71,7 @@ class Lattice:
     def parts(self, one: float, other: float) -> bool:
         """Whether two values differ by more than rounding."""
         first, last = self.positions(np.array([one, other]))
-        return bool(abs(last - first) * 2.0**self.deepest * LEAST_STEP > 1.0)
+        return bool(abs(last - first) * 2.0**self.deepest * MIN_STEP_ULPS > 1.0)
 
     def nearest(self, level: int, value: float) -> int:
         """The point of a level whose cell holds a value."""

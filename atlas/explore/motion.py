@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.cell.orbit import CellOrbit, cell_orbit, samples_of
+from atlas.cell.trajectory import CellTrajectory, cell_orbit, samples_of
 from atlas.errors import InputError
 from atlas.explore.subject import Subject
 from workers.model.oscillator import Oscillator
 
-MOST = 5
+MAX_PORTRAITS = 5
 """Attractors whose portraits are drawn."""
 POINTS = 4000
 """Points of a path that are sent to the browser, at most."""
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MotionPicture:
+class MotionPlotData:
     """What is drawn of a motion.
 
     y, v         gap coordinate and its velocity (N,) along the path, before and after every impact too
@@ -37,7 +37,7 @@ class MotionPicture:
     per_period: float
 
 
-def motion_of(orbit: CellOrbit) -> MotionPicture:
+def motion_of(orbit: CellTrajectory) -> MotionPlotData:
     """A path as it is drawn, of at most POINTS even steps."""
     samples = samples_of(orbit.system)
     piece = orbit.period / samples
@@ -49,22 +49,22 @@ def motion_of(orbit: CellOrbit) -> MotionPicture:
     return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], kept[drawn], samples / stride)
 
 
-def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPicture:
+def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPlotData:
     """The motion of a machine through states (N, 2n), some of which are ``even`` steps of time."""
     row = np.array(osc.gap_row)
     n, limited = row.size, np.flatnonzero(row).tolist()
     lane = limited[0] if len(limited) == 1 else None
     stops = [] if lane is None else [stop / row[lane] for stop in (osc.lower, osc.upper) if np.isfinite(stop)]
     y, v = states[:, :n] @ row, states[:, n:] @ row
-    return MotionPicture(y, v, np.column_stack([y, v, states[:, :n]])[even].T, stops, lane, per_period)
+    return MotionPlotData(y, v, np.column_stack([y, v, states[:, :n]])[even].T, stops, lane, per_period)
 
 
 def motions(
     subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]
-) -> dict[int, MotionPicture]:
+) -> dict[int, MotionPlotData]:
     """The motions from these states of a cell, by their places, as far as they can be shown."""
     pictures = {}
-    for place, state in enumerate(states[:MOST]):
+    for place, state in enumerate(states[:MAX_PORTRAITS]):
         given = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))
         with suppress(InputError):
             pictures[place] = motion_of(cell_orbit(given, subject.system, subject.settings))

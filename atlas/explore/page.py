@@ -19,41 +19,50 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Div, GlobalInlineStyleSheet, InlineStyleSheet, Toggle
 
 from atlas.errors import InputError
-from atlas.explore.access import hear_keys, make_accessible
+from atlas.explore.accessibility import install_key_handler, make_accessible
 from atlas.explore.actions import new_atlas, picture_file
-from atlas.explore.background import Background
-from atlas.explore.chosen import LOOK, Range, carried, from_address, looking, overlays, place_query, turned_to
+from atlas.explore.background import BackgroundTasks
 from atlas.explore.controls import Controls
-from atlas.explore.cutpanel import CutPanel
-from atlas.explore.details import Details
+from atlas.explore.cut_panel import CutPanel
+from atlas.explore.details_panel import DetailsPanel
 from atlas.explore.explorer import Explorer
 from atlas.explore.front.script import call
-from atlas.explore.painter import Painted
-from atlas.explore.pane import LINE_HEIGHT, Pane
-from atlas.explore.state import State, Store
+from atlas.explore.page_state import PageModel, PageState
+from atlas.explore.picture_renderer import RenderedPicture
+from atlas.explore.plane_pane import LINE_HEIGHT, PlanePane
 from atlas.explore.style import CUTTING, FOLD, LINE, MIDDLE, PAGE, PANEL, TEXT, WHOLE
-from atlas.explore.words import progress
+from atlas.explore.text import progress
+from atlas.explore.view_state import (
+    STYLE_FIELDS,
+    Range,
+    apply_style_query,
+    carry_over,
+    explorer_for_query,
+    from_address,
+    overlays,
+    place_query,
+)
 
 LEFT, RIGHT = 232, 350
 """Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
 FOLDED = "folded"
 """The class of controls that a page of a single column hides."""
-LEAST = 16
+MIN_PLANE_PIXELS = 16
 """Pixels of a plane that is worth drawing."""
 
 
-def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]") -> None:
+def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set[ExplorerPage]") -> None:
     """Make a page of a document, one of ``pages`` while it lasts; specs of new atlases are written into the folder."""
     context = document.session_context
     arguments = context.request.arguments if context is not None and context.request is not None else {}
     home, trouble = explorer, ""
     try:
-        explorer = turned_to(explorer, arguments)
+        explorer = explorer_for_query(explorer, arguments)
         chosen = from_address(explorer.subject, arguments)
     except InputError as error:
         chosen, trouble = from_address(explorer.subject, {}), str(error)
     try:
-        page = Page(document, explorer, Store(State(chosen, trouble=trouble)), folder, home)
+        page = ExplorerPage(document, explorer, PageModel(PageState(chosen, trouble=trouble)), folder, home)
     except Exception:
         logging.getLogger(__name__).exception("a page could not be made")
         raise
@@ -66,20 +75,20 @@ def fill(document: Document, explorer: Explorer, folder: Path, pages: "set[Page]
     document.on_session_destroyed(end)
 
 
-class Page:
+class ExplorerPage:
     """One page, of one browser's tab. All of it follows from the state in ``store``."""
 
-    def __init__(self, document: Document, explorer: Explorer, store: Store, folder: Path, home: Explorer) -> None:
+    def __init__(self, document: Document, explorer: Explorer, store: PageModel, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
         self._folder, self._home, chosen = folder, home, store.now.chosen
-        self._background = Background(document, lambda why: store.set(trouble=why))
+        self._background = BackgroundTasks(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
-        self._pane = Pane(explorer, self._background, chosen, self._note_picture, self._note_look)
+        self._pane = PlanePane(explorer, self._background, chosen, self._note_picture, self._note_look)
         plot, painter = self._pane.plot, self._pane.painter
-        self._details = Details(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
+        self._details = DetailsPanel(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
         self._make_panels()
-        self._keys = hear_keys(document, plot, self._show_window, store.escape, self._details.choose)
+        self._keys = install_key_handler(document, plot, self._show_window, store.escape, self._details.choose)
         self._pane.begin(document, self._address)
         self._wire()
         self._cut.show(store.now)
@@ -118,7 +127,7 @@ class Page:
         plot.js_on_event(RangesUpdate, call("tell"))  # before the event itself
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
-        controls.keep.on_click(lambda on: self._explorer.tiles.keep_plane(store.now.chosen.plane, on))
+        controls.keep.on_click(lambda on: self._explorer.tiles.set_kept(store.now.chosen.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -142,13 +151,13 @@ class Page:
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
         return whole
 
-    def _changed(self, old: State, new: State) -> None:
+    def _changed(self, old: PageState, new: PageState) -> None:
         """Show the new state."""
         chosen = new.chosen
-        self._controls.show(new, self._explorer.tiles.keeps(chosen.plane))
+        self._controls.show(new, self._explorer.tiles.is_kept(chosen.plane))
         self._details.show(chosen)
         self._cut.show(new)
-        if min(new.size) >= LEAST:
+        if min(new.size) >= MIN_PLANE_PIXELS:
             self._address.text = place_query(self._home.subject, self._subject, chosen)
             self._pane.show(chosen, new.size, new.rests)
 
@@ -159,7 +168,7 @@ class Page:
         values = subject.values(chosen.plane, *chosen.middle(subject))
         if layer is not None and turned.third is not None:
             values[turned.third.name] = layer
-        there = carried(turned, chosen, values)
+        there = carry_over(turned, chosen, values)
         there = there if axes else replace(there, x=chosen.x, y=chosen.y)
         query = place_query(self._home.subject, turned, there)
         self._opened.data = {"place": [query], "overlays": [overlays(turned)]}
@@ -180,12 +189,12 @@ class Page:
     def _note_look(self, query: str) -> None:
         """Take note of how the browser shows the plane."""
         try:
-            looks = looking(self._subject, self._store.now.chosen, query)
-            self._store.choose(**{name: getattr(looks, name) for name in LOOK})
+            looks = apply_style_query(self._subject, self._store.now.chosen, query)
+            self._store.choose(**{name: getattr(looks, name) for name in STYLE_FIELDS})
         except InputError as error:
             self._store.set(trouble=str(error))
 
-    def _note_picture(self, picture: Painted | str) -> None:
+    def _note_picture(self, picture: RenderedPicture | str) -> None:
         """Take note of a picture of the plane, or of why there is none."""
         if isinstance(picture, str):
             self._store.set(lacking=picture, shares=())
@@ -215,7 +224,7 @@ class Page:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = keeper.handle is not None and self._explorer.tiles.keeps(chosen.plane)
+            kept = keeper.handle is not None and self._explorer.tiles.is_kept(chosen.plane)
             notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, Generic, TypeVar
 
-from atlas.explore.background import Background, Show
+from atlas.explore.background import BackgroundTasks, Show
 from atlas.explore.explorer import Explorer
-from atlas.explore.patches import Errand, Question
+from atlas.explore.jobs import Computation, ComputationJob
 
 A = TypeVar("A")
 
@@ -17,7 +17,7 @@ A = TypeVar("A")
 class Panel(Generic[A]):
     """What ``turn`` says it is ``about``, None for nothing; the panels have ``begin``, ``clear`` and ``refuse``."""
 
-    def __init__(self, explorer: Explorer, background: Background) -> None:
+    def __init__(self, explorer: Explorer, background: BackgroundTasks) -> None:
         self._explorer, self._subject, self._background = explorer, explorer.subject, background
         self.about: A | None = None
         self._turns = 0
@@ -49,15 +49,15 @@ class Panel(Generic[A]):
         """Want nothing more."""
         self._explorer.patches.want(self, ())
 
-    def ask(
+    def submit(
         self,
-        questions: Iterable[Question[Any]],
+        questions: Iterable[Computation[Any]],
         take: Callable[[Any], None],
         refuse: Callable[[str], None] | None = None,
     ) -> None:
         """Ask the crew, before earlier questions: ``take`` shows an answer, ``refuse`` why there is none."""
         answers = [self._background.later(self._current(act)) for act in (take, refuse or self.refuse)]
-        self._explorer.patches.want(self, [Errand(question, *answers) for question in questions], too=True)
+        self._explorer.patches.want(self, [ComputationJob(question, *answers) for question in questions], too=True)
 
     def work(self, work: Callable[[], Show]) -> None:
         """Have something found in a thread of the page, and shown by what ``work`` returns."""
@@ -68,7 +68,7 @@ class Panel(Generic[A]):
 
         self._background.run(whole, self._current(self.refuse))
 
-    def soon(self) -> Callable[[Show], None]:
+    def progress_callback(self) -> Callable[[Show], None]:
         """A function that shows something during ``work``, in its thread; to be made before that begins."""
         return self._background.later(self._current(_do))
 

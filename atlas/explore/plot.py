@@ -14,19 +14,19 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from atlas.explore.access import named
-from atlas.explore.branches import Drawn
-from atlas.explore.chosen import Chosen
+from atlas.explore.accessibility import accessible_name
+from atlas.explore.branches import BranchDiagram
 from atlas.explore.front.script import TICKS
 from atlas.explore.style import PLOT, RIGHT_MARGIN
 from atlas.explore.subject import Subject
-from atlas.explore.words import ticks
+from atlas.explore.text import ticks
+from atlas.explore.view_state import ViewState
 
 STABLE, UNSTABLE = "#004488", "#bb5566"
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
-def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource) -> tuple[figure, Any]:
+def make_plot(subject: Subject, chosen: ViewState, mark: ColumnDataSource) -> tuple[figure, Any]:
     """The plot of a plane with a mark, x and y, on one cell, and the source of its image, which the browser fills."""
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
@@ -47,18 +47,20 @@ def make_plot(subject: Subject, chosen: Chosen, mark: ColumnDataSource) -> tuple
     plot.add_tools(wheel, BoxSelectTool(description="choose a window for an atlas"))
     plot.toolbar.active_scroll = wheel
     plot.toolbar.logo = None
-    quiet(plot)
+    style_plain(plot)
     image = ColumnDataSource({name: [] for name in ("image", "x", "y", "dw", "dh", "cells")})
     plot.image_rgba(image="image", x="x", y="y", dw="dw", dh="dh", source=image, level="image", origin="top_left")
     for color, width in (("white", 4.0), ("black", 1.6)):
         ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
     label_axes(plot, subject, chosen)
-    plot.html_attributes = named(f"map of {plot.xaxis[0].axis_label} across and {plot.yaxis[0].axis_label} up: {KEYS}")
+    plot.html_attributes = accessible_name(
+        f"map of {plot.xaxis[0].axis_label} across and {plot.yaxis[0].axis_label} up: {KEYS}"
+    )
     return plot, image
 
 
-def quiet(plot: figure) -> None:
+def style_plain(plot: figure) -> None:
     """Give a plot no grid, and axes in the type of the page with ticks that may count from a round number."""
     plot.grid.visible = False
     for axis in (plot.xaxis[0], plot.yaxis[0]):
@@ -66,7 +68,7 @@ def quiet(plot: figure) -> None:
         axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICKS)
 
 
-def label_axes(plot: figure, subject: Subject, chosen: Chosen) -> None:
+def label_axes(plot: figure, subject: Subject, chosen: ViewState) -> None:
     """Give the axes the ticks and the names that suit their window."""
     for axis, lattice, window in (
         (plot.xaxis[0], subject.x, chosen.x),
@@ -92,9 +94,9 @@ class BranchLines:
         marks = plot.scatter(x="x", y="gap", source=self._events, size=7, marker="diamond", color="#000000")
         plot.add_tools(HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")]))
 
-    def show(self, drawn: Drawn | None) -> None:
+    def show(self, drawn: BranchDiagram | None) -> None:
         """Show these branches in place of others; None shows none."""
-        drawn = drawn or Drawn((), ())
+        drawn = drawn or BranchDiagram((), ())
         self._lines.data = {
             "xs": [x for _, x, _ in drawn.stretches],
             "ys": [y for *_, y in drawn.stretches],

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from atlas.errors import InputError
-from atlas.explore.threads import steady, why
+from atlas.explore.threads import restarting_thread, why
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -51,7 +51,7 @@ class PageServer:
         self._stop: Callable[[], None] = lambda: None
         self.port = 0
         self._mistake = ""
-        self._thread = steady("atlas-page", self._run, lambda _: None)
+        self._thread = restarting_thread("atlas-page", self._run, lambda _: None)
         self._ready.wait()
         if self._error:
             raise InputError(self._error)
@@ -73,7 +73,7 @@ class PageServer:
             self._thread.join()
 
     def _run(self) -> None:
-        """Serve until ``stop``; once pages were served, any exception has ``steady`` serve on, at the same port."""
+        """Serve until ``stop``; once pages were served, any exception has ``restarting_thread`` serve on, at the same port."""
         try:
             self._serve()
         except BaseException as error:
@@ -167,7 +167,7 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, 
     from bokeh.server.tornado import BokehTornado
     from tornado.web import ErrorHandler
 
-    class Guarded(BokehTornado):
+    class RestrictedTornado(BokehTornado):
         def find_handler(self, request: "HTTPServerRequest", **kwargs: Any) -> Any:
             status = refusal(request, hosts, token)
             if status is not None:
@@ -177,7 +177,7 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, 
         def resources(self, absolute_url: Any = None) -> Any:
             return super().resources("./")  # beside the page, also where a proxy puts it into a folder
 
-    return Guarded(
+    return RestrictedTornado(
         {"/": Pages(FunctionHandler(make))},
         extra_websocket_origins=["*"] if hosts is None else hosts,
         sign_sessions=True,

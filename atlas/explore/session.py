@@ -12,41 +12,41 @@ from urllib.parse import urlencode
 
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import MOST_BYTES
+from atlas.explore.persistent_tiles import MAX_BYTES
 from atlas.explore.server import HOST, PageServer, listening
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
 from atlas.query.open import handle_of
 from atlas.query.window import Window, axis_names, axis_values
-from atlas.service.cluster import active_client, connected, local_cluster
-from atlas.service.hiring import check_kind
+from atlas.service.clients import check_kind
+from atlas.service.cluster import active_client, connect_to_scheduler, local_cluster
 from atlas.service.timing import TIMING, Timing
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from atlas.explore.page import Page
+    from atlas.explore.page import ExplorerPage
 
 
 HUB = "JUPYTERHUB_SERVICE_PREFIX"
 """What JupyterHub says, in the environment, of where it serves this user's server."""
 
 
-class Exploration:
+class ExplorerSession:
     """Pages on a subject, served until ``stop``. A notebook shows the first of them."""
 
     def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "", host: str = HOST) -> None:
-        from atlas.explore.page import fill
-        from atlas.explore.painter import warm
+        from atlas.explore.page import build_page
+        from atlas.explore.picture_renderer import warm_up
 
         self.explorer = explorer
         self._proxy = os.environ.get(HUB, "").rstrip("/")
-        self._pages: set[Page] = set()
-        warm(explorer)
+        self._pages: set[ExplorerPage] = set()
+        warm_up(explorer)
         token = secrets.token_urlsafe(16) if self._proxy else None
-        make = partial(fill, explorer=explorer, folder=folder, pages=self._pages)
+        make = partial(build_page, explorer=explorer, folder=folder, pages=self._pages)
         self._server = PageServer(make, port, host, token)
         self._query = "&".join(filter(None, [query, f"token={self._server.token}"]))
 
@@ -76,7 +76,7 @@ class Exploration:
 
 
 def explore(
-    given: "str | Atlas | Subject",
+    given: "str | AtlasStore | Subject",
     chosen: Mapping[str, float] | None = None,
     *,
     client: "Client | None" = None,
@@ -84,15 +84,15 @@ def explore(
     workers: int | None = None,
     tolerance: float = TOLERANCE,
     keep: bool = True,
-    most_bytes: int = MOST_BYTES,
+    most_bytes: int = MAX_BYTES,
     folder: Path | None = None,
     port: int = 0,
     host: str = HOST,
     window: Window | None = None,
     timing: Timing = TIMING,
     prepare: "Callable[[], None] | None" = None,
-) -> Exploration:
-    """Pages on a store or a spec, at ``Exploration.url``.
+) -> ExplorerSession:
+    """Pages on a store or a spec, at ``ExplorerSession.url``.
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
     open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
@@ -120,13 +120,13 @@ def explore(
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
     query = urlencode(shown, safe=":")
     try:
-        return Exploration(explorer, folder or Path.cwd(), port, query, host)
+        return ExplorerSession(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
         explorer.stop()
         raise
 
 
-def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: Any) -> Exploration:
+def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: Any) -> ExplorerSession:
     """Pages on the store that a dataset shows, at its plane and its window.
 
     Options as of ``explore``. InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a
@@ -137,7 +137,7 @@ def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: A
     return explore(*_place(ds), window=window, tolerance=tolerance, **options)
 
 
-def _place(ds: "xr.Dataset") -> tuple[Atlas, dict[str, float]]:
+def _place(ds: "xr.Dataset") -> tuple[AtlasStore, dict[str, float]]:
     """The store that a dataset shows, and which plane of a stack."""
     handle = handle_of(ds)
     axes = handle.spec.axes[2:]
@@ -152,7 +152,7 @@ def _connection(
         given = client
         return lambda: nullcontext(given)
     if scheduler is not None:
-        return partial(connected, scheduler, timing=timing)
+        return partial(connect_to_scheduler, scheduler, timing=timing)
     active = active_client() if workers is None else None
     if active is not None:
         return lambda: nullcontext(active)

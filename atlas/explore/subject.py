@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
+from atlas.explore.grid_patch import GridPatch, packed
 from atlas.explore.lattice import Lattice
-from atlas.explore.patch import Patch, packed
-from atlas.explore.view import TILE, Sight, Stretch, TileKey
+from atlas.explore.viewport import TILE_CELLS, CellRange, TileKey, Viewport
 from atlas.query.attractors import own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
 from atlas.spec.axis import Axis, admitted
 from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
-from atlas.spec.spec import MOST_AXES, Spec
-from atlas.store.location import is_url, place_of
-from atlas.store.store import Atlas, open_handle
+from atlas.spec.spec import MAX_AXES, Spec
+from atlas.store.object_backend import is_url, open_backend
+from atlas.store.store import AtlasStore, open_store
 from workers import SOLVER_VERSION, Settings
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.parameter import Parameter
 from workers.model.system import System, identity
 from workers.results import REASON, REGIME, Variable, empty_results
@@ -39,7 +39,7 @@ TOLERANCE = 0.05
 """Standard error of the largest exponent that exploring asks for: finer than a map can show."""
 SURVIVAL = 2000
 """Forcing periods for which exploring watches chaos."""
-STARTS = Starts(keep=16)
+STARTS = AttractorSettings(keep=16)
 """From which initial states the attractors of a cell are sought, unless the spec says."""
 STEPS = 200
 """Steps of a slider from end to end."""
@@ -47,7 +47,7 @@ POINTS = 401
 """Points of level zero of an axis that the spec does not have."""
 
 
-def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
+def exploration_settings(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
     """The settings of exploring an atlas with these settings: not more exact than they are, and as coarse as asked."""
     return replace(
         settings,
@@ -59,19 +59,19 @@ def exploring(settings: Settings, tolerance: float = TOLERANCE, survival: int = 
 
 
 @dataclass(frozen=True)
-class SubjectPlane:
+class PlaneParameters:
     """One plane of a system: the parameters that are no axes, as pairs in the system's order."""
 
     parameters: tuple[tuple[str, float], ...]
 
     @classmethod
-    def of(cls, parameters: Mapping[str, float]) -> "SubjectPlane":
+    def of(cls, parameters: Mapping[str, float]) -> "PlaneParameters":
         """The plane of these parameters."""
         return cls(tuple(parameters.items()))
 
-    def with_value(self, name: str, value: float) -> "SubjectPlane":
+    def with_value(self, name: str, value: float) -> "PlaneParameters":
         """The plane with another value of one parameter."""
-        return SubjectPlane(tuple((own, value if own == name else old) for own, old in self.parameters))
+        return PlaneParameters(tuple((own, value if own == name else old) for own, old in self.parameters))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +87,10 @@ class Subject:
 
     spec: Spec
     settings: Settings
-    stored: Atlas | None = None
+    stored: AtlasStore | None = None
     ds: "xr.Dataset | None" = None
     layer: int = 0
-    attractors: Starts | None = None
+    attractors: AttractorSettings | None = None
     third: Axis | None = None
     of_layer: "Callable[[float], Subject] | None" = None
 
@@ -109,7 +109,7 @@ class Subject:
         return part if self.every is None else own(part)
 
     @property
-    def starts(self) -> Starts:
+    def starts(self) -> AttractorSettings:
         """From which initial states all attractors of a cell are sought."""
         return STARTS if self.attractors is None else self.attractors
 
@@ -119,7 +119,7 @@ class Subject:
         return self.settings.method == "adaptive"
 
     @property
-    def handle(self) -> Atlas | None:
+    def handle(self) -> AtlasStore | None:
         """The handle of a store that cells of this program can be kept in."""
         return self.stored if self.stored is not None and self.stored.solver_version == SOLVER_VERSION else None
 
@@ -173,9 +173,9 @@ class Subject:
         return replace(self, spec=spec, stored=None, ds=None)
 
     @cached_property
-    def plane(self) -> SubjectPlane:
+    def plane(self) -> PlaneParameters:
         """The plane of the spec itself."""
-        return SubjectPlane.of(self.spec.parameters)
+        return PlaneParameters.of(self.spec.parameters)
 
     @property
     def name(self) -> str:
@@ -183,28 +183,28 @@ class Subject:
         return self.spec.system if self.stored is None else os.path.basename(str(self.stored.place).rstrip("/"))
 
     @property
-    def same_settings(self) -> bool:
+    def has_same_settings(self) -> bool:
         """Whether cells of the atlas itself are what exploring would make of them."""
         asked = replace(self.spec.settings, section_samples=0, observe="")
         return self.handle is not None and self.every is None and asked == self.settings
 
-    def digest(self, plane: SubjectPlane) -> str:
+    def digest(self, plane: PlaneParameters) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
         solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.resolved()) | rest)
 
-    def plane_with(self, plane: SubjectPlane, name: str, value: float) -> SubjectPlane:
+    def plane_with(self, plane: PlaneParameters, name: str, value: float) -> PlaneParameters:
         """The plane with another value of a parameter; InputError for an unknown one, or a value out of its range."""
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.with_value(name, admitted(self.system.parameter(name), value))
 
-    def point(self, values: Mapping[str, float]) -> tuple[SubjectPlane, float, float]:
+    def point(self, values: Mapping[str, float]) -> tuple[PlaneParameters, float, float]:
         """Where a cell with these parameters lies: the inverse of ``values``."""
         x, y = (values[name] for name in self.axes)
-        return SubjectPlane(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
+        return PlaneParameters(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
@@ -221,34 +221,34 @@ class Subject:
         """Arrays of cells that have no results yet."""
         return empty_results(tuple(self.variables[name] for name in names), shape, self.spec.extra_sizes)
 
-    def values(self, plane: SubjectPlane, x: float, y: float) -> dict[str, float]:
+    def values(self, plane: PlaneParameters, x: float, y: float) -> dict[str, float]:
         """All parameters of a cell of a plane."""
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
-    def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Sight:
+    def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Viewport:
         """The cells in a window on this many pixels, at the deepest levels whose cells are not finer than pixels."""
-        return Sight(Stretch.seen(self.x, *x, pixels[0]), Stretch.seen(self.y, *y, pixels[1]))
+        return Viewport(CellRange.seen(self.x, *x, pixels[0]), CellRange.seen(self.y, *y, pixels[1]))
 
-    def points(self, x: Stretch, y: Stretch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def points(self, x: CellRange, y: CellRange) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The values of both axes at cells, (N,) each."""
         return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
 
-    def admitted(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
+    def valid_mask(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
         """Which cells of tiles along an axis, 0 across or 1 up, lie in its valid range, (count, TILE)."""
-        lattice, cells = (self.x, self.y)[along], Stretch(level, first * TILE, count * TILE)
+        lattice, cells = (self.x, self.y)[along], CellRange(level, first * TILE_CELLS, count * TILE_CELLS)
         values = lattice.values(level, cells.index)
-        return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE))
+        return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE_CELLS))
 
-    def grid(self, plane: SubjectPlane, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> Patch:
+    def grid(self, plane: PlaneParameters, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> GridPatch:
         """The patch of cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
-        return Patch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
+        return GridPatch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
 
-    def patch(self, plane: SubjectPlane, key: TileKey, missing: NDArray[np.bool_]) -> Patch:
+    def patch(self, plane: PlaneParameters, key: TileKey, missing: NDArray[np.bool_]) -> GridPatch:
         """The missing cells (y, x) of a tile, to be solved."""
         return self.grid(plane, *self.points(key.columns, key.rows), packed(missing))
 
-    def spec_of(self, plane: SubjectPlane, x: Any, y: Any) -> Spec:
+    def spec_of(self, plane: PlaneParameters, x: Any, y: Any) -> Spec:
         """The spec of cells at these values of the axes."""
         axes = {
             axis.name: {"values": np.asarray(values), "scale": axis.scale}
@@ -257,21 +257,23 @@ class Subject:
         return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
 
-def subject_of(given: str | Atlas, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE) -> Subject:
+def subject_of(
+    given: str | AtlasStore, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
+) -> Subject:
     """The subject that a user names: a store, or else a spec by its file or its name; or the store of a handle.
 
     ``chosen`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
     """
-    if isinstance(given, Atlas):
+    if isinstance(given, AtlasStore):
         return _subject(given.spec, given, open_atlas(given), chosen or {}, tolerance)
-    place = None if given.endswith(".toml") else place_of(given)
+    place = None if given.endswith(".toml") else open_backend(given)
     if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
-        return subject_of(open_handle(place), chosen, tolerance)
+        return subject_of(open_store(place), chosen, tolerance)
     return _subject(Spec.from_toml(given), None, None, chosen or {}, tolerance)
 
 
 def _subject(
-    spec: Spec, handle: Atlas | None, ds: "xr.Dataset | None", chosen: Mapping[str, float], tolerance: float
+    spec: Spec, handle: AtlasStore | None, ds: "xr.Dataset | None", chosen: Mapping[str, float], tolerance: float
 ) -> Subject:
     if spec.points or len(spec.axes) < 2:
         what = "a table of points" if spec.points else f"one axis ({spec.axes[0].name})"
@@ -280,13 +282,13 @@ def _subject(
         raise InputError("a continued sweep cannot be explored: each cell of it depends on those before it")
     if spec.basins:
         raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
-    layer, settings, attractors = 0, exploring(spec.settings, tolerance), spec.attractors
+    layer, settings, attractors = 0, exploration_settings(spec.settings, tolerance), spec.attractors
     third, whole = None, (spec, handle, ds)
 
     def of_layer(value: float) -> Subject:
         return _subject(*whole, {whole[0].axes[-1].name: value}, tolerance)
 
-    if len(spec.axes) == MOST_AXES:
+    if len(spec.axes) == MAX_AXES:
         third = spec.axes[-1]
         if set(chosen) - {third.name}:
             raise InputError(f"--select picks a plane of {third.name}: {', '.join(f'{v:g}' for v in third.values)}")

@@ -10,7 +10,7 @@ PAUSE = 0.5
 """Seconds after which the work begins again."""
 
 
-def steady(name: str, work: Callable[[], None], say: Callable[[str], None]) -> threading.Thread:
+def restarting_thread(name: str, work: Callable[[], None], say: Callable[[str], None]) -> threading.Thread:
     """A thread, running, in which ``work`` is done until it returns.
 
     Whenever it raises instead, the exception is logged, ``say`` gets it in words, and the work begins again after

@@ -40,7 +40,7 @@ from workers.results import (
     of_one,
 )
 
-SHOWN = 1 / 16
+UNDETERMINED_SHARE = 1 / 16
 """Share of undetermined cells from which on pictures show a coarse cell as undetermined."""
 
 CLASSES = ("period", "impacts_upper", "impacts_lower")
@@ -90,7 +90,7 @@ def count_of(name: str) -> str:
     return f"{name}_count"
 
 
-def needed(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
+def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
     """All variables of a level needed to coarsen the named ones, in their order."""
     wanted = {*names, SHARE.name, REGIME.name}
     if wanted & {*CLASSES, PERIOD_COUNT.name}:
@@ -132,7 +132,7 @@ def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cell
 def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
     """The next level of a block: half as many cells along the given dimensions, rounded up.
 
-    ``cells`` are closed under ``needed``. ``widths`` of the cells: one array per dimension, in any unit; only their
+    ``cells`` are closed under ``required_variables``. ``widths`` of the cells: one array per dimension, in any unit; only their
     ratios count.
     """
     area = np.ones(())
@@ -160,7 +160,7 @@ def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cell
     return level
 
 
-def halved(width: NDArray[np.float64]) -> NDArray[np.float64]:
+def halve_widths(width: NDArray[np.float64]) -> NDArray[np.float64]:
     """The widths of the next level's cells along a dimension."""
     return np.add.reduceat(width, np.arange(0, width.size, 2))
 
@@ -210,6 +210,6 @@ def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
 
 def _shown(share: NDArray[np.float64], regime: NDArray[np.int8]) -> NDArray[np.int8]:
     of = {code: share[..., i] for i, code in enumerate(CODES.tolist())}
-    shown = np.where(of[UNDETERMINED] >= SHOWN - 1e-9, UNDETERMINED, regime)
+    shown = np.where(of[UNDETERMINED] >= UNDETERMINED_SHARE - 1e-9, UNDETERMINED, regime)
     shown = np.where(of[PENDING] > 0, PENDING, shown)
     return np.where(of[FAILED] > 0, FAILED, shown).astype(np.int8)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from atlas.spec.cells import edges_of
 from atlas.spec.spec import Spec
 from atlas.store.schema import StoredArray
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from workers.results import REGIMES
 
 
-def level_coordinates(handle: Atlas, level: int) -> dict[str, StoredArray]:
+def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
     """The coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
     spec, base, arrays = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):

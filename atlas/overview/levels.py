@@ -13,14 +13,14 @@ from atlas.spec.spec import Slices
 
 SIDE = 256
 """Approximate cells per side of a chunk: a picture of a whole plane reads a few tens of such chunks."""
-LEAST = 128
+MIN_SIDE = 128
 """Longest side of a level that is not coarsened again: smaller pictures have no use."""
 
 Index = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Levels:
+class OverviewLevels:
     """The levels over a grid of cells.
 
     shape   cells of the grid along each dimension, slowest first
@@ -33,7 +33,7 @@ class Levels:
     shape: Index
     tile: Index
     side: int = SIDE
-    least: int = LEAST
+    least: int = MIN_SIDE
     kept: int = 0
 
     @property
@@ -80,14 +80,14 @@ class Levels:
         shape = self.shape_of(level)
         return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, self.chunk, shape, strict=True))
 
-    def over(self, tile: Index) -> Index:
+    def chunk_over(self, tile: Index) -> Index:
         """The chunk of level 1 over a tile."""
         ends = zip(tile, self.tile, self.chunk, self.halvings(1), strict=True)
         return tuple(i * t // (c << times) for i, t, c, times in ends)
 
-    def over_alone(self, tile: Index) -> bool:
+    def is_alone_under_chunk(self, tile: Index) -> bool:
         """Whether the chunk of level 1 over a tile covers no other tile."""
-        return bool(self.count) and list(self.children(1, self.over(tile))) == [tile]
+        return bool(self.count) and list(self.children(1, self.chunk_over(tile))) == [tile]
 
     def above(self, index: Index) -> Index:
         """The chunk of the next level over a chunk of a level."""

@@ -8,7 +8,7 @@ coordinator (``upkeep``). They are only a cache of finished work:
 - The chunks over a lost tile are dropped before it is written again, ``regime`` first.
 
 A kill at any moment leaves a chunk current or missing, and a reader computes missing chunks from the previous level
-(``atlas.query.source``).
+(``atlas.query.store_block``).
 """
 
 import time
@@ -29,17 +29,17 @@ from atlas.overview.coarsen import (
     Widths,
     coarsen,
     from_cells,
-    halved,
+    halve_widths,
     level_variables,
 )
 from atlas.overview.coordinates import level_coordinates, level_dims, multiscales
-from atlas.overview.levels import LEAST, SIDE, Index, Levels
+from atlas.overview.levels import MIN_SIDE, SIDE, Index, OverviewLevels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.making import metadata_apart
+from atlas.store.create import detached_root
 from atlas.store.schema import OVERVIEWS, codecs, consolidate, create_whole
-from atlas.store.store import ROOT, Atlas, chunk_key
-from atlas.store.tiles import encoded
+from atlas.store.store import ROOT, AtlasStore, chunk_key
+from atlas.store.tiles import encode_chunks
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
 
@@ -50,7 +50,7 @@ _LOOKS, _PAUSE = 10, 0.2
 """A tile that an earlier run is still writing is unfinished for a moment: number of looks, and seconds between them."""
 
 _SHAPES = ("side", "least", "classes", "complete")
-"""Attributes of the group of all levels: the fields of ``Levels``, the number of regimes, and, written last,
+"""Attributes of the group of all levels: the fields of ``OverviewLevels``, the number of regimes, and, written last,
 completeness."""
 
 
@@ -62,18 +62,18 @@ class Pyramid:
     levels   their geometry; ``side`` and ``least`` are for overviews not made yet
     """
 
-    def __init__(self, handle: Atlas, side: int = SIDE, least: int = LEAST) -> None:
+    def __init__(self, handle: AtlasStore, side: int = SIDE, least: int = MIN_SIDE) -> None:
         import zarr
 
-        from atlas.overview.guard import GuardedStore  # imports Zarr, which is slow
+        from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
 
         self.handle = handle
-        self.root: Any = zarr.open_group(GuardedStore(handle), mode="r", use_consolidated=False, zarr_format=3)
+        self.root: Any = zarr.open_group(VerifyingStore(handle), mode="r", use_consolidated=False, zarr_format=3)
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
         shapes = stored or {"side": side, "least": least}
-        self.levels = Levels(
+        self.levels = OverviewLevels(
             handle.spec.shape, handle.tile, side=shapes["side"], least=shapes["least"], kept=handle.spec.kept
         )
 
@@ -93,7 +93,7 @@ class Pyramid:
         levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
             before, kept = levels[-1], self.levels.kept
-            levels.append((*before[:kept], *map(halved, before[kept:])))
+            levels.append((*before[:kept], *map(halve_widths, before[kept:])))
         return levels
 
     def array(self, level: int, name: str) -> Any:
@@ -110,7 +110,7 @@ class Pyramid:
         with _named(self.handle, array.path):
             values = np.asarray(array[block])
         if not level:
-            values = self.handle.leading({name: values})[name]
+            values = self.handle.dominant_arrays({name: values})[name]
         return values
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
@@ -127,7 +127,7 @@ class Pyramid:
         self._arrays.clear()
         shapes = {"side": self.levels.side, "least": self.levels.least, "classes": int(CODES.size)}
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
-        with metadata_apart(self.handle.place, GROUP) as root:
+        with detached_root(self.handle.place, GROUP) as root:
             top = root.create_group(GROUP, attributes=shapes | about)
             for level in range(1, self.levels.count + 1):
                 self._create_level(top, level)
@@ -151,13 +151,13 @@ class Pyramid:
             raise RunError(f"{self.handle.place}: overview {level}, chunk {index}: cells below it are missing")
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
-    def make_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
+    def build_chunk_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
         """Write the chunk of level 1 over a finished tile from its arrays; False if the chunk needs other tiles."""
-        if not (self.made and self.levels.over_alone(tile)):
+        if not (self.made and self.levels.is_alone_under_chunk(tile)):
             return False
         names = [variable.name for variable in self.variables]
         stored = {v.name: np.asarray(arrays[v.name], dtype=v.dtype) for v in self.handle.variables if v.name in names}
-        self._write(1, self.levels.over(tile), from_cells(self.handle.leading(stored), names))
+        self._write(1, self.levels.chunk_over(tile), from_cells(self.handle.dominant_arrays(stored), names))
         return True
 
     def _write(self, level: int, index: Index, below: Cells) -> None:
@@ -170,12 +170,12 @@ class Pyramid:
             if variable.name == REGIME.name:
                 self.handle.place.put_all(objects)
                 objects = {}
-            objects |= encoded(self.array(level, variable.name), block, coarse[variable.name])
+            objects |= encode_chunks(self.array(level, variable.name), block, coarse[variable.name])
         self.handle.place.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles, before any of them is written."""
-        self.drop_chunks({(1, self.levels.over(tile)) for tile in tiles})
+        self.drop_chunks({(1, self.levels.chunk_over(tile)) for tile in tiles})
 
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
         """Drop chunks of levels, given as pairs (level, index), and all chunks over them; the number dropped."""
@@ -224,7 +224,7 @@ class Pyramid:
             )
 
 
-def pyramid_of(handle: Atlas) -> Pyramid:
+def pyramid_of(handle: AtlasStore) -> Pyramid:
     """The cells and overviews of a store as they are, opened once for all views of its handle."""
     with handle.kept.lock:
         pyramid = handle.kept.get(GROUP) or Pyramid(handle)
@@ -234,13 +234,13 @@ def pyramid_of(handle: Atlas) -> Pyramid:
     return through
 
 
-def drop_all(handle: Atlas) -> None:
+def drop_overviews(handle: AtlasStore) -> None:
     """Drop all overviews: without its own metadata the group counts as absent."""
     handle.place.remove(f"{GROUP}/{ROOT}")
 
 
 @contextmanager
-def _named(handle: Atlas, path: str) -> Iterator[None]:
+def _named(handle: AtlasStore, path: str) -> Iterator[None]:
     """Turn errors from damaged bytes into a ChunkError with the path."""
     try:
         yield

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from atlas.arguments import checked_atlas
+from atlas.argument_checks import validate_atlas
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def of_all(ds: "xr.Dataset") -> bool:
+def has_all_attractors(ds: "xr.Dataset") -> bool:
     """Whether a dataset has all attractors of its cells."""
     return ATTRACTOR in ds.dims
 
 
-def leading(ds: "xr.Dataset") -> "xr.Dataset":
+def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
     """The attractor with the largest share in every cell; a dataset of one attractor a cell is itself."""
-    return one(ds, 0) if of_all(checked_atlas(ds)) else ds
+    return select_attractor(ds, 0) if has_all_attractors(validate_atlas(ds)) else ds
 
 
-def one(ds: "xr.Dataset", place: float) -> "xr.Dataset":
+def select_attractor(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     """The attractor at that place in every cell, 0 for the one with the largest share.
 
     A cell with fewer is as without a result. InputError for a place that does not exist.
     """
-    if not of_all(ds):
+    if not has_all_attractors(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
     kept = ds.sizes[ATTRACTOR]
     if place not in range(kept):  # as no infinity and no NaN is
@@ -61,7 +61,7 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
     return open_table(handle, LABELS).drop_vars(LABEL.name).load()
 
 
-def listed(cell: "xr.Dataset") -> list[dict[str, Any]]:
+def list_attractors(cell: "xr.Dataset") -> list[dict[str, Any]]:
     """The attractors of one cell, read: see ``attractors_listed``."""
     many = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
     return attractors_listed({name: cell[name].values for name in ("attractors", *many)}, many)

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query.attractors import attractor_in_words
 from atlas.query.open import handle_of, open_table
-from atlas.query.window import Window, axis_names, within
+from atlas.query.window import Window, axis_names, select_window
 from atlas.store.groups import ATTRACTORS, group_attributes
-from workers.attractors.starts import wilson
+from workers.attractors.initial_states import wilson
 from workers.results import ATTRACTOR, INVALID, LABEL, PENDING, REGIME, SETTLED
 
 if TYPE_CHECKING:
@@ -35,14 +35,14 @@ BOX = 5
 """Initial states along each side of a box."""
 DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16)
 """Distances, in initial states, at which uncertainty is measured; up to an eighth of the shorter side."""
-LEAST_DISTANCES = 3
+MIN_DISTANCES = 3
 SATURATED = 0.25
 """Uncertain share, of that of labels at random, above which the power law bends; its slope is an eighth less there."""
 
 Labels = NDArray[np.int64]
 
 
-def of_basins(ds: "xr.Dataset") -> bool:
+def is_basin_atlas(ds: "xr.Dataset") -> bool:
     """Whether a dataset says which attractor each initial state of a plane reaches."""
     return SETTLED.name in ds
 
@@ -52,7 +52,7 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
 
     InputError where it is no such atlas, or not complete.
     """
-    if not of_basins(ds):
+    if not is_basin_atlas(ds):
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
     handle = handle_of(ds)
     if group_attributes(handle, ATTRACTORS) is None:
@@ -69,7 +69,7 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     why there is no alpha. See the module's text.
     Raises InputError as ``table`` and for an unknown axis.
     """
-    known, shown = table(ds), within(ds, window)
+    known, shown = table(ds), select_window(ds, window)
     labels, regime = shown[LABEL.name].values.astype(np.int64), shown[REGIME.name].values
     solved = ~np.isin(regime, (INVALID, PENDING))
     count = int(solved.sum())
@@ -127,10 +127,10 @@ def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[flo
     if not np.any(part > 0.0):
         return float("nan"), float("nan"), "no initial state is uncertain"
     fitted = (part > 0.0) & (part <= limit)
-    if np.count_nonzero(fitted) < LEAST_DISTANCES:
+    if np.count_nonzero(fitted) < MIN_DISTANCES:
         reason = (
             f"{100 * part[0]:.3g} % of the initial states are uncertain at distance 1, and a power law needs "
-            f"{LEAST_DISTANCES} distances with at most {100 * limit:.3g} %; take a finer or a smaller plane"
+            f"{MIN_DISTANCES} distances with at most {100 * limit:.3g} %; take a finer or a smaller plane"
         )
         return float("nan"), float("nan"), reason
     x, f = np.log(distance[fitted]), part[fitted]

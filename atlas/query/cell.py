@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.query.attractors import leading
+from atlas.query.attractors import select_dominant
 from atlas.query.queries import at
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_spec, system_of
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SolvedCell:
+class CellSpec:
     """A cell's system, the value of each of its parameters, initial state included, and the settings of its solver."""
 
     system: System
@@ -27,14 +27,14 @@ class SolvedCell:
     settings: Settings
 
 
-def solved_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> SolvedCell:
+def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
     """The cell of an atlas nearest to a point.
 
     Of an atlas of all attractors its initial state is on the one with the largest share, or on the one selected: the
     cell's own initial state may reach another.
     Raises InputError as ``queries.at`` does, and where the dataset lacks the spec of its atlas.
     """
-    ds = leading(ds)
+    ds = select_dominant(ds)
     cell, who = at(ds, point), "this dataset does not say how it was solved"
     system = system_of(ds.attrs, who)
     try:
@@ -46,7 +46,7 @@ def solved_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> SolvedCell:
         state = ds["state"].sel({name: cell[name] for name in axis_names(ds)}).values
         if np.isfinite(state).all():
             values |= dict(zip(system.states, state.tolist(), strict=True))
-    return SolvedCell(system, values, settings)
+    return CellSpec(system, values, settings)
 
 
 def values_of(ds: "xr.Dataset", system: System, cell: Mapping[str, Any]) -> dict[str, float]:

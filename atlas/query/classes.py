@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.arguments import checked_name
-from atlas.errors import InputError, check_names, shown
+from atlas.argument_checks import check_name
+from atlas.errors import InputError, brief_repr, check_names
+from atlas.formatting import motion_name
+from atlas.query.cell_blocks import CellBlock
 from atlas.query.motions import STICKS as ALL_STICKING
 from atlas.query.motions import motion_keys
-from atlas.query.walk import CellBlock
-from atlas.text import motion_name
 from workers.results import PENDING, PERIODIC, REGIME
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ STICKS = "sticks"
 _REGIMES = {regime.name: regime.code for regime in REGIME.codes if regime.code != PENDING}
 
 
-def asked_class(by: str, value: object = None) -> tuple[str, object]:
+def parse_class(by: str, value: object = None) -> tuple[str, object]:
     """The result that classifies cells, and the one class meant, None for all; a regime may be named alone."""
-    checked_name("by", by)
+    check_name("by", by)
     if value is None and by in _REGIMES:
         return REGIME.name, by
     check_names("class of cells", [by], (*BY, *_REGIMES))
     return by, value
 
 
-class Classes:
+class CellClassifier:
     """The classes of cells, numbered from 1 on as they are met.
 
     regime    every regime but pending
@@ -74,7 +74,7 @@ class Classes:
             numbers[counted] = np.array(known, np.int32)[which]
         return numbers
 
-    def ordered(self) -> list[tuple[int, Any]]:
+    def list_classes(self) -> list[tuple[int, Any]]:
         """The classes found, by their numbers, with their names, in order of code, period or pattern."""
         return [(number, self._value(key)) for key, number in sorted(self._numbers.items())]
 
@@ -119,5 +119,5 @@ def _key_of(by: str, value: object) -> tuple[int, ...]:
         key = ()
     if len(key) != len(_NEEDED[by]) or key[0] < 1 or min(key) < 0:
         right = "a whole number, 1 or more" if by == "period" else "n-p-q, such as 3-2-2, or sticks"
-        raise InputError(f"{by}: found {shown(value)}, must be {right}")
+        raise InputError(f"{by}: found {brief_repr(value)}, must be {right}")
     return key

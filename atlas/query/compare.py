@@ -12,7 +12,7 @@ from atlas.errors import InputError
 from atlas.query.plane import Plane
 from atlas.query.queries import rate_of
 from atlas.query.resample import view
-from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, inside, within
+from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, select_window, window_indices
 from atlas.spec.points import POINT
 from atlas.spec.system import stored_name, stored_system
 from workers.model.system import identity
@@ -21,13 +21,13 @@ from workers.results import LARGEST, OF_MOTIONS, REGIME, REGIMES
 if TYPE_CHECKING:
     import xarray as xr
 
-_TOGETHER = 1 << 22
+_CELLS_PER_BLOCK = 1 << 22
 """Cells read at a time."""
 _FIRST = REGIMES[0].code
 
 
 @dataclass(frozen=True)
-class ComparedNumbers:
+class ComparisonStats:
     """A comparison in numbers.
 
     cells         of each pair of regimes (here, there), by ``_FIRST + index``
@@ -65,10 +65,10 @@ class Comparison:
         settings and solver versions may differ.
         """
         _check_cells(one, other)
-        slices = inside(one, window)
+        slices = window_indices(one, window)
         weights = tuple(cell_widths(one, str(dim))[slices[str(dim)]] for dim in one[REGIME.name].dims)
         pairs = {name: (float(one[name]), float(other[name])) for name in differing([one, other])}
-        return cls(within(one, window), within(other, window), pairs, weights)
+        return cls(select_window(one, window), select_window(other, window), pairs, weights)
 
     @property
     def has_exponents(self) -> bool:
@@ -113,7 +113,7 @@ class Comparison:
         return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("here", "there"), "regimes", attrs)
 
     @cached_property
-    def numbers(self) -> ComparedNumbers:
+    def numbers(self) -> ComparisonStats:
         """The table and the differences in numbers, from one reading of both atlases."""
         count = len(REGIMES)
         cells = np.zeros((count, count), np.int64)
@@ -139,7 +139,7 @@ class Comparison:
                     at = np.argwhere(known)[k]
                     most = float(difference[known][k]), self._place(first, at.tolist())
         solved = area[1:, 1:]  # pending comes first
-        return ComparedNumbers(
+        return ComparisonStats(
             cells,
             float(np.trace(solved) / solved.sum()) if solved.sum() else float("nan"),
             compared,
@@ -171,7 +171,7 @@ class Comparison:
         """Some rows at a time: the first of them, the regimes here and there, and the differences."""
         regime = self.one[REGIME.name]
         chunk = (regime.encoding.get("chunks") or (1,))[0]
-        rows = max(1, _TOGETHER * regime.shape[0] // max(1, regime.size) // chunk) * chunk
+        rows = max(1, _CELLS_PER_BLOCK * regime.shape[0] // max(1, regime.size) // chunk) * chunk
         names = [LARGEST.name] if self.has_exponents else []
         for first in range(0, regime.shape[0], rows):
             part = {regime.dims[0]: slice(first, first + rows)}

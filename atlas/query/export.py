@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.arguments import checked_path, checked_suffix
+from atlas.argument_checks import validate_path, validate_suffix
 from atlas.errors import InputError
-from atlas.query.window import Window, axis_names, within
+from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
 
 if TYPE_CHECKING:
@@ -44,11 +44,11 @@ def export(
     Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
     that cannot be written.
     """
-    target = checked_path(path)
-    suffix = checked_suffix(target, FORMATS)
-    shown = within(ds, window)
+    target = validate_path(path)
+    suffix = validate_suffix(target, FORMATS)
+    shown = select_window(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
-    with written_whole(target) as unfinished:
+    with replace_on_success(target) as unfinished:
         if suffix == ".csv":
             _write_csv(shown, unfinished, csv_cells)
         else:
@@ -61,7 +61,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
     Raises InputError for a path that cannot be written.
     """
-    with written_whole(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with replace_on_success(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -79,7 +79,7 @@ def check_writable(path: Path) -> None:
 
 
 @contextmanager
-def written_whole(target: Path) -> Iterator[Path]:
+def replace_on_success(target: Path) -> Iterator[Path]:
     """A path to write to that takes the place of the target at the end; at an error nothing of it stays.
 
     Raises InputError for a target that cannot be written.

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.arguments import checked_name
+from atlas.argument_checks import check_name
 from atlas.errors import InputError, check_names
-from atlas.query.classes import Classes
-from atlas.query.walk import CellBlock, walk
-from atlas.query.window import Window, axis_names, axis_values, columns, within
+from atlas.query.cell_blocks import CellBlock, iter_cell_blocks
+from atlas.query.classes import CellClassifier
+from atlas.query.window import Window, axis_names, axis_values, columns, select_window
 from atlas.spec.system import stored_system
 from workers.results import ERROR, LARGEST, REASON, REGIME, Variable, result_named
 
@@ -22,7 +22,7 @@ ALL = "all"
 def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
     """The smallest and the largest value of a variable in each class of cells, and where it has them.
 
-    Two entries a class: ``by`` itself (see ``Classes``; none for "all", all cells together), ``extreme`` ("smallest"
+    Two entries a class: ``by`` itself (see ``CellClassifier``; none for "all", all cells together), ``extreme`` ("smallest"
     or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``, ``error`` (of
     ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the first
     counts, row by row.
@@ -32,25 +32,25 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     Raises InputError for a variable that is no number of each cell, and as ``regions`` does.
     Reads the variable, and what tells the class, of tiles that have such cells.
     """
-    checked_name("variable", name)
-    checked_name("by", by)
+    check_name("variable", name)
+    check_name("by", by)
     check_number(ds, name)
-    classes, part = None if by == ALL else Classes(ds, by), within(ds, window)
+    classes, part = None if by == ALL else CellClassifier(ds, by), select_window(ds, window)
     meant = variable_of(ds, name)
     codes = meant.regimes
     if classes is not None:
         codes = codes & {*classes.codes}
     needed = [name, *(classes.names if classes else ())]
     dims = part[REGIME.name].dims
-    best: dict[int, _Best] = {}
-    for block in walk(part, needed, codes):
+    best: dict[int, _ExtremeTracker] = {}
+    for block in iter_cell_blocks(part, needed, codes):
         counted = np.isin(block.regime, list(codes)) & np.isfinite(block.values[name])
         if meant.endless:
             counted &= block.values[name] >= 0
         numbers = np.where(counted, 1 if classes is None else classes.number(block), 0)
         for number in np.unique(numbers[numbers > 0]).tolist():
-            best.setdefault(number, _Best()).add(block, block.values[name], numbers == number)
-    ordered = [(1, None)] if classes is None else classes.ordered()
+            best.setdefault(number, _ExtremeTracker()).add(block, block.values[name], numbers == number)
+    ordered = [(1, None)] if classes is None else classes.list_classes()
     entries: list[dict[str, Any]] = []
     for number, value in ordered:
         for extreme, (at, number_there) in best[number].ends() if number in best else ():
@@ -66,7 +66,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     return entries
 
 
-class _Best:
+class _ExtremeTracker:
     """The smallest and the largest value so far, and the indices of their cells."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from atlas.query.plane import PlaneAxis
 from atlas.spec.system import system_of
 from workers.model.elements import STOP, Contact
 from workers.model.expression import Expression
-from workers.model.oscillator import Mode, Oscillator
+from workers.model.oscillator import GuardedFlow, Oscillator
 from workers.model.system import System
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def drifts(osc: Oscillator) -> NDArray[np.bool_]:
     return np.asarray(np.any(osc.gap.lam == 0.0, axis=1))
 
 
-def extremes(signal: Mode) -> tuple[Array, Array]:
+def extremes(signal: GuardedFlow) -> tuple[Array, Array]:
     """The largest and the smallest value over a period of the forced part of many signals.
 
     With z = exp(i phi) the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is that of half of

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.spec.system import stored_system
-from workers.model.hybrid import is_symmetric
+from workers.model.mode_table import is_symmetric
 from workers.model.oscillator import COLUMN, Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 4096
+POINTS_PER_BLOCK = 4096
 """Points whose oscillators are made at a time: together they take some megabytes."""
 
 
@@ -31,8 +31,8 @@ def oscillators(
 ) -> Iterator[tuple[slice, Oscillator, NDArray[np.bool_]]]:
     """The oscillators at points (N,) of some parameters, and where there is one, in parts of AT_ONCE."""
     count = len(next(iter(points.values())))
-    for low in range(0, count, AT_ONCE):
-        part = slice(low, min(low + AT_ONCE, count))
+    for low in range(0, count, POINTS_PER_BLOCK):
+        part = slice(low, min(low + POINTS_PER_BLOCK, count))
         given = {name: np.full(part.stop - low, value) for name, value in same.items()}
         osc, reasons = system.build_many(given | {name: values[part] for name, values in points.items()})
         yield part, osc, reasons == NO_REASON
@@ -94,4 +94,4 @@ def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
     """The rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
     count = max(np.size(value) for value in values.values())
     given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
-    return system.definition.shown_rows(given)
+    return system.definition.picture_rows(given)

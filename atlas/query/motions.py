@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
+from atlas.formatting import motion_name
 from atlas.query import machine
 from atlas.query.plane import Cells, Plane
 from atlas.spec.system import system_of
-from atlas.text import motion_name
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, Variable
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, InputError, message_of
-from atlas.spec.resolved import outlined
+from atlas.spec.resolved import outline_names
 from atlas.store.axes import changed_values
 from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
-from atlas.store.location import Given
-from atlas.store.store import ROOT, Atlas, open_handle
+from atlas.store.object_backend import Given
+from atlas.store.store import ROOT, AtlasStore, open_store
 from workers.results import LABEL
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Chunks = int | str | Mapping[Any, Any] | None
 
 
 def open_atlas(
-    store: "Given | Atlas", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
+    store: "Given | AtlasStore", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
 ) -> "xarray.Dataset":
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
@@ -34,7 +34,7 @@ def open_atlas(
     """
     import xarray
 
-    handle = open_handle(store, storage_options)
+    handle = open_store(store, storage_options)
     try:
         opened: Any = xarray.open_dataset(
             _guarded(handle),
@@ -47,38 +47,38 @@ def open_atlas(
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
         raise ChunkError(handle.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
-    stored = {name: tuple(opened[name].values.tolist()) for name in outlined(handle.outline)}
+    stored = {name: tuple(opened[name].values.tolist()) for name in outline_names(handle.outline)}
     if changed := changed_values(handle.place, handle.outline, stored, lambda: handle.values):
         raise ChunkError(handle.place, {f"coordinate {name}": "is not the spec's" for name in changed})
     if handle.spec.coexistence and group_attributes(handle, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
     if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
         opened = opened.assign(open_table(handle, STABILITY).data_vars)
-    note_store(opened, handle)
+    attach_store(opened, handle)
     if chunks is not None:
         arrays = {str(name): array.data for name, array in opened.data_vars.items() if array.chunks is not None}
         opened.encoding[LAYERS] = {name: frozenset(array.dask.layers) for name, array in arrays.items()}
     return opened
 
 
-def note_store(ds: "xarray.Dataset", handle: Atlas) -> None:
+def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
     """Say of which store a dataset is."""
     ds.encoding |= {SOURCE: str(handle.place), _HANDLE: handle}
 
 
-def handle_of(ds: "xarray.Dataset") -> Atlas:
+def handle_of(ds: "xarray.Dataset") -> AtlasStore:
     """The handle of the store that a dataset, or the one that it was selected from, is of.
 
     What was read when ``atlas.open`` opened it, while the store is the same; else it is read by its name.
     InputError where the dataset does not name its store, and where that is gone or is another one by now.
     """
     kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
-    if isinstance(kept, Atlas):
+    if isinstance(kept, AtlasStore):
         handle = kept.current()
         if handle is not kept:
-            note_store(ds, handle)
+            attach_store(ds, handle)
     elif isinstance(source, str):
-        handle = open_handle(source)
+        handle = open_store(source)
     else:
         raise InputError("this dataset does not name its store: use the one that atlas.open returns")
     if ds.attrs.get("run_id", handle.run_id) != handle.run_id:
@@ -86,7 +86,7 @@ def handle_of(ds: "xarray.Dataset") -> Atlas:
     return handle
 
 
-def open_table(handle: Atlas, table: str) -> "xarray.Dataset":
+def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
     """A table that the store has beside its results, read from disk as it is used.
 
     ChunkError where its metadata are damaged, and at reading where a chunk of it is missing or damaged.
@@ -104,7 +104,7 @@ def open_table(handle: Atlas, table: str) -> "xarray.Dataset":
         raise ChunkError(handle.place, {table: f"is damaged ({message_of(error)})"}) from None
 
 
-def _guarded(handle: Atlas) -> Any:
-    from atlas.overview.guard import GuardedStore  # with it Zarr, which takes a while to load
+def _guarded(handle: AtlasStore) -> Any:
+    from atlas.overview.verifying_store import VerifyingStore  # with it Zarr, which takes a while to load
 
-    return GuardedStore(handle)
+    return VerifyingStore(handle)

@@ -22,7 +22,7 @@ _STEPS = 400
 """Least number of steps that take the place of cells which are not drawn equally wide."""
 
 
-class Meaning(NamedTuple):
+class CoordinateInfo(NamedTuple):
     """A coordinate's meaning: words, symbol as mathtext, CF unit; empty where unknown."""
 
     words: str
@@ -30,7 +30,7 @@ class Meaning(NamedTuple):
     unit: str
 
     @classmethod
-    def of(cls, ds: "xr.Dataset", name: str) -> "Meaning":
+    def of(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
         """The meaning by the coordinate's attributes, or, where it lacks one, by the atlas's system."""
         system, own = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
@@ -46,7 +46,7 @@ class PlaneAxis:
     values: Array
     edges: Array
     log: bool
-    meaning: Meaning
+    meaning: CoordinateInfo
 
     @property
     def uniform(self) -> bool:
@@ -68,7 +68,7 @@ class PlaneAxis:
         return replace(self, values=at[1::2], edges=at[::2]), cells
 
 
-def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
+def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
     """The dataset with every axis in rising order, and its axes, x first."""
     names, axes = axis_names(ds), []
     for name in names:
@@ -77,7 +77,7 @@ def rising(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
         log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # plain, as JSON wants it
-        axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, Meaning.of(ds, name)))
+        axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, CoordinateInfo.of(ds, name)))
     return ds, tuple(axes)
 
 
@@ -101,17 +101,17 @@ class Plane:
     @classmethod
     def of(cls, ds: "xr.Dataset", names: Sequence[str]) -> "Plane":
         """The plane of a dataset that is read."""
-        ds, (x, y) = rising(ds)
+        ds, (x, y) = sort_axes(ds)
         return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
     @property
-    def determined(self) -> Cells:
+    def determined_mask(self) -> Cells:
         """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
         return determined(self.regime)
 
     def known(self, name: str) -> Array:
         """The values of a variable where the class of motion is known, NaN elsewhere."""
-        return np.where(self.determined, self[name], np.nan)
+        return np.where(self.determined_mask, self[name], np.nan)
 
     def even(self, times: int | None = None) -> "Plane":
         """The plane in steps that are drawn equally wide, ``times`` as many as cells along each axis: see the axis."""

@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
-from atlas.query.attractors import leading, listed, of_all
-from atlas.query.reads import count_reads
+from atlas.query.attractors import has_all_attractors, list_attractors, select_dominant
+from atlas.query.cell_blocks import iter_cell_blocks
+from atlas.query.read_counter import count_reads
 from atlas.query.resample import view
-from atlas.query.source import find_part
+from atlas.query.store_block import find_part
 from atlas.query.totals import StoreTotals
-from atlas.query.walk import walk
 from atlas.query.window import (
     Window,
     axis_names,
     axis_values,
     cell_edges,
     cell_widths,
+    check_axis,
     columns,
-    inside,
-    known_axis,
     nearest,
-    within,
+    select_window,
+    window_indices,
 )
 from atlas.spec.axis import number
 from atlas.spec.laws import LawUse, law_names, law_uses, merged
@@ -73,10 +73,10 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     Raises InputError, in one line, for a missing or unknown axis and for a point outside the grid.
     Reads one chunk of each variable.
     """
-    every, ds = ds, leading(ds)
+    every, ds = ds, select_dominant(ds)
     names = axis_names(ds)
     for name in point:
-        known_axis(ds, name)
+        check_axis(ds, name)
     missing = [name for name in names if name not in point]
     if missing:
         raise InputError(f"the point lacks {', '.join(missing)}; it needs a value for each axis: {', '.join(names)}")
@@ -87,7 +87,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     results["distance"] = {name: abs(results[name] - float(point[name])) for name in names}
     results |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
     results |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
-    return results | ({"coexisting": listed(every.isel(index).load())} if of_all(every) else {})
+    return results | ({"coexisting": list_attractors(every.isel(index).load())} if has_all_attractors(every) else {})
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
@@ -101,10 +101,10 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     regimes in the window and nothing else; of a large window the overviews and the records of tiles, and cells along
     its border.
     """
-    shown = within(ds, window)
+    shown = select_window(ds, window)
     part = find_part(shown, [REGIME.name])
     if part is None:
-        areas = _areas_of_cells(shown, ds, inside(ds, window))
+        areas = _areas_of_cells(shown, ds, window_indices(ds, window))
     else:
         areas = StoreTotals(part).areas()
         count_reads(part.chunks_read)
@@ -119,7 +119,7 @@ def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     records of tiles, and the reasons themselves along the window's border.
     """
     axis_names(ds)
-    ds = within(ds, window)
+    ds = select_window(ds, window)
     if REASON.name not in ds:
         raise InputError(f"this dataset has no variable {REASON.name}: ask the one that atlas.open returns")
     part = find_part(ds, [REGIME.name, REASON.name])
@@ -135,11 +135,11 @@ def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
 
     Cells and errors as in ``fractions``. Reads the variables that tell it, none if no law is an expression.
     """
-    system, part = stored_system(ds.attrs), within(ds, window)
+    system, part = stored_system(ds.attrs), select_window(ds, window)
     names = [name for name in (law_names(system) if system else ()) if name in ds]
     if system is None or not names:
         return {}
-    return merged(law_uses(system, block.values) for block in walk(part, names, OF_MOTIONS))
+    return merged(law_uses(system, block.values) for block in iter_cell_blocks(part, names, OF_MOTIONS))
 
 
 def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":

@@ -17,12 +17,12 @@ from atlas.overview.coarsen import (
     SHARE,
     Cells,
     coarsen,
-    halved,
+    halve_widths,
 )
 from atlas.overview.coordinates import bounds_name, centres
-from atlas.query.reads import count_reads
-from atlas.query.source import Part, find_part
-from atlas.query.window import LOG_SPAN, Window, axis_names, axis_values, is_log, within
+from atlas.query.read_counter import count_reads
+from atlas.query.store_block import StoreBlock, find_part
+from atlas.query.window import LOG_SPAN, Window, axis_names, axis_values, is_log, select_window
 from atlas.spec.cells import edges_of
 from workers.results import (
     ERROR,
@@ -62,7 +62,7 @@ def view(
     otherwise it is the most frequent one.
     A name without overviews is read cell by cell. Raises InputError for an unknown axis or a window without a cell.
     """
-    ds = within(ds, window)
+    ds = select_window(ds, window)
     wanted = list(dict.fromkeys([*names, REGIME.name]))
     part = find_part(ds, wanted)
     if part is None:
@@ -93,7 +93,7 @@ def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
     return steps[::-1]
 
 
-def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
+def _fine(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str]) -> "xr.Dataset":
     read = {name: part.pyramid.read(0, name, part.cells) for name in names}
     pending = read[REGIME.name] == PENDING
     for name in names:
@@ -103,7 +103,7 @@ def _fine(ds: "xr.Dataset", part: Part, names: Sequence[str]) -> "xr.Dataset":
     return _dataset(ds, arrays, {name: ds[name] for name in axis_names(ds)}, 0)
 
 
-def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int], marks: bool) -> "xr.Dataset":
+def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: list[int], marks: bool) -> "xr.Dataset":
     shown = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
     cells, cuts = _coarsened(part, shown, steps)
     cells[REGIME.name] = cells[REGIME_SHOWN.name if marks else REGIME.name]
@@ -123,7 +123,7 @@ def _coarse(ds: "xr.Dataset", part: Part, names: Sequence[str], steps: list[int]
     return _dataset(ds, arrays, coords, min(steps[part.pyramid.levels.kept :]))
 
 
-def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
+def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
     """Variables of a part, each dimension halved some times, and the cells of the atlas where theirs begin and end.
 
     What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
@@ -150,7 +150,7 @@ def _coarsened(part: Part, names: Sequence[str], steps: Sequence[int]) -> tuple[
         for dim, count in enumerate(more):
             for _ in range(count):
                 cells = coarsen(cells, tuple(widths), [dim])
-                widths[dim] = halved(widths[dim])
+                widths[dim] = halve_widths(widths[dim])
         made.append({name: cells[name] for name in names})
     return {name: np.concatenate([cells[name] for cells in made], axis=kept) for name in names}, cuts
 

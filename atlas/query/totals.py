@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.overview.coarsen import CODES, SHARE
-from atlas.query.source import PENDING_SHARE, Part, inside
+from atlas.query.store_block import PENDING_SHARE, StoreBlock, relative_slices
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.record import AREAS, BY_REASON, Rows
-from atlas.store.store import Atlas
+from atlas.store.record_format import AREAS, BY_REASON, Rows
+from atlas.store.store import AtlasStore
 from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 
@@ -24,7 +24,7 @@ class StoreTotals:
     no overviews, whole tiles are taken from their records.
     """
 
-    part: Part
+    part: StoreBlock
 
     def areas(self) -> dict[int, float]:
         """The area of each regime by its code, cells counted by their widths."""
@@ -80,7 +80,7 @@ class StoreTotals:
         levels = self.part.pyramid.levels
         arrays, missing = self.part.read_stored(level, piece, [REGIME.name, SHARE.name])
         for block in missing:
-            arrays[SHARE.name][inside(piece, block)] = 0.0
+            arrays[SHARE.name][relative_slices(piece, block)] = 0.0
         total = self._weighed(level, piece, arrays[SHARE.name])
         for block in missing:
             tiles = levels.tiles_below(level, block)
@@ -133,7 +133,7 @@ def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
                 yield (*inner[:dim], side, *outer[dim + 1 :])
 
 
-def _tile_areas(handle: Atlas) -> NDArray[np.float64]:
+def _tile_areas(handle: AtlasStore) -> NDArray[np.float64]:
     """The area of every tile in the units of rows, as an array over the tiles."""
     widths = zip(widths_along(handle.spec), handle.tile, strict=True)
     along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)

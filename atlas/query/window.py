@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.arguments import Window as Window
-from atlas.arguments import checked_window
+from atlas.argument_checks import Window as Window
+from atlas.argument_checks import validate_window
 from atlas.errors import InputError
-from atlas.query.attractors import one
+from atlas.query.attractors import select_attractor
 from atlas.spec import cells
 from atlas.spec.cells import edges_of, is_uniform
 from atlas.spec.points import POINT
-from atlas.spec.spec import MOST_AXES
+from atlas.spec.spec import MAX_AXES
 from atlas.spec.system import stored_spec
 from workers.results import ATTRACTOR, REGIME
 
@@ -38,7 +38,7 @@ def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
     if empty:
         raise InputError(f"{empty[0]}: found a selection without cells, must have one or more")
     names = tuple(str(dim) for dim in reversed(ds[REGIME.name].dims) if dim != ATTRACTOR)
-    if not 1 <= len(names) <= MOST_AXES:
+    if not 1 <= len(names) <= MAX_AXES:
         listed = f" ({', '.join(names)})" if names else ""
         raise InputError(f"found {len(names)} axes{listed}, must be 1 to 3; pick a value of the others with .sel")
     return names
@@ -53,7 +53,7 @@ def columns(ds: "xr.Dataset") -> tuple[str, ...]:
     return tuple(sorted(names, key=lambda name: stored.index(name) if name in stored else len(stored)))
 
 
-def refuse_table(ds: "xr.Dataset", what: str) -> None:
+def check_not_points(ds: "xr.Dataset", what: str) -> None:
     """Raise InputError for a table of points, whose rows lie next to each other by chance; ``what`` was asked for."""
     if axis_names(ds) == (POINT,):
         raise InputError(f"{what}: this atlas is a table of points, and its rows are no neighbours in the parameters")
@@ -67,18 +67,18 @@ def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
     """
     places = {}
     if ATTRACTOR in point:
-        ds = one(ds, point[ATTRACTOR])
+        ds = select_attractor(ds, point[ATTRACTOR])
     for name, value in point.items():
         if name == ATTRACTOR:
             continue
-        known_axis(ds, name)
+        check_axis(ds, name)
         places[name] = nearest(ds, name, value)
     if places and len(places) == len(axis_names(ds)):
         raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell: ask for it by --at")
     return ds.isel(places)
 
 
-def known_axis(ds: "xr.Dataset", name: str) -> None:
+def check_axis(ds: "xr.Dataset", name: str) -> None:
     """Raise InputError, which names the axes there are, unless the atlas has an axis of that name."""
     names = axis_names(ds)
     if name in names:
@@ -134,23 +134,25 @@ def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
     return cells.nearest(name, axis_values(ds, name), cell_edges(ds, name), value)
 
 
-def inside(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:
+def window_indices(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:
     """Indices, along every axis, of the cells whose centres a window holds, ends included.
 
     An axis that it does not name is taken whole. InputError for an unknown axis and for a window without a cell.
     """
-    window = checked_window(window)
+    window = validate_window(window)
     for name in window:
-        known_axis(ds, name)
+        check_axis(ds, name)
     return {name: _between(name, axis_values(ds, name), window.get(name)) for name in axis_names(ds)}
 
 
-def within(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
-    """The part of an atlas in a window, not read yet; arguments and errors as in ``inside``."""
-    window = checked_window(window)
+def select_window(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
+    """The part of an atlas in a window, not read yet; arguments and errors as in ``window_indices``."""
+    window = validate_window(window)
     if not window:
         return ds
-    return ds.isel({name: _as_slice(slices_of) for name, slices_of in inside(ds, window).items() if name in window})
+    return ds.isel(
+        {name: _as_slice(slices_of) for name, slices_of in window_indices(ds, window).items() if name in window}
+    )
 
 
 def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float] | None) -> NDArray[np.intp]:

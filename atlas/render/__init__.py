@@ -5,11 +5,21 @@ To add a kind of map: a row in ``kinds.py``, and its painter in ``classes.py`` o
 """
 
 from atlas.render.drawing import figure, portrait, render
-from atlas.render.kinds import BASINS, CURVES, KINDS, MAP_OVERLAYS, MAPS, OVERLAYS, SCALAR, has_scale, needs
+from atlas.render.kinds import (
+    BASINS,
+    CURVES,
+    KINDS,
+    MAP_OVERLAYS,
+    MAPS,
+    OVERLAYS,
+    SCALAR,
+    has_scale,
+    required_variables,
+)
 from atlas.render.options import ScaleOptions
 from atlas.render.provenance import FORMATS, check_path
 
-LOOK = tuple(ScaleOptions.__annotations__)
+SCALE_OPTION_NAMES = tuple(ScaleOptions.__annotations__)
 """The options of every picture with a scale."""
 
 __all__ = [
@@ -17,15 +27,15 @@ __all__ = [
     "CURVES",
     "FORMATS",
     "KINDS",
-    "LOOK",
     "MAPS",
     "MAP_OVERLAYS",
     "OVERLAYS",
     "SCALAR",
+    "SCALE_OPTION_NAMES",
     "check_path",
     "figure",
     "has_scale",
-    "needs",
     "portrait",
     "render",
+    "required_variables",
 ]

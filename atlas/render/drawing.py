@@ -5,20 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
-from atlas.arguments import checked_atlas, checked_path
-from atlas.cell.orbit import CellOrbit, cell_orbit
+from atlas.argument_checks import validate_atlas, validate_path
+from atlas.cell.trajectory import CellTrajectory, cell_orbit
 from atlas.errors import InputError, check_names
-from atlas.query.attractors import leading
+from atlas.query.attractors import select_dominant
 from atlas.query.compare import Comparison
 from atlas.query.queries import fractions, rate_of
-from atlas.query.reads import counted
-from atlas.query.window import Window, axis_names, within
-from atlas.render.kinds import AXES, KINDS, MOST_PANELS, TABLE
-from atlas.render.options import MapLook, PageOptions, names_in, split_look, takes
+from atlas.query.read_counter import counted
+from atlas.query.window import Window, axis_names, select_window
+from atlas.render.kinds import AXES, KIND_TABLE, KINDS, MAX_PANELS
+from atlas.render.options import AtlasFigureOptions, FigureOptions, accepts_options, names_in, split_look
 from atlas.render.provenance import check_path, provenance_of, save
-from atlas.render.wanted import Wanted, check_overlays, chosen_kind
-from atlas.spec.spec import MOST_AXES, given_values
-from atlas.spec.system import checked_system
+from atlas.render.request import PictureRequest, check_overlays, resolve_kind
+from atlas.spec.spec import MAX_AXES, given_values
+from atlas.spec.system import parse_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import FAILED, INVALID, LARGEST, PENDING, PER_PERIOD, PER_TIME, REGIMES, UNDETERMINED
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from atlas.orbits.branches.table import Branches
-    from atlas.render.page import DrawnPage
+    from atlas.orbits.branches.table import BranchTable
+    from atlas.render.layout import FigureLayout
 
-    Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellOrbit | Branches
+    Subject: TypeAlias = xr.Dataset | Sequence[xr.Dataset] | Comparison | CellTrajectory | BranchTable
 
 
 def figure(
@@ -42,7 +42,7 @@ def figure(
     path: str | Path | None = None,
     pixels: tuple[int, int] | None = None,
     titles: Sequence[str] = (),
-    **options: "Unpack[MapLook]",
+    **options: "Unpack[AtlasFigureOptions]",
 ) -> Any:
     """A matplotlib Figure of a subject, shown by notebooks; also written to ``path`` (.png, .svg or .pdf) if given.
 
@@ -64,7 +64,7 @@ def figure(
     """
     if path is not None:
         check_path(path)
-    wanted = Wanted.of(kind, window, pixels, **options)
+    wanted = PictureRequest.of(kind, window, pixels, **options)
     drawn = _drawn(subject, wanted, [titles] if isinstance(titles, str) else names_in("titles", titles))
     if path is not None:
         save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
@@ -75,12 +75,12 @@ def render(
     subject: "Subject", path: str | Path, kind: str | None = None, window: Window | None = None, **options: Any
 ) -> Path:
     """Draw a subject to a file and return its path; arguments and errors as in ``figure``."""
-    target = checked_path(path)
+    target = validate_path(path)
     figure(subject, kind, window, path=target, **options)
     return target
 
 
-@takes(PageOptions, others=True)
+@accepts_options(FigureOptions, others=True)
 def portrait(
     given: Mapping[str, Any] | None = None,
     /,
@@ -101,78 +101,78 @@ def portrait(
     >>> import atlas
     >>> figure = atlas.portrait(omega=4.0, b=0.1, path="cell.png", width="85mm")
     """
-    from atlas.render.page import page
+    from atlas.render.layout import page
 
     if path is not None:
         check_path(path)
-    record = checked_system(system)
+    record = parse_system(system)
     check_names(
         "parameter or option",
         named,
-        [*(parameter.name for parameter in record.parameters), *PageOptions.__annotations__],
+        [*(parameter.name for parameter in record.parameters), *FigureOptions.__annotations__],
     )
     look, values = split_look(named)
-    page(**look).refuse_ends("a portrait")  # before the cell is solved
+    page(**look).check_no_limits("a portrait")  # before the cell is solved
     drawn: Figure = figure(cell_orbit(given_values(given, values), record, settings), path=path, **look)
     return drawn
 
 
-def _drawn(subject: "Subject", wanted: Wanted, titles: Sequence[str]) -> "Figure":
+def _drawn(subject: "Subject", wanted: PictureRequest, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
-    from atlas.orbits.branches.table import Branches
-    from atlas.render import orbit, sweep, together
+    from atlas.orbits.branches.table import BranchTable
+    from atlas.render import portrait_figure, side_by_side, sweep
 
     page = wanted.page
     if isinstance(subject, xr.Dataset):
         drawn = _of_atlas(subject, wanted)
-    elif isinstance(subject, CellOrbit):
-        page.refuse_ends("a portrait")
-        drawn = orbit.figure(subject, page)
+    elif isinstance(subject, CellTrajectory):
+        page.check_no_limits("a portrait")
+        drawn = portrait_figure.figure(subject, page)
     elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-        atlases = [checked_atlas(source, "atlases") for source in _sources(subject, wanted)]
+        atlases = [validate_atlas(source, "atlases") for source in _sources(subject, wanted)]
         if titles and len(titles) != len(atlases):
             raise InputError(f"titles: found {len(titles)}, must be one for each of {len(atlases)} atlases")
         check_units(*atlases)
         if isinstance(subject, Comparison):
-            drawn = together.difference(subject, page)
+            drawn = side_by_side.difference(subject, page)
         else:
-            drawn = together.side_by_side(atlases, wanted, titles)
-    elif isinstance(subject, Branches):
-        page.refuse_ends("branches are lines")
+            drawn = side_by_side.side_by_side(atlases, wanted, titles)
+    elif isinstance(subject, BranchTable):
+        page.check_no_limits("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
     else:
-        checked_atlas(subject, "subject")
+        validate_atlas(subject, "subject")
         raise InputError("subject: found no dataset of xarray, must be an atlas as atlas.open returns it")
-    page.fit(drawn)
+    page.wrap_texts(drawn)
     return drawn
 
 
-def _sources(subject: "Subject", wanted: Wanted) -> list[Any]:
+def _sources(subject: "Subject", wanted: PictureRequest) -> list[Any]:
     """The sources of the numbers of a picture: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
         return [subject.one, subject.other]
     if isinstance(subject, Sequence):
-        return [leading(ds) for ds in subject]
+        return [select_dominant(ds) for ds in subject]
     return [subject, *([] if wanted.against is None else [wanted.against])]
 
 
-def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
+def _of_atlas(every: "xr.Dataset", wanted: PictureRequest) -> "Figure":
     """The figure of one atlas; InputError in one line if it cannot be drawn."""
-    ds, page, against = leading(every), wanted.page, wanted.against
-    if len(axis_names(ds)) == MOST_AXES:
+    ds, page, against = select_dominant(every), wanted.page, wanted.against
+    if len(axis_names(ds)) == MAX_AXES:
         return _of_stack(ds, wanted)
-    kind, lines = chosen_kind(ds, wanted), wanted.overlays
+    kind, lines = resolve_kind(ds, wanted), wanted.overlays
     if wanted.observe is not None and kind.axes != 1:
         raise InputError(f"observe: goes with a sweep of one axis, found {AXES[kind.axes]}")
     if wanted.curves is not None and "curves" not in lines and kind.name != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)
-    shown = within(every if kind.name == "coexistence" else ds, wanted.window)
-    wanted = replace(wanted, overlays=lines, against=None if against is None else within(against, wanted.window))
+    shown = select_window(every if kind.name == "coexistence" else ds, wanted.window)
+    wanted = replace(wanted, overlays=lines, against=None if against is None else select_window(against, wanted.window))
     from atlas.render.painters import draw  # imports matplotlib
 
     with counted() as reads:
@@ -182,40 +182,40 @@ def _of_atlas(every: "xr.Dataset", wanted: Wanted) -> "Figure":
     return drawn
 
 
-def _of_stack(ds: "xr.Dataset", wanted: Wanted) -> "Figure":
+def _of_stack(ds: "xr.Dataset", wanted: PictureRequest) -> "Figure":
     """The planes of a stack as maps on one scale, each under its value of the third axis; a single plane as a map."""
-    kind, page, name, shown = wanted.kind, wanted.page, axis_names(ds)[-1], within(ds, wanted.window)
+    kind, page, name, shown = wanted.kind, wanted.page, axis_names(ds)[-1], select_window(ds, wanted.window)
     rest = {axis: ends for axis, ends in (wanted.window or {}).items() if axis != name}
     count = shown.sizes[name]
     if count == 1:
         return _of_atlas(shown.isel({name: 0}), replace(wanted, window=rest))
     first = f"--select {name}={float(shown[name][0]):g}"
-    if count > MOST_PANELS:
-        raise InputError(f"a stack of {count} planes: at most {MOST_PANELS} are drawn together; pick one by {first}")
+    if count > MAX_PANELS:
+        raise InputError(f"a stack of {count} planes: at most {MAX_PANELS} are drawn together; pick one by {first}")
     alone = {
         "overlay": wanted.overlays, "curves": wanted.curves is not None, "against": wanted.against is not None,
         "ax": page.given, "variable": wanted.variable, "log": wanted.log, "observe": wanted.observe,
     }  # fmt: skip
     for option in [option for option, given in alone.items() if given]:
         raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")
-    if kind in KINDS and TABLE[kind].axes != 2:
-        raise InputError(f"kind {kind!r} draws {AXES[TABLE[kind].axes]}, found a stack of {count} planes")
-    from atlas.render import together
+    if kind in KINDS and KIND_TABLE[kind].axes != 2:
+        raise InputError(f"kind {kind!r} draws {AXES[KIND_TABLE[kind].axes]}, found a stack of {count} planes")
+    from atlas.render import side_by_side
 
     check_units(ds)
-    return together.side_by_side([shown.isel({name: k}) for k in range(count)], replace(wanted, window=rest))
+    return side_by_side.side_by_side([shown.isel({name: k}) for k in range(count)], replace(wanted, window=rest))
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
     """Raise InputError if exponents have another unit than their machine's: pictures support no other."""
-    from atlas.render import words
+    from atlas.render import text
 
     for ds in atlases:
-        if LARGEST.name in ds and words.in_its_unit(ds, PER_PERIOD) != rate_of(ds[LARGEST.name]) == PER_TIME:
+        if LARGEST.name in ds and text.in_its_unit(ds, PER_PERIOD) != rate_of(ds[LARGEST.name]) == PER_TIME:
             raise InputError(f"pictures draw exponents {PER_PERIOD}, found {PER_TIME}; draw it as stored")
 
 
-def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "DrawnPage") -> None:
+def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "FigureLayout") -> None:
     """Note above a map that it is coarser than its atlas, with the exact shares of doubtful cells."""
     shares = fractions(ds)
     names = [regime.name for regime in REGIMES if regime.code in (PENDING, UNDETERMINED, INVALID, FAILED)]

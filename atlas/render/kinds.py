@@ -21,7 +21,7 @@ grey, also without red, green or blue receptors. None is as pale as cells withou
 
 
 @dataclass(frozen=True)
-class Scale:
+class ColorScale:
     """The scale of the numbers of a kind: label of its colour bar, and colours from the lower to the upper end.
 
     zero   colour and name of cells that are exactly 0
@@ -34,12 +34,12 @@ class Scale:
     log: bool = False
 
 
-CLASSES = Scale("")
+CLASSES = ColorScale("")
 """The scale of kinds without numbers."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class PictureKind:
     """A kind of picture.
 
     axes, atlases   numbers of axes and atlases drawn
@@ -53,7 +53,7 @@ class Kind:
     axes: int
     variables: tuple[str, ...]
     meaning: str
-    scale: Scale = CLASSES
+    scale: ColorScale = CLASSES
     atlases: int = 1
     lacking: str = ""
 
@@ -74,7 +74,7 @@ NUMBER, LOGARITHM = "number-", "-log"
 """The map of a variable by itself is called NUMBER and its name, and LOGARITHM on such a scale."""
 
 _PER_PERIOD = "[per forcing period]"
-_EXPONENTS = Scale(rf"$\lambda_i$ {_PER_PERIOD}")
+_EXPONENTS = ColorScale(rf"$\lambda_i$ {_PER_PERIOD}")
 _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
@@ -83,71 +83,71 @@ _MEASURE = "measure its attractors by atlas attractors measure"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
 # For each number of axes the first kind whose variable the atlas holds is the default.
-TABLE = {
+KIND_TABLE = {
     kind.name: kind
     for kind in (
-        Kind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero",
-             Scale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
-        Kind("period", 2, ("period",), "one colour for each period"),
-        Kind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
-        Kind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
+        PictureKind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero",
+             ColorScale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
+        PictureKind("period", 2, ("period",), "one colour for each period"),
+        PictureKind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
+        PictureKind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
              "periodic motions that are their own mirror image, and those with a twin"),
-        Kind("regions", 2, _MOTIONS,
+        PictureKind("regions", 2, _MOTIONS,
              "the exact curves of a plane and the motions between them by name, as papers print it"),
-        Kind("combined", 2, (LARGEST.name, "period"),
+        PictureKind("combined", 2, (LARGEST.name, "period"),
              "the period where motion is periodic, the exponent where it is chaotic",
-             Scale(rf"chaotic: $\lambda_1$ {_PER_PERIOD}", CHAOTIC)),
-        Kind("error", 2, (ERROR.name,), "error of the exponent",
-             Scale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
-        Kind("cost", 2, ("periods_used",), "forcing periods simulated",
-             Scale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
+             ColorScale(rf"chaotic: $\lambda_1$ {_PER_PERIOD}", CHAOTIC)),
+        PictureKind("error", 2, (ERROR.name,), "error of the exponent",
+             ColorScale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
+        PictureKind("cost", 2, ("periods_used",), "forcing periods simulated",
+             ColorScale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
-        Kind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick",
-             Scale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
+        PictureKind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick",
+             ColorScale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
                    ("#f3f1ea", "never at rest"))),
-        Kind("attractors", 2, ("attractors",), "how many attractors a cell has"),
-        Kind("share", 2, ("share",),
+        PictureKind("attractors", 2, ("attractors",), "how many attractors a cell has"),
+        PictureKind("share", 2, ("share",),
              "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
-             Scale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
-        Kind(LABELS, 2, (LABEL.name,),
+             ColorScale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
+        PictureKind(LABELS, 2, (LABEL.name,),
              "which branch the attractor shown is on, in colours that persist, by atlas attractors label",
              lacking="label its attractors by atlas attractors label"),
-        Kind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
+        PictureKind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
              lacking="both axes must be initial states, and the spec have [attractors]"),
-        Kind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
-             Scale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
-        Kind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
-             Scale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
-        Kind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
-             Scale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
-        Kind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
-             Scale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
-        Kind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
-             Scale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
-        Kind(SCALAR, 2, (), "any number of each cell, which --variable names", Scale("", _VIOLET)),
-        Kind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
+        PictureKind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
+             ColorScale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
+        PictureKind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
+             ColorScale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
+        PictureKind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
+             ColorScale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
+        PictureKind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
+             ColorScale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
+        PictureKind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
+             ColorScale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
+        PictureKind(SCALAR, 2, (), "any number of each cell, which --variable names", ColorScale("", _VIOLET)),
+        PictureKind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
              _EXPONENTS),
-        Kind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", _EXPONENTS),
-        Kind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
+        PictureKind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", _EXPONENTS),
+        PictureKind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
              _EXPONENTS, lacking='see [solve] exponents = "spectrum"'),
-        Kind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
+        PictureKind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
              _EXPONENTS, atlases=2),
     )
 }  # fmt: skip
 
-KINDS = tuple(name for name in TABLE if name != SCALAR)
+KINDS = tuple(name for name in KIND_TABLE if name != SCALAR)
 """The kinds of an atlas: "exponent" to "basins" for two axes, the others for one; "hysteresis" takes two atlases."""
 
-MAPS = tuple(name for name in KINDS if TABLE[name].axes == 2 and name not in (BASINS, LABELS))
+MAPS = tuple(name for name in KINDS if KIND_TABLE[name].axes == 2 and name not in (BASINS, LABELS))
 """Kinds over two axes of a parameter plane, drawn from its cells alone."""
 
-KIND_MEANINGS = {name: kind.meaning for name, kind in TABLE.items()}
+KIND_MEANINGS = {name: kind.meaning for name, kind in KIND_TABLE.items()}
 """Content of each kind of picture, in the words of the command's help."""
 
 AXES = {1: "one axis", 2: "two axes"}
 """Numbers of axes in words."""
 
-MOST_PANELS = 12
+MAX_PANELS = 12
 """Most planes of a stack drawn together."""
 
 OVERLAY_MEANINGS = {
@@ -181,14 +181,14 @@ class OverlayError(InputError):
         self.overlay = overlay
 
 
-def needs(kind: str) -> list[str]:
+def required_variables(kind: str) -> list[str]:
     """The variables of a map of this kind, besides the regimes."""
-    return list(TABLE[kind].variables)
+    return list(KIND_TABLE[kind].variables)
 
 
 def has_scale(kind: str) -> bool:
     """Whether pictures of this kind have a scale with optional ends."""
-    return TABLE[kind].scale is not CLASSES
+    return KIND_TABLE[kind].scale is not CLASSES
 
 
 def found_axes(ds: "xr.Dataset") -> str:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from atlas.query.plane import Cells, Plane
 from atlas.render import style
-from atlas.render.kinds import Kind
-from atlas.render.page import DrawnPage
-from atlas.render.wanted import Wanted
+from atlas.render.kinds import PictureKind
+from atlas.render.layout import FigureLayout
+from atlas.render.request import PictureRequest
 from workers.results import NO_IMPACT, PENDING, REGIME, REGIMES
 
 Array = NDArray[np.float64]
@@ -29,22 +29,22 @@ _FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
 
 
 @dataclass(frozen=True)
-class View:
+class MapView:
     """The cells of an atlas in view, a kind of map, and the look of its drawing."""
 
-    kind: Kind
+    kind: PictureKind
     ds: xr.Dataset
     plane: Plane
-    wanted: Wanted
+    wanted: PictureRequest
 
     @property
-    def page(self) -> DrawnPage:
+    def page(self) -> FigureLayout:
         """The page of the drawing."""
         return self.wanted.page
 
 
 @dataclass(frozen=True)
-class Entry:
+class LegendEntry:
     """A legend entry: a colour with its texture, or one that darkens to a share of its brightness.
 
     ``regime``: the code of the regime that it explains.
@@ -58,7 +58,7 @@ class Entry:
     regime: int | None = None
 
     @classmethod
-    def of_regime(cls, code: int) -> "Entry":
+    def from_regime(cls, code: int) -> "LegendEntry":
         """The entry of cells in the colour of this regime; impact-free cells in another colour get a texture."""
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
@@ -67,11 +67,11 @@ class Entry:
     def drawn(self) -> Patch:
         """The entry as a matplotlib artist."""
         if self.dark < 1.0:
-            return style.Gradient(self.color, self.dark, self.label)
+            return style.GradientPatch(self.color, self.dark, self.label)
         return style.swatch(self.color, self.label, self.hatch, self.ink)
 
 
-class CellLook(NamedTuple):
+class CellStyle(NamedTuple):
     """The look of a code: a colour, or the number in the field with this index; ``regime``: the look of a regime."""
 
     color: str = "#ffffff"
@@ -79,7 +79,7 @@ class CellLook(NamedTuple):
     regime: int | None = None
 
 
-class Texture(NamedTuple):
+class HatchLayer(NamedTuple):
     """A texture over cells (y, x), through which their colours show.
 
     ``outlined`` are cells with a line around them; ``entry``: in the legend.
@@ -89,17 +89,17 @@ class Texture(NamedTuple):
     hatch: str
     ink: str
     outlined: Cells | None = None
-    entry: Entry | None = None
+    entry: LegendEntry | None = None
 
     @classmethod
-    def on(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "Texture":
+    def on_color(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "HatchLayer":
         """A texture in an ink that is visible on this colour, with its legend entry."""
         ink = style.ink_on(color)
-        return cls(cells, hatch, ink, outlined, Entry(color, label, hatch, ink))
+        return cls(cells, hatch, ink, outlined, LegendEntry(color, label, hatch, ink))
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class ScalarLayer:
     """Numbers of cells (y, x), NaN for none, on a scale of colours with a bar.
 
     title   of the bar, if there are several
@@ -133,7 +133,7 @@ class Field:
         return np.asarray(self.colormap(placed, bytes=True))
 
 
-class Shade(NamedTuple):
+class ShadingLayer(NamedTuple):
     """Darkening of colours by numbers of cells (y, x), NaN for none.
 
     From ``low`` to ``high``, where the share ``dark`` of the brightness is left.
@@ -150,7 +150,7 @@ class Shade(NamedTuple):
         return 1.0 - (1.0 - self.dark) * np.clip((self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0)
 
 
-class Points(NamedTuple):
+class PointLayer(NamedTuple):
     """Points (n, 2) over a map, as arguments of ``style.mark``."""
 
     at: Array
@@ -158,7 +158,7 @@ class Points(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Layers:
+class MapLayers:
     """A map as data, from which pictures and pages are made.
 
     codes      (y, x) indices into ``looks``
@@ -170,27 +170,27 @@ class Layers:
     """
 
     codes: NDArray[np.intp]
-    looks: Sequence[CellLook]
-    legend: Sequence[Entry]
-    fields: Sequence[Field] = ()
-    textures: Sequence[Texture] = ()
-    shade: Shade | None = None
-    points: Sequence[Points] = ()
+    looks: Sequence[CellStyle]
+    legend: Sequence[LegendEntry]
+    fields: Sequence[ScalarLayer] = ()
+    textures: Sequence[HatchLayer] = ()
+    shade: ShadingLayer | None = None
+    points: Sequence[PointLayer] = ()
     point_entry: tuple[str, tuple[str, float, str, str, float]] | None = None
     beside: str | None = None
     names: Sequence[Class] = ()
 
     @property
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[LegendEntry]:
         """All entries of its legend except that of points."""
         return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property
-    def bars(self) -> list[Field]:
+    def bars(self) -> list[ScalarLayer]:
         """The fields with a bar."""
         return [field for field in self.fields if field.bar]
 
-    def on_field(self, place: int) -> Cells:
+    def cells_on_scalar(self, place: int) -> Cells:
         """The cells (y, x) whose look is a number in this field."""
         return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.field == place])
 
@@ -199,44 +199,44 @@ class Layers:
         return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.regime == regime])
 
 
-def layered(
+def build_layers(
     regime: NDArray[np.int8],
     classes: Iterable[Class] = (),
-    fields: Sequence[Field] = (),
+    fields: Sequence[ScalarLayer] = (),
     numbered: tuple[NDArray[np.int64], Sequence[str]] | None = None,
-    legend: Sequence[Entry] = (),
+    legend: Sequence[LegendEntry] = (),
     **others: Any,
-) -> Layers:
+) -> MapLayers:
     """Layers of cells (y, x): classes over fields over coloured numbers; other cells have the look of their regime.
 
     ``numbered`` are numbers (y, x), -1 for none, and the colour of each. ``legend`` goes before the classes' entries.
     """
     number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
-    codes, looks, entries = number.astype(np.intp), [CellLook(color) for color in colors], [*legend]
+    codes, looks, entries = number.astype(np.intp), [CellStyle(color) for color in colors], [*legend]
     for place, field in enumerate(fields):
         codes[~np.isnan(field.values)] = len(looks)
-        looks.append(CellLook(field=place))
+        looks.append(CellStyle(field=place))
     for cells, color, name in classes:
         if cells.any():
             codes[cells] = len(looks)
-            looks.append(CellLook(color))
-            entries.append(Entry(color, name))
+            looks.append(CellStyle(color))
+            entries.append(LegendEntry(color, name))
     rest = codes < 0
     for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending last in the legend
         cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
-        looks.append(CellLook(entry.color, regime=entry.code))
-        entries += [Entry.of_regime(entry.code)] if cells.any() else []
+        looks.append(CellStyle(entry.color, regime=entry.code))
+        entries += [LegendEntry.from_regime(entry.code)] if cells.any() else []
     codes[codes < 0] = len(looks) - 1
-    return Layers(codes, looks, entries, fields, **others)
+    return MapLayers(codes, looks, entries, fields, **others)
 
 
-def paint(layers: Layers) -> Colors:
+def paint(layers: MapLayers) -> Colors:
     """The colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the texture below."""
     table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.looks]
     rgba = np.array(table, np.uint8)[layers.codes]
     for place, field in enumerate(layers.fields):
-        cells = layers.on_field(place)
+        cells = layers.cells_on_scalar(place)
         rgba[cells] = field.colors(field.values[cells])
     if layers.shade is not None:
         brightness = layers.shade.brightness

@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from atlas.query.label_placement import places
 from atlas.query.plane import Cells, Plane
 from atlas.query.resample import view as in_view
-from atlas.query.room import places
-from atlas.render import overlays, raster, scales, style, words
-from atlas.render.kinds import Kind
-from atlas.render.layers import Layers, View
-from atlas.render.page import DrawnPage
-from atlas.render.wanted import Wanted
+from atlas.render import overlays, raster, scalar_maps, style, text
+from atlas.render.kinds import PictureKind
+from atlas.render.layers import MapLayers, MapView
+from atlas.render.layout import FigureLayout
+from atlas.render.request import PictureRequest
 from workers.results import ATTRACTOR, LARGEST, PENDING
 
 LABEL_SIZE = 7.5
@@ -30,13 +30,13 @@ _ARROW = {
 """The arrow from a name to its region."""
 
 
-def draw_layers(view: View, layers: Layers) -> Figure:
+def draw_layers(view: MapView, layers: MapLayers) -> Figure:
     """The map of a view as a figure, with its overlays."""
-    wanted, page, layers = view.wanted, view.page, explained(layers, view.ds)
+    wanted, page, layers = view.wanted, view.page, with_legend_notes(layers, view.ds)
     with page.context():
-        drawn, (ax,) = page.panels(page.map_height, 1, words.title_line(view.ds))
+        drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
         entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
-        scales.draw_bars(drawn, [ax], layers.bars, page)
+        scalar_maps.draw_bars(drawn, [ax], layers.bars, page)
         page.legend(drawn, entries, beside=layers.beside)
         if layers.names and wanted.names:
             page.settle(drawn)
@@ -44,7 +44,7 @@ def draw_layers(view: View, layers: Layers) -> Figure:
     return drawn
 
 
-def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
+def read(kind: PictureKind, ds: xr.Dataset, wanted: PictureRequest) -> MapView:
     """Read the variables and regimes needed for a map and its overlays, at most at the resolution of pixels.
 
     InputError if the atlas lacks one. This is the only function of maps that reads an atlas.
@@ -53,10 +53,10 @@ def read(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> View:
     names += [LARGEST.name] if "isolines" in wanted.overlays else []
     kind.require(ds, names)
     plane = Plane.of(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
-    return View(kind, ds, plane, wanted)
+    return MapView(kind, ds, plane, wanted)
 
 
-def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> list[Artist]:
+def lay(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> list[Artist]:
     """Draw the layers of a map into a plot, and return its legend entries."""
     enlarged = raster.draw_cells(ax, plane, layers, page)
     for texture in layers.textures:
@@ -75,11 +75,11 @@ def lay(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> list[Artist]
     return entries
 
 
-def explained(layers: Layers, ds: xr.Dataset) -> Layers:
+def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
     """Layers whose legend has the words of the atlas's machine for regimes, and a note that cells without a result may
     have too few attractors for the selected one.
     """
-    own = {meaning.code: meaning.text for meaning in words.regime(ds).codes}
+    own = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
     if ds.attrs.get(ATTRACTOR, 0):
         own[PENDING] = f"not more than {ds.attrs[ATTRACTOR]}"
     legend = [entry if entry.regime is None else replace(entry, label=own[entry.regime]) for entry in layers.legend]

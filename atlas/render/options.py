@@ -6,7 +6,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypedDict, TypeVar
 
-from atlas.errors import InputError, shown
+from atlas.errors import InputError, brief_repr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,7 +17,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class PageOptions(TypedDict, total=False):
+class FigureOptions(TypedDict, total=False):
     """The options of every picture, each with its meaning."""
 
     width: Annotated[
@@ -34,14 +34,14 @@ class PageOptions(TypedDict, total=False):
     ]
 
 
-class ScaleOptions(PageOptions, total=False):
+class ScaleOptions(FigureOptions, total=False):
     """The options of every picture with a scale."""
 
     vmin: Annotated[float | None, "lower end of the scale of numbers, or of the axis of exponents in a sweep"]
     vmax: Annotated[float | None, "its upper end"]
 
 
-class _OfAtlas(TypedDict, total=False):
+class _AtlasOnlyOptions(TypedDict, total=False):
     """Further options of a picture of one atlas."""
 
     overlay: Annotated[str | Sequence[str], "lines over a map or a sweep, one or several of OVERLAYS"]
@@ -59,13 +59,13 @@ class _OfAtlas(TypedDict, total=False):
     ]
 
 
-class MapLook(_OfAtlas, ScaleOptions, total=False):
+class AtlasFigureOptions(_AtlasOnlyOptions, ScaleOptions, total=False):
     """The options of a picture of one atlas."""
 
 
 def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
     """The options of a picture among these arguments, and the other arguments."""
-    look = {name: value for name, value in named.items() if name in PageOptions.__annotations__}
+    look = {name: value for name, value in named.items() if name in FigureOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
 
 
@@ -75,14 +75,14 @@ def names_in(option: str, value: object) -> tuple[str, ...]:
         return tuple(value.split(","))
     names = tuple(value) if isinstance(value, Iterable) else (value,)
     if not all(isinstance(name, str) for name in names):
-        raise InputError(f"{option}: found {shown(value)}, must be a name or a list of names")
+        raise InputError(f"{option}: found {brief_repr(value)}, must be a name or a list of names")
     return names
 
 
 _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title": True, "legend": True}
 
 
-def takes(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
+def accepts_options(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Give a function with ``**look: Unpack[options]`` these keyword arguments in its signature and docstring.
 
     A call with another option raises InputError with all possible ones, unless the function takes ``others``.

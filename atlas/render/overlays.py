@@ -22,17 +22,17 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.curves import asking
+from atlas.orbits.curves import queries
 from atlas.orbits.curves.table import Curve
 from atlas.query import machine
 from atlas.query.grazing import grazing_lines
+from atlas.query.label_placement import crowded_parts, densify_line
 from atlas.query.open import handle_of
-from atlas.query.room import crowded_parts, dense
-from atlas.query.tidy import isolines, outlined
+from atlas.query.outlines import isolines, simplify_regimes
 from atlas.query.window import axis_names
 from atlas.render import raster, style
 from atlas.render.kinds import OverlayError
-from atlas.render.layers import View
+from atlas.render.layers import MapView
 from atlas.robustness.saddles import saddles_in
 from workers.results import LARGEST
 
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
-LEAST_LINE = 40.0
+MIN_LINE_LENGTH = 40.0
 """Length in points below which a piece of an isoline is left out."""
 BOUNDARY = "#101418"
 """The colour of regime boundaries."""
@@ -50,17 +50,17 @@ CASING = {False: 1.5, True: 0.7}
 """Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
 _WIDTHS = {False: 1.1, True: 0.75}
 """Width in points of a curve, likewise."""
-_BESIDE = 6.0
+_CROWDING_DISTANCE = 6.0
 """Distance in points up to which two curves crowd each other."""
 _MARK, _END = 4.6, 2.6
 """Size in points of the mark of a point of codimension two, and of an end."""
 _FEW, _SMALLEST = 12, 0.6
 """Number of marks from which on they are drawn smaller, and their least relative size."""
-_SAME = 1.0
+_MERGE_DISTANCE = 1.0
 """Distance in points below which two marks of the same kind are merged."""
 
 
-def draw(ax: Axes, view: View) -> list[Artist]:
+def draw(ax: Axes, view: MapView) -> list[Artist]:
     """Draw overlays over a map and return their legend entries; OverlayError for one that cannot be drawn."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
@@ -72,12 +72,12 @@ def draw(ax: Axes, view: View) -> list[Artist]:
     return entries
 
 
-def lines_of_grazing(view: View) -> list[Array]:
+def lines_of_grazing(view: MapView) -> list[Array]:
     """Where motion without impact would just touch a stop, (N, 2) each."""
     return grazing_lines(view.ds, view.plane.x, view.plane.y)
 
 
-def grazing_label(view: View, lines: list[Array]) -> str:
+def grazing_label(view: MapView, lines: list[Array]) -> str:
     """The legend entry of these lines."""
     x, y = view.plane.x, view.plane.y
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
@@ -85,7 +85,7 @@ def grazing_label(view: View, lines: list[Array]) -> str:
     return label + ("" if lines else ": not in this window")
 
 
-def _grazing(ax: Axes, view: View) -> list[Artist]:
+def _grazing(ax: Axes, view: MapView) -> list[Artist]:
     size, lines = view.page.map_size, lines_of_grazing(view)
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
     places = [raster.in_points(ax, line, size) for line in lines]
@@ -99,19 +99,19 @@ def _grazing(ax: Axes, view: View) -> list[Artist]:
     return [Line2D([], [], color="black", linewidth=1.3, **shown)]
 
 
-def _boundaries(ax: Axes, view: View) -> list[Artist]:
-    regions, left_out = outlined(view.plane.regime, view.page.map_size)
+def _boundaries(ax: Axes, view: MapView) -> list[Artist]:
+    regions, left_out = simplify_regimes(view.plane.regime, view.page.map_size)
     for code in np.unique(regions):
         raster.outline(ax, view.plane, regions == code, BOUNDARY, 0.6)
     label = "regime boundary" + (",\nclouds of cells left out" if left_out else "")
     return [Line2D([], [], color=BOUNDARY, linewidth=0.9, label=label)]
 
 
-def _isolines(ax: Axes, view: View) -> list[Artist]:
+def _isolines(ax: Axes, view: MapView) -> list[Artist]:
     plane, kept = view.plane, dict[float, list[Array]]()
     for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
-        _, along = dense(raster.in_points(ax, line, view.page.map_size))
-        if along[-1] >= LEAST_LINE:
+        _, along = densify_line(raster.in_points(ax, line, view.page.map_size))
+        if along[-1] >= MIN_LINE_LENGTH:
             kept.setdefault(level, []).append(line)
     if not kept:
         return []
@@ -126,14 +126,14 @@ def _isolines(ax: Axes, view: View) -> list[Artist]:
     return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
 
 
-def _curves(ax: Axes, view: View) -> list[Artist]:
-    return draw_curves(ax, wanted_curves(view, "overlay 'curves'"), view, CASING)
+def _curves(ax: Axes, view: MapView) -> list[Artist]:
+    return draw_curves(ax, requested_curves(view, "overlay 'curves'"), view, CASING)
 
 
-def wanted_curves(view: View, who: str) -> list[Curve]:
+def requested_curves(view: MapView, who: str) -> list[Curve]:
     """The curves wanted on a map; InputError if ``who`` needs curves and there are none."""
     try:
-        stored = asking.curves_of(view.ds)
+        stored = queries.curves_of(view.ds)
     except InputError as error:
         raise InputError(f"{who}: {error}") from None
     if stored.axes != axis_names(view.ds):
@@ -142,7 +142,7 @@ def wanted_curves(view: View, who: str) -> list[Curve]:
     return [curve for curve in stored if view.wanted.curves is None or curve.kind in view.wanted.curves]
 
 
-def draw_curves(ax: Axes, curves: list[Curve], view: View, casing: dict[bool, float] | None = None) -> list[Artist]:
+def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool, float] | None = None) -> list[Artist]:
     """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view.
 
     Lines and casings of crowded curves are thinner, to show the map between them.
@@ -153,9 +153,9 @@ def draw_curves(ax: Axes, curves: list[Curve], view: View, casing: dict[bool, fl
     if not every:
         return [Line2D([], [], linestyle="", label="curves: none in this window")]
     lines, entries = [line for _, line in every], list[Artist]()
-    parts = list(crowded_parts(lines, [raster.in_points(ax, line, size) for line in lines], _BESIDE))
+    parts = list(crowded_parts(lines, [raster.in_points(ax, line, size) for line in lines], _CROWDING_DISTANCE))
     halo = [withStroke(linewidth=_WIDTHS[False] + 1.4, foreground="white")]
-    for kind, look in style.LOOKS.items():
+    for kind, look in style.EVENT_STYLES.items():
         own = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
         if not own:
             continue
@@ -187,13 +187,13 @@ def _draw_marks(
     marked: list[Array] = []
     for x, y in places:
         at = raster.in_points(ax, np.array([[x, y]]), size)[0]
-        if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _SAME for other in marked):
+        if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _MERGE_DISTANCE for other in marked):
             marked.append(at)
             ax.plot(x, y, zorder=zorder, gid=gid, **look)
     return [Line2D([], [], **look)] if marked else []
 
 
-def _saddles(ax: Axes, view: View) -> list[Artist]:
+def _saddles(ax: Axes, view: MapView) -> list[Artist]:
     box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
     saddles, manifolds = saddles_in(view.ds, handle_of(view.ds).spec, box)
     for color, width in (("white", 2.2), ("black", 0.9)):
@@ -207,7 +207,7 @@ def _saddles(ax: Axes, view: View) -> list[Artist]:
     return [Line2D([], [], label="saddle: unstable orbit", **look), manifold]
 
 
-DRAW: dict[str, Callable[[Axes, View], list[Artist]]] = {
+DRAW: dict[str, Callable[[Axes, MapView], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
     "isolines": _isolines,

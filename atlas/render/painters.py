@@ -5,28 +5,28 @@ from collections.abc import Callable, Mapping
 import xarray as xr
 from matplotlib.figure import Figure
 
-from atlas.render import classes, maps, regions, scales, sweep
-from atlas.render.kinds import Kind
-from atlas.render.layers import Layers
-from atlas.render.wanted import Wanted
+from atlas.render import class_maps, maps, region_chart, scalar_maps, sweep
+from atlas.render.kinds import PictureKind
+from atlas.render.layers import MapLayers
+from atlas.render.request import PictureRequest
 
-PAINTERS: Mapping[str, Callable[..., Layers]] = {
-    "exponent": scales.exponent, "period": classes.period, "impacts": classes.motions, "symmetry": classes.symmetry,
-    "combined": scales.combined, "error": scales.error, "cost": scales.cost, "sticking": scales.number,
-    "attractors": classes.attractors, "share": scales.number, "labels": classes.labels, "basins": classes.basins,
-    "return_time": scales.scalar, "reactivity": scales.scalar, "amplification": scales.scalar,
-    "fatal_shock": scales.scalar, "margin": scales.scalar, "scalar": scales.scalar,
+PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
+    "exponent": scalar_maps.exponent, "period": class_maps.period, "impacts": class_maps.motions, "symmetry": class_maps.symmetry,
+    "combined": scalar_maps.combined, "error": scalar_maps.error, "cost": scalar_maps.cost, "sticking": scalar_maps.number,
+    "attractors": class_maps.attractors, "share": scalar_maps.number, "labels": class_maps.labels, "basins": class_maps.basins,
+    "return_time": scalar_maps.scalar, "reactivity": scalar_maps.scalar, "amplification": scalar_maps.scalar,
+    "fatal_shock": scalar_maps.scalar, "margin": scalar_maps.scalar, "scalar": scalar_maps.scalar,
 }  # fmt: skip
 """For each kind of map the function that makes the layers of a view."""
 
-FIGURES: Mapping[str, Callable[[xr.Dataset, Wanted], Figure]] = {
-    "regions": regions.figure, "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
+FIGURES: Mapping[str, Callable[[xr.Dataset, PictureRequest], Figure]] = {
+    "regions": region_chart.figure, "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
     "spectrum": sweep.figure_of_all, "hysteresis": sweep.figure_of_two,
 }  # fmt: skip
 """For each other kind the function that draws it."""
 
 
-def draw(kind: Kind, ds: xr.Dataset, wanted: Wanted) -> Figure:
+def draw(kind: PictureKind, ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     """The picture of a kind, for a map with its overlays; InputError if the atlas lacks its variables."""
     if kind.name in FIGURES:
         return FIGURES[kind.name](ds, wanted)

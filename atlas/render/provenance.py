@@ -5,20 +5,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from atlas.arguments import checked_path, checked_suffix
-from atlas.query.export import check_writable, written_whole
+from atlas.argument_checks import validate_path, validate_suffix
+from atlas.query.export import check_writable, replace_on_success
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
-from atlas.store.machine import package_version
+from atlas.store.host import package_version
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from atlas.cell.orbit import CellOrbit
-    from atlas.orbits.branches.table import Branches
-    from atlas.render.page import DrawnPage
+    from atlas.cell.trajectory import CellTrajectory
+    from atlas.orbits.branches.table import BranchTable
+    from atlas.render.layout import FigureLayout
 
 FORMATS = ("png", "svg", "pdf")
 """The formats of a picture, by the suffix of the file."""
@@ -40,26 +40,26 @@ def check_path(path: str | Path) -> str:
 
     InputError for an unknown suffix, and where no file can be written.
     """
-    suffix = checked_suffix(checked_path(path), [f".{name}" for name in FORMATS])
+    suffix = validate_suffix(validate_path(path), [f".{name}" for name in FORMATS])
     check_writable(Path(path))
     return suffix.removeprefix(".")
 
 
-def save(drawn: "Figure", target: Path, provenance: Provenance, page: "DrawnPage") -> None:
+def save(drawn: "Figure", target: Path, provenance: Provenance, page: "FigureLayout") -> None:
     """Write a figure with its provenance; InputError if that fails: an older picture is then still there."""
     suffix = check_path(target)
-    with written_whole(target) as unfinished, page.context():
+    with replace_on_success(target) as unfinished, page.context():
         drawn.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
 
 
-def provenance_of(*subjects: "xr.Dataset | CellOrbit | Branches") -> Provenance:
+def provenance_of(*subjects: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:
     """The provenance of a picture of an atlas, an orbit or branches; of several atlases, their differences in order."""
     every = [_of_one(subject) for subject in subjects]
     solvers = dict.fromkeys(one.solver for one in every)
     return every[0]._replace(digest=" ".join(one.digest for one in every), solver=" ".join(solvers))
 
 
-def computed_here(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
+def provenance_of_values(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
     """The provenance of numbers computed by this process, from all that decides them."""
     return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), _own())
 
@@ -85,7 +85,7 @@ def _own() -> str:
     return f"impact-atlas {package_version('impact-atlas')}"
 
 
-def _of_one(subject: "xr.Dataset | CellOrbit | Branches") -> Provenance:
+def _of_one(subject: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:
     import xarray as xr
 
     if isinstance(subject, xr.Dataset):
@@ -95,4 +95,4 @@ def _of_one(subject: "xr.Dataset | CellOrbit | Branches") -> Provenance:
         return Provenance(f"impact-atlas: {system}, axes {axes}", digest, solver, spec, software)
     along = getattr(subject, "along", None)
     what = "one cell" if along is None else f"branches along {along}"
-    return computed_here(f"{subject.system.name}, {what}", subject.decided_by, subject.digest)
+    return provenance_of_values(f"{subject.system.name}, {what}", subject.decided_by, subject.digest)

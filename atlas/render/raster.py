@@ -12,22 +12,22 @@ from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from atlas.query.outlines import borders, row_rectangles, small_regions
 from atlas.query.plane import Cells, Plane, PlaneAxis
-from atlas.query.tidy import borders, runs, specks
-from atlas.render import style, words
-from atlas.render.layers import Layers, paint
-from atlas.render.page import DrawnPage
+from atlas.render import style, text
+from atlas.render.layers import MapLayers, paint
+from atlas.render.layout import FigureLayout
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 
 VISIBLE = 2.0
 """Points below which a single cell is invisible."""
-MOST_MARKS = 300
+MAX_MARKS = 300
 """Most marks of such cells: more are visible as a cloud anyway."""
 _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
 MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
-def draw_cells(ax: Axes, plane: Plane, layers: Layers, page: DrawnPage) -> set[int]:
+def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> set[int]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files; returns codes of enlarged regimes.
 
     An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
@@ -57,8 +57,8 @@ def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[fl
     step = np.array(size[::-1]) / plane.regime.shape
     if step.max() >= VISIBLE:
         return False
-    small = specks(cells, plane.x.edges, plane.y.edges, step, VISIBLE)
-    if not 0 < len(small) <= MOST_MARKS:
+    small = small_regions(cells, plane.x.edges, plane.y.edges, step, VISIBLE)
+    if not 0 < len(small) <= MAX_MARKS:
         return False
     ax.plot(*small.T, zorder=2.2, **style.mark("s", 0.9 * VISIBLE, color, "black", 0.2))
     return True
@@ -66,7 +66,7 @@ def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[fl
 
 def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
     """Cover a set of cells with a texture through which their colours show."""
-    rectangles = runs(inside, plane.x.edges, plane.y.edges)
+    rectangles = row_rectangles(inside, plane.x.edges, plane.y.edges)
     if len(rectangles):  # all rectangles are one path, so the texture has no seams
         codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(rectangles))
         path = Path(rectangles.reshape(-1, 2), codes)
@@ -98,7 +98,7 @@ def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
                 plain_ticks(getattr(ax, f"{name}axis"), (1.0, 2.0, 5.0))
         ax.set(**{f"{name}lim": (axis.edges[0], axis.edges[-1])})
         if labels:
-            ax.set(**{f"{name}label": words.axis_label(axis.name, axis.meaning)})
+            ax.set(**{f"{name}label": text.axis_label(axis.name, axis.meaning)})
 
 
 def plain_ticks(axis: mpl_axis.Axis, steps: Sequence[float]) -> None:

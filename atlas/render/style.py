@@ -19,7 +19,7 @@ DPI = 300.0
 """Default dots per inch of a file."""
 
 
-def house(scale: float) -> dict[str, Any]:
+def rc_params(scale: float) -> dict[str, Any]:
     """Matplotlib's settings of a page with this scale of type relative to the standard page."""
     return {
         "font.family": "STIXGeneral",
@@ -63,7 +63,7 @@ _alone = threading.RLock()
 
 
 @contextmanager
-def drawing(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
+def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
     """Draw in one thread at a time, with these settings of Matplotlib; restores the former settings.
 
     Settings belong to the whole process, and drawing of text is not thread-safe: the explorer's painters, its portraits
@@ -112,7 +112,7 @@ def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TE
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
-class Gradient(Patch):
+class GradientPatch(Patch):
     """A legend entry: a box of a colour that darkens to a share of its brightness from left to right."""
 
     def __init__(self, color: ColorType, dark: float, label: str) -> None:
@@ -121,7 +121,7 @@ class Gradient(Patch):
 
 
 class _GradientHandler(HandlerPatch):
-    """Draws the box of a ``Gradient`` in stripes."""
+    """Draws the box of a ``GradientPatch`` in stripes."""
 
     def create_artists(self, legend, orig_handle, xdescent, ydescent, width, height, fontsize, trans):  # type: ignore[no-untyped-def]
         color, shades = np.array(to_rgb(orig_handle.get_facecolor())), np.linspace(1.0, orig_handle.dark, 16)
@@ -134,7 +134,7 @@ class _GradientHandler(HandlerPatch):
         return [*stripes, frame]
 
 
-Legend.update_default_handler_map({Gradient: _GradientHandler()})
+Legend.update_default_handler_map({GradientPatch: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
@@ -143,7 +143,7 @@ def ink_on(color: ColorType) -> str:
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
 
-class EventLook(NamedTuple):
+class EventStyle(NamedTuple):
     """The look of a kind of event: its name in a legend, its colour, the dashes of curves, the marker of points.
 
     Colours differ without red or green receptors, dashes and markers without any colour.
@@ -155,23 +155,23 @@ class EventLook(NamedTuple):
     marker: str
 
 
-LOOKS = {
-    "fold": EventLook("fold", "#000000", "solid", "D"),
-    "symmetry_breaking": EventLook("symmetry breaking", "#0060a8", (0, (7, 2, 1.5, 2)), "s"),
-    "period_doubling": EventLook("period doubling", "#c44601", (0, (5, 1.8)), "^"),
-    "neimark_sacker": EventLook("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
-    "graze": EventLook("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
-    "impact_lost": EventLook("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
-    "contact_lost": EventLook("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
-    "lift_off": EventLook("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
-    "stick_onset": EventLook("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
-    "stick_end": EventLook("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
-    "grazing_sliding": EventLook("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
-    "adding_sliding": EventLook("adding–sliding", "#642810", (0, (6, 4)), "h"),
-    "vertex": EventLook("vertex of a law", "#8a1c7c", (0, (2, 1, 2, 3)), "8"),
-    "exchange": EventLook("exchange of two events", "#8a1c7c", (0, (4, 1, 2, 1)), "|"),
-    "hopf": EventLook("Hopf", "#00785a", (0, (4, 1, 1, 3)), "*"),
-    "border": EventLook("end of an equilibrium", "#000000", (0, (8, 3)), "H"),
+EVENT_STYLES = {
+    "fold": EventStyle("fold", "#000000", "solid", "D"),
+    "symmetry_breaking": EventStyle("symmetry breaking", "#0060a8", (0, (7, 2, 1.5, 2)), "s"),
+    "period_doubling": EventStyle("period doubling", "#c44601", (0, (5, 1.8)), "^"),
+    "neimark_sacker": EventStyle("Neimark–Sacker", "#00785a", (0, (4, 1.5, 1.2, 1.5, 1.2, 1.5)), "o"),
+    "graze": EventStyle("graze", "#8a1c7c", (0, (1.3, 1.5)), "v"),
+    "impact_lost": EventStyle("impact lost", "#e09000", (0, (1.3, 3.0)), "<"),
+    "contact_lost": EventStyle("contact lost", "#e09000", (0, (1.3, 4.5)), "p"),
+    "lift_off": EventStyle("lift-off", "#e09000", (0, (3.0, 1.3)), ">"),
+    "stick_onset": EventStyle("onset of stick", "#642810", (0, (5, 1.5, 1.2, 1.5)), "P"),
+    "stick_end": EventStyle("end of stick", "#642810", (0, (2.5, 2.5)), "X"),
+    "grazing_sliding": EventStyle("grazing–sliding", "#642810", (0, (1, 1, 1, 4)), "d"),
+    "adding_sliding": EventStyle("adding–sliding", "#642810", (0, (6, 4)), "h"),
+    "vertex": EventStyle("vertex of a law", "#8a1c7c", (0, (2, 1, 2, 3)), "8"),
+    "exchange": EventStyle("exchange of two events", "#8a1c7c", (0, (4, 1, 2, 1)), "|"),
+    "hopf": EventStyle("Hopf", "#00785a", (0, (4, 1, 1, 3)), "*"),
+    "border": EventStyle("end of an equilibrium", "#000000", (0, (8, 3)), "H"),
 }
 """Kinds with one condition, in the order of legends."""
 
@@ -194,11 +194,11 @@ CORNERS = {
 def corner_look(kind: str, size: float) -> dict[str, Any]:
     """Name and marker of a point of codimension two, as arguments of ``Axes.plot``."""
     label, marker = CORNERS.get(kind, ("", "*"))
-    for name, look in LOOKS.items():
+    for name, look in EVENT_STYLES.items():
         if not label and kind.endswith(f"_{name}"):
             first = corner_look(kind.removesuffix(f"_{name}"), size)["label"]
             label = f"{first}–{look.label}"
-    label = label or (LOOKS[kind].label if kind in LOOKS else kind.replace("_", " "))
+    label = label or (EVENT_STYLES[kind].label if kind in EVENT_STYLES else kind.replace("_", " "))
     return mark(marker, size, "white", "black", 0.8) | {"label": label}
 
 

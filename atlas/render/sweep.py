@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query import hysteresis
 from atlas.query.attractors import branches as branches_of
-from atlas.query.attractors import leading
-from atlas.query.plane import Meaning, PlaneAxis, rising
-from atlas.query.tidy import runs, turns
+from atlas.query.attractors import select_dominant
+from atlas.query.outlines import interleave_exponents, row_rectangles
+from atlas.query.plane import CoordinateInfo, PlaneAxis, sort_axes
 from atlas.query.window import spec_of_axis
-from atlas.render import classes, raster, style, words
-from atlas.render.kinds import TABLE
-from atlas.render.observed import PlottedPoints, shown_label
-from atlas.render.page import STANDARD, DrawnPage
-from atlas.render.wanted import Wanted
+from atlas.render import class_maps, raster, style, text
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.plotted_values import PlottedValues, shown_label
+from atlas.render.request import PictureRequest
 from workers.results import ATTRACTOR, ERROR, LABEL, LARGEST, NO_IMPACT, PENDING, PER_PERIOD, PERIODIC, REGIME, SPECTRUM
 
 if TYPE_CHECKING:
-    from atlas.orbits.branches.table import Branches
+    from atlas.orbits.branches.table import BranchTable
 
 Array = NDArray[np.float64]
-Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, DrawnPage], None]
+Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, FigureLayout], None]
 """Draws one panel of a sweep from its data."""
 
 LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
@@ -58,22 +58,24 @@ _FEW, _MANY = 2.2, 1.5
 """Least diameter in points of the points of an orbit, and of a cloud such as chaos."""
 
 
-def figure(ds: xr.Dataset, wanted: Wanted) -> Figure:
+def figure(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     """The sweep as a figure, each panel if the atlas holds its variable; InputError if it holds neither."""
     return _of_one(ds, wanted, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
 
 
-def figure_of_all(ds: xr.Dataset, wanted: Wanted) -> Figure:
+def figure_of_all(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     """The sweep with all exponents as a figure; InputError if the atlas lacks them."""
-    TABLE["spectrum"].require(ds, [SPECTRUM.name])
+    KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
     entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
     return _of_one(ds, wanted, {SPECTRUM.name: _draw_spectrum}, entries)
 
 
-def _of_one(ds: xr.Dataset, wanted: Wanted, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()) -> Figure:
+def _of_one(
+    ds: xr.Dataset, wanted: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
+) -> Figure:
     """The plotted points of a sweep over a panel of its exponents, which has these entries in the legend."""
-    shown = PlottedPoints.of(wanted.observe, ds)
+    shown = PlottedValues.of(wanted.observe, ds)
     panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
@@ -85,7 +87,7 @@ def _of_one(ds: xr.Dataset, wanted: Wanted, exponents: Mapping[str, Panel], entr
     return stack(ds, read, panels, [*regimes, *entries, *notes], wanted, shown)
 
 
-def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
+def figure_of_two(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     """Two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
 
     The rule is ``atlas.query.hysteresis.compare``. InputError unless they have the same axis and a common variable.
@@ -94,7 +96,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     assert against is not None
     hysteresis.check_same_axis(ds, against)
     atlases = (ds, against)
-    shown = PlottedPoints.of(wanted.observe, *atlases)
+    shown = PlottedValues.of(wanted.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
@@ -103,7 +105,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
 
     def panel(ax: Axes, name: str) -> None:
         for what, color in SHADES.items():
-            for stretch in runs(outcome[None] == what, x.edges, np.arange(2.0)):
+            for stretch in row_rectangles(outcome[None] == what, x.edges, np.arange(2.0)):
                 ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
         # The second is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
@@ -111,7 +113,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
             draw_points(ax, x, _values(cells, x, name, shown), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
-            ax.set_ylabel(words.in_its_unit(ds, LARGEST_LABEL))
+            ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
@@ -122,7 +124,7 @@ def figure_of_two(ds: xr.Dataset, wanted: Wanted) -> Figure:
     return stack(ds, (first, x), panels, legend, wanted, shown)
 
 
-def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
+def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     """The sections of all attractors in the colours of their regimes, over their shares.
 
     Over their exponents if no sections are kept. Orbits of labelled attractors have the colours of their labels.
@@ -132,7 +134,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
-    shown = PlottedPoints.of(wanted.observe, ds)
+    shown = PlottedValues.of(wanted.observe, ds)
     names = held([LARGEST.name], ds) if shown is None else [shown.name]
     panels = {name: _panel_of_attractors(name, known, shown) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
@@ -140,7 +142,10 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     regime, entries = read[0][REGIME.name].values, list[Artist]()
     if known is not None:
         label = read[0][LABEL.name].values
-        entries, regime = [entry.drawn() for entry in classes.branch_entries(known, label, ink=True)], regime[label < 0]
+        entries, regime = (
+            [entry.drawn() for entry in class_maps.branch_entries(known, label, ink=True)],
+            regime[label < 0],
+        )
     entries += regime_legend(regime, read[0])
     if ends:
         low, high = (read[0][end].values for end in ends)
@@ -149,16 +154,16 @@ def figure_of_attractors(ds: xr.Dataset, wanted: Wanted) -> Figure:
     return stack(ds, read, panels, entries, wanted, shown)
 
 
-def figure_of_branches(branches: "Branches", page: DrawnPage = STANDARD) -> Figure:
+def figure_of_branches(branches: "BranchTable", page: FigureLayout = STANDARD) -> Figure:
     """Branches as a separate figure, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
-    meaning = Meaning(parameter.meaning, parameter.symbol, parameter.unit)
+    meaning = CoordinateInfo(parameter.meaning, parameter.symbol, parameter.unit)
     shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
     with page.context():
-        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1, words.system_line(system, shown))
+        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1, text.system_line(system, shown))
         entries = draw_branches(ax, branches, page)
         label = shown_label(branches.observable, system)
-        ax.set(xlabel=words.axis_label(parameter.name, meaning), ylabel=label, xlim=branches.window)
+        ax.set(xlabel=text.axis_label(parameter.name, meaning), ylabel=label, xlim=branches.window)
         ax.margins(y=0.06)
         page.legend(drawn, entries)
     return drawn
@@ -174,7 +179,7 @@ def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxi
 
     Pictures of sweeps read only here.
     """
-    read, (x,) = rising(ds[[*dict.fromkeys(variables), REGIME.name]])
+    read, (x,) = sort_axes(ds[[*dict.fromkeys(variables), REGIME.name]])
     return read, x
 
 
@@ -183,8 +188,8 @@ def stack(
     read: tuple[xr.Dataset, PlaneAxis],
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
-    wanted: Wanted,
-    shown: PlottedPoints | None = None,
+    wanted: PictureRequest,
+    shown: PlottedValues | None = None,
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters; branches over the section.
 
@@ -193,17 +198,17 @@ def stack(
     page, (cells, x), (least, share) = wanted.page, read, _HEIGHT[len(panels)]
     branches = None
     if "branches" in wanted.overlays:
-        sweeps = [leading(ds), *([] if wanted.against is None else [wanted.against])]
+        sweeps = [select_dominant(ds), *([] if wanted.against is None else [wanted.against])]
         if shown is None:
             raise InputError(
                 "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
             )
-        from atlas.orbits.branches.sweep import tree_through  # imports Numba
-        from atlas.orbits.branches.table import Branches
+        from atlas.orbits.branches.from_sweep import tree_through  # imports Numba
+        from atlas.orbits.branches.table import BranchTable
 
-        branches = Branches.of(tree_through(sweeps), shown.observable)
+        branches = BranchTable.of(tree_through(sweeps), shown.observable)
     with page.context():
-        drawn, plots = page.panels(least + share * page.width, len(panels), words.title_line(ds))
+        drawn, plots = page.panels(least + share * page.width, len(panels), text.title_line(ds))
         for ax, (name, panel) in zip(plots, panels.items(), strict=True):
             panel(ax, cells, x, page)
             if shown is None or name != shown.name:
@@ -217,10 +222,10 @@ def stack(
     return drawn
 
 
-def _panel_of_points(shown: PlottedPoints) -> Panel:
+def _panel_of_points(shown: PlottedValues) -> Panel:
     """Section values, or values of an observable."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
         regime, values = ds[REGIME.name].values, shown.values(ds, x)
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
@@ -229,7 +234,7 @@ def _panel_of_points(shown: PlottedPoints) -> Panel:
     return draw
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
     largest = ds[LARGEST.name].values
     finite = np.where(np.isfinite(largest), largest, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -239,33 +244,35 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> No
     ax.plot(x.values, finite, color="#a6a6a6", linewidth=0.5, zorder=2)
     for cells, color in _groups(ds, None):
         draw_points(ax, x, finite, color, point_size(x, _FEW, page), cells=cells)
-    _mark_lost(ax, x, np.isneginf(largest), words.in_its_unit(ds, LARGEST_LABEL), r"(▾: $-\infty$)")
+    _mark_lost(ax, x, np.isneginf(largest), text.in_its_unit(ds, LARGEST_LABEL), r"(▾: $-\infty$)")
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
-    shown = turns(finite, 0.005 * float(np.nanmax(finite) - np.nanmin(finite)) if np.isfinite(finite).any() else 0.0)
+    shown = interleave_exponents(
+        finite, 0.005 * float(np.nanmax(finite) - np.nanmin(finite)) if np.isfinite(finite).any() else 0.0
+    )
     for i in range(spectrum.shape[-1]):
         ax.plot(x.values, finite[:, i], "-", color=color_of(i), linewidth=0.4, zorder=1.5)
         marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, page)
         ax.plot(x.values, marked, ".", color=color_of(i), markersize=size, markeredgewidth=0, zorder=2)
-    label = words.in_its_unit(ds, f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]")
+    label = text.in_its_unit(ds, f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]")
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
 
 
-def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoints | None) -> Panel:
+def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValues | None) -> Panel:
     """Section values, an observable or exponents of every attractor; larger shares lie on top."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             here = ds.isel({ATTRACTOR: k})
             size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, page)
             values = _values(here, x, name, shown)
             for cells, color in _groups(here, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
-        ax.set_ylabel(words.in_its_unit(ds, LARGEST_LABEL))
+        ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
     return draw
 
@@ -273,13 +280,13 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedPoin
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     """The shares of all attractors stacked, separated by white lines; the rest up to 1 is undecided."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: DrawnPage) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
         bands: list[tuple[str, Array]] = []
         for k in range(ds.sizes[ATTRACTOR]):
             here = ds.isel({ATTRACTOR: k})
             share = np.nan_to_num(here["share"].values)
             bands += [(color, np.where(cells, share, 0.0)) for cells, color in _groups(here, known)]
-        ink = [] if known is None else [str(color) for color in classes.branch_colors(known, ink=True)]
+        ink = [] if known is None else [str(color) for color in class_maps.branch_colors(known, ink=True)]
         order = [*ink, *(color for color, _ in bands)]
         foot, ends = np.zeros(x.values.size), np.repeat(x.edges, 2)[1:-1]
         for color, height in sorted(bands, key=lambda band: order.index(band[0])):
@@ -298,7 +305,7 @@ def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArra
     label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
         yield (regime == code) & (label < 0), style.INK[int(code)]
-    colors = np.array(classes.branch_colors(known, ink=True) if known is not None else [], dtype=str)
+    colors = np.array(class_maps.branch_colors(known, ink=True) if known is not None else [], dtype=str)
     for color in np.unique(colors[label[label >= 0]]):
         yield (label >= 0) & (colors[np.maximum(label, 0)] == color), str(color)
 
@@ -311,7 +318,7 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
-def draw_branches(ax: Axes, branches: "Branches", page: DrawnPage) -> list[Artist]:
+def draw_branches(ax: Axes, branches: "BranchTable", page: FigureLayout) -> list[Artist]:
     """Draw branches, also of mirror images, with their events, and return the legend entries drawn."""
     lines, places, entries = list(branches.lines()), list(branches.places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
@@ -320,7 +327,7 @@ def draw_branches(ax: Axes, branches: "Branches", page: DrawnPage) -> list[Artis
             look = {"color": INK, "linewidth": width * page.scale, "linestyle": dashes}
             ax.add_collection(LineCollection(shown, zorder=4, **look))
             entries.append(Line2D([], [], label=label, **look))
-    for kind, event in style.LOOKS.items():
+    for kind, event in style.EVENT_STYLES.items():
         at = [place for mark, place in places if mark == kind]
         if at:
             mark = style.mark(event.marker, _MARKER * page.scale, event.color, "white", 0.5) | {"label": event.label}
@@ -335,7 +342,7 @@ def color_of(i: int) -> str:
     return EXPONENTS[i % len(EXPONENTS)]
 
 
-def point_size(x: PlaneAxis, least: float, page: DrawnPage) -> float:
+def point_size(x: PlaneAxis, least: float, page: FigureLayout) -> float:
     """The diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
     return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
 
@@ -356,14 +363,14 @@ def draw_points(
     ax.plot(at[shown], values[shown], marker, **look)
 
 
-def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedPoints | None) -> Array:
+def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedValues | None) -> Array:
     """The values of a variable along a sweep, or of the plotted points of each cell."""
     return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
 
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
     """Legend entries for the regimes of points of an atlas."""
-    own = words.regime(ds)
+    own = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
     return [_dot(style.INK[code], own.meaning(code).text, 4.0) for code in codes]
 
@@ -373,5 +380,5 @@ def _dot(color: str, label: str, size: float) -> Line2D:
 
 
 def _direction(ds: xr.Dataset, name: str) -> str:
-    direction = {"forward": "rising", "backward": "falling"}.get(str(spec_of_axis(ds, name).get("continuation")))
-    return f"{direction} ${words.symbol(ds, name)}$" if direction else "each cell from its own start"
+    direction = {"forward": "sort_axes", "backward": "falling"}.get(str(spec_of_axis(ds, name).get("continuation")))
+    return f"{direction} ${text.symbol(ds, name)}$" if direction else "each cell from its own start"

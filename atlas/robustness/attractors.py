@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 from atlas.query.attractors import attractors_listed
 from atlas.robustness.norm import weights_of
-from atlas.spec.attractors import cell_attractors, resolved_search
-from atlas.spec.spec import checked_parameters, given_settings, given_values
-from atlas.spec.system import checked_system
+from atlas.spec.attractors import cell_attractors, search_to_json
+from atlas.spec.spec import given_settings, given_values, validate_parameters
+from atlas.spec.system import parse_system
 from workers import Settings
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import DEFAULT, System
 from workers.results import ATTRACTOR, REASON, REGIME, in_words
 
@@ -27,7 +27,7 @@ class AttractorSearch:
     record: System
     parameters: Mapping[str, float]
     settings: Settings
-    starts: Starts
+    starts: AttractorSettings
 
     @classmethod
     def of(
@@ -38,13 +38,13 @@ class AttractorSearch:
         starts: int,
     ) -> Self:
         """The search of a question; InputError for a parameter that does not exist or is out of range, and so on."""
-        record, settings = checked_system(system), given_settings(settings)
-        return cls(record, checked_parameters(record, given), settings, cell_attractors(starts, record, settings))
+        record, settings = parse_system(system), given_settings(settings)
+        return cls(record, validate_parameters(record, given), settings, cell_attractors(starts, record, settings))
 
     @property
     def described(self) -> dict[str, Any]:
         """System, parameters, settings and search in full, as plain JSON."""
-        return resolved_search(self.record, self.parameters, self.settings, self.starts)
+        return search_to_json(self.record, self.parameters, self.settings, self.starts)
 
     def weights(self, norm: Mapping[str, float] | None) -> "Array":
         """The weights (2n,) of a norm in which those of some components of the state are given."""
@@ -83,7 +83,7 @@ def attractors(
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
-    starts: int = Starts.count,
+    starts: int = AttractorSettings.count,
     **named: Any,
 ) -> dict[str, Any]:
     """All attractors that initial states of one cell reach, with their shares, as ``[attractors]`` finds them.

@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.finished import columns_of, must_be_finished, params_of
+from atlas.orbits.orbit_table import columns_of, must_be_finished, params_of
 from atlas.robustness.table import LINEAR, SHOCKS, Arrays, check_names, of_family
 from atlas.spec.spec import Spec
 from atlas.spec.system import must_have_force
 from atlas.store.groups import STABILITY, check_table_size
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from atlas.task.compile import compile_once
-from atlas.task.site import PartReceipt, Site, file_errors, stored_part
-from atlas.task.solving import kernels_of
+from atlas.task.solve_block import kernels_of
+from atlas.task.store_ref import PartReport, StoreRef, stored_part, translate_file_errors
 from workers.results import LARGEST, REGIME
 
 NEEDED = (REGIME.name, "period", LARGEST.name, "state")
 """Results that the measures of a cell depend on, besides its parameters."""
-AT_ONCE = {LINEAR: 2048, SHOCKS: 4}
+CELLS_PER_JOB = {LINEAR: 2048, SHOCKS: 4}
 """Cells of a job: a second or a few of work, up to minutes for shocks."""
 
 
@@ -46,21 +46,21 @@ class MeasureJob:
     first: int
     last: int
     norm: tuple[tuple[str, float], ...]
-    site: Site
+    site: StoreRef
 
 
-def pieces(handle: Atlas, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
+def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
     """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
     for tile in (one.index for one in handle.tiling.tiles()):
-        count, most = int(np.prod(handle.tiling.at(tile).shape)), AT_ONCE[family]
+        count, most = int(np.prod(handle.tiling.at(tile).shape)), CELLS_PER_JOB[family]
         for first in range(0, count, most):
             yield f"{family}/{'.'.join(map(str, tile))}-{first}", tile, first, min(first + most, count)
 
 
-def measure_and_keep(job: MeasureJob) -> PartReceipt:
+def measure_and_keep(job: MeasureJob) -> PartReport:
     """Measure some cells and keep the measures as a part of the store."""
     handle = job.site.handle()
-    with file_errors(job.site.store):
+    with translate_file_errors(job.site.store):
         cells = columns_of(handle, NEEDED, job.tile)
     compile_once(*kernels_of(handle.spec))
     begin = time.thread_time()
@@ -69,16 +69,16 @@ def measure_and_keep(job: MeasureJob) -> PartReceipt:
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
     job.site.keep(handle, STABILITY, job.name, file.getvalue())
-    return PartReceipt(job.index, job.name, time.thread_time() - begin, job.last - job.first)
+    return PartReport(job.index, job.name, time.thread_time() - begin, job.last - job.first)
 
 
-def read_measured(handle: Atlas, name: str) -> Arrays:
+def read_measured(handle: AtlasStore, name: str) -> Arrays:
     """The measures that a part holds; RefusedError if there is none."""
     with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
         return dict(arrays)
 
 
-def check_store(handle: Atlas) -> None:
+def check_store(handle: AtlasStore) -> None:
     """InputError unless a store is a finished atlas whose attractors can be measured."""
     spec = handle.spec
     if spec.basins:

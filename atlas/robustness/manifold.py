@@ -29,7 +29,7 @@ Across = Callable[[Array, Array], tuple[Array, Array, Array] | None]
 direction away from the stop; None if there is no stop on the way.
 """
 
-FIRST, SHORTEST, LONGEST = 1e-4, 1e-7, 1e-2
+FIRST, MIN_STEP, MAX_STEP = 1e-4, 1e-7, 1e-2
 """Steps relative to the extent of the picture: the first, the shortest and the longest."""
 BEND, STRAIGHT, SAGITTA = 0.3, 0.1, 1e-5
 """Largest angle between steps; that below which a step may double; largest Delta alpha relative to the extent."""
@@ -39,14 +39,14 @@ DIRECTIONS, ROUNDS = 17, 12
 """Directions that are mapped at once, and rounds, each in the interval that the last one has found."""
 ON = 1e-7
 """Distance of an image from the known part, relative to the extent, at which its point is taken to lie on it."""
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 
 LENGTH, OUTSIDE, BUDGET, LOST = "length", "outside", "budget", "lost"
 """Why a branch ends: it has the requested length; it leaves the box; MOST_POINTS; no direction leads on."""
 
 
 @dataclass
-class ManifoldHalf:
+class ManifoldBranch:
     """One half of a manifold: points (N, 2) in order, from the saddle; ``breaks``: points that begin anew at a stop."""
 
     points: list[Array]
@@ -59,9 +59,9 @@ class ManifoldHalf:
         return np.split(np.array(self.points), self.breaks)
 
 
-def grow(
+def grow_manifold(
     image: Map, saddle: Array, direction: Array, box: tuple[Array, Array], length: float, across: Across
-) -> ManifoldHalf:
+) -> ManifoldBranch:
     """The branch of the stable manifold that leaves a fixed point along a direction, both of length-1 coordinates.
 
     image    the map, of a positive multiplier inside: f o f where it is negative
@@ -70,7 +70,7 @@ def grow(
     """
     low, high = box
     extent = float(np.linalg.norm(high - low))
-    branch = ManifoldHalf([saddle, saddle + FIRST * extent * direction])
+    branch = ManifoldBranch([saddle, saddle + FIRST * extent * direction])
     step, grown, at = FIRST * extent, FIRST * extent, 0
     heading, half = direction, FAN
     while True:
@@ -78,13 +78,13 @@ def grow(
             branch.end = LENGTH
         elif np.any(branch.points[-1] < low) or np.any(branch.points[-1] > high):
             branch.end = OUTSIDE
-        elif len(branch.points) >= MOST_POINTS:
+        elif len(branch.points) >= MAX_POINTS:
             branch.end = BUDGET
         if branch.end:
             return branch
         following = _next(image, branch, heading, step, half, at, ON * extent)
         if following is None:
-            if step > SHORTEST * extent:
+            if step > MIN_STEP * extent:
                 step *= 0.5
                 continue
             beyond = across(branch.points[-1], 2.0 * step * heading)
@@ -103,17 +103,17 @@ def grow(
         turned = (point - branch.points[-1]) / step
         alpha = float(np.arccos(np.clip(turned @ heading, -1.0, 1.0)))
         new = half == WIDE
-        if not new and step > SHORTEST * extent and (alpha > BEND or step * alpha > SAGITTA * extent):
+        if not new and step > MIN_STEP * extent and (alpha > BEND or step * alpha > SAGITTA * extent):
             step *= 0.5
             continue
         branch.points.append(point)
         grown, at, heading, half = grown + step, place, turned, FAN
         if alpha < STRAIGHT and step * alpha < 0.25 * SAGITTA * extent:
-            step = min(2.0 * step, LONGEST * extent)
+            step = min(2.0 * step, MAX_STEP * extent)
 
 
 def _next(
-    image: Map, branch: ManifoldHalf, heading: Array, step: float, half: float, at: int, tolerance: float
+    image: Map, branch: ManifoldBranch, heading: Array, step: float, half: float, at: int, tolerance: float
 ) -> tuple[Array, int] | None:
     """The point a step from the last one whose image lies on the branch, and the segment it lies on; None without one.
 

@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.errors import ChunkError, InputError, check_names
 from atlas.orbits.curves.chords import chords_of, margins
 from atlas.orbits.curves.plane import CurvePlane, plane_of
 from atlas.orbits.curves.table import KINDS, Curves, read_curves
 from atlas.robustness.table import MARGIN, Arrays, empty, of_family
 from atlas.spec.axis import number
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 
 
-def checked_scale(handle: Atlas, given: Mapping[str, Any] | None) -> dict[str, float]:
+def validate_scale(handle: AtlasStore, given: Mapping[str, Any] | None) -> dict[str, float]:
     """The unit of distance along each axis, x first: those given, else the width of the plane.
 
     Along a logarithmic axis it is a unit of the natural logarithm. InputError for a bad name or a unit not above 0.
     """
     plane = plane_of(handle)
-    given = {} if given is None else checked_kind("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
+    given = {} if given is None else validate_type("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
     check_names("axis in scale", given, plane.axes)
     units = {}
     for name, log in zip(plane.axes, plane.log, strict=True):
@@ -35,7 +35,7 @@ def checked_scale(handle: Atlas, given: Mapping[str, Any] | None) -> dict[str, f
     return units
 
 
-def margin_request(handle: Atlas, scale: Mapping[str, float]) -> dict[str, Any]:
+def margin_request(handle: AtlasStore, scale: Mapping[str, float]) -> dict[str, Any]:
     """What decides the margins of a plane; InputError if it has no curves."""
     curves = _curves(handle)
     content = hashlib.sha256(handle.digest.encode())
@@ -44,7 +44,7 @@ def margin_request(handle: Atlas, scale: Mapping[str, float]) -> dict[str, Any]:
     return {"content": content.hexdigest(), "scale": dict(scale)}
 
 
-def margins_hold(handle: Atlas, request: Mapping[str, Any]) -> bool:
+def margins_hold(handle: AtlasStore, request: Mapping[str, Any]) -> bool:
     """Whether the margins that answer a request are to the curves that the store has now."""
     try:
         return margin_request(handle, request["scale"]) == request
@@ -52,13 +52,13 @@ def margins_hold(handle: Atlas, request: Mapping[str, Any]) -> bool:
         return False
 
 
-def margins_of(handle: Atlas, scale: Mapping[str, float]) -> Arrays:
+def margins_of(handle: AtlasStore, scale: Mapping[str, float]) -> Arrays:
     """The margin of each cell: its distance to the nearest part of a curve along which an attractor begins or ends.
 
     Not known of cells whose parameters make no sense, and where there is no such curve.
     """
     plane, curves = plane_of(handle), _curves(handle)
-    chords = chords_of((_placed(plane, curve.points, scale), curve.bounding) for curve in curves)
+    chords = chords_of((_placed(plane, curve.points, scale), curve.is_bounding) for curve in curves)
     valid, count = np.flatnonzero(plane.valid), len(plane.x) * len(plane.y)
     columns = empty(of_family(MARGIN), (count,))
     if len(chords.curve) and len(valid):
@@ -69,7 +69,7 @@ def margins_of(handle: Atlas, scale: Mapping[str, float]) -> Arrays:
     return {name: values.reshape(plane.shape) for name, values in columns.items()}
 
 
-def _curves(handle: Atlas) -> Curves:
+def _curves(handle: AtlasStore) -> Curves:
     curves = read_curves(handle)
     if curves is None:
         raise InputError(f"{handle.place}: has no curves to measure margins to; find them with atlas find curves")

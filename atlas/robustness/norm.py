@@ -5,21 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.errors import InputError, check_names
 from atlas.spec.axis import number
 from workers.model.oscillator import Array
 from workers.model.system import System
 
 
-def checked_weights(given: Mapping[str, Any] | None, record: System) -> dict[str, float]:
+def validate_weights(given: Mapping[str, Any] | None, record: System) -> dict[str, float]:
     """The weights that a user gives, by component of the state; InputError for a bad name or a weight that is not > 0.
 
     >>> from workers.model.system import find_system
     >>> checked_weights({"v1": 2}, find_system("two-mass"))
     {'v1': 2.0}
     """
-    given = {} if given is None else checked_kind("norm", given, Mapping, "weights by component, such as {'v1': 2}")
+    given = {} if given is None else validate_type("norm", given, Mapping, "weights by component, such as {'v1': 2}")
     check_names("component of the state in norm", given, record.states)
     weights = {name: number(f"norm.{name}", value) for name, value in given.items()}
     for name, weight in weights.items():
@@ -38,6 +38,6 @@ def weights_of(given: Mapping[str, float], record: System, period: float) -> Arr
     return np.array([given.get(name, usual) for name, usual in zip(record.states, default, strict=True)])
 
 
-def weighted(matrices: Array, weights: Array) -> Array:
+def weight_matrices(matrices: Array, weights: Array) -> Array:
     """W J W^-1 of matrices J (..., d, d), W the diagonal matrix of weights (d,): its 2-norm is the norm of J."""
     return np.asarray(weights[:, None] * matrices / weights)

@@ -5,22 +5,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from atlas.arguments import checked_ends, checked_flag, checked_kind
+from atlas.argument_checks import validate_flag, validate_interval, validate_type
 from atlas.errors import InputError
-from atlas.query.basins import of_basins
+from atlas.query.basins import is_basin_atlas
 from atlas.robustness.attractors import AttractorSearch
-from atlas.robustness.norm import checked_weights
+from atlas.robustness.norm import validate_weights
 from atlas.spec.spec import given_values
 from atlas.spec.system import must_offer
 from workers import Settings
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import DEFAULT, System
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from atlas.robustness.manifold import Across, ManifoldHalf
-    from atlas.robustness.tracking import Saddle
+    from atlas.robustness.boundary_tracking import Saddle
+    from atlas.robustness.manifold import Across, ManifoldBranch
     from atlas.spec.spec import Spec
     from workers.attractors.basins import AttractorTable
     from workers.model.oscillator import Array
@@ -41,7 +41,7 @@ def saddles(
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
-    starts: int = Starts.count,
+    starts: int = AttractorSettings.count,
     norm: Mapping[str, float] | None = None,
     manifolds: bool = False,
     box: Box | None = None,
@@ -63,16 +63,16 @@ def saddles(
     >>> [(one["period"], one["between"]) for one in found["saddles"]]
     [(1, [0, 1])]
     """
-    checked_flag("manifolds", manifolds)
+    validate_flag("manifolds", manifolds)
     asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
-    return saddles_between(asked, checked_weights(norm, asked.record), manifolds, box)
+    return saddles_between(asked, validate_weights(norm, asked.record), manifolds, box)
 
 
 def saddles_between(
     asked: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
 ) -> dict[str, Any]:
     """``saddles`` of a search."""
-    from atlas.robustness.tracking import saddles_of
+    from atlas.robustness.boundary_tracking import saddles_of
 
     record = asked.record
     must_offer(record, "saddles")
@@ -100,7 +100,7 @@ def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], 
     """
     from workers.attractors.basins import fixed_values
 
-    if not of_basins(ds) or len(spec.record.states) != 2 or spec.attractors is None:
+    if not is_basin_atlas(ds) or len(spec.record.states) != 2 or spec.attractors is None:
         raise InputError("overlay 'saddles' is drawn over basins of one mass")
     values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
@@ -124,21 +124,21 @@ def _described(saddle: "Saddle") -> dict[str, Any]:
 
 def _box(table: "AttractorTable", given: Box | None) -> tuple["Array", "Array"]:
     """The lowest and the highest state; InputError for a bad name or ends that do not rise."""
-    from workers.attractors.starts import boxes
+    from workers.attractors.initial_states import boxes
 
     names = table.record.states
     low, high = (side[0].copy() for side in boxes(table.starts, table.oscillators, table.record))
-    for name, ends in ({} if given is None else checked_kind("box", given, Mapping, "(low, high) by state")).items():
-        first, last = checked_ends(f"box.{name}", ends)
+    for name, ends in ({} if given is None else validate_type("box", given, Mapping, "(low, high) by state")).items():
+        first, last = validate_interval(f"box.{name}", ends)
         if name not in names or not first < last:
             raise InputError(f"box.{name}: found {first:g} to {last:g}; must rise, of {' or '.join(names)}")
         low[names.index(name)], high[names.index(name)] = first, last
     return low, high
 
 
-def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[ManifoldHalf]":
+def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[ManifoldBranch]":
     """The branches of the stable manifold of a saddle of one mass, two at each of its states, in coordinates w z."""
-    from atlas.robustness.manifold import grow
+    from atlas.robustness.manifold import grow_manifold
     from atlas.robustness.section_map import SectionMap
 
     w, section_map = saddle.weights, SectionMap(table.cell.oscillator)
@@ -153,7 +153,7 @@ def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "
         return section_map.images(states / w, turns * saddle.period) * w
 
     return [
-        grow(image, state * w, sign * along, ends, length, across)
+        grow_manifold(image, state * w, sign * along, ends, length, across)
         for state, along in zip(saddle.states, saddle.along, strict=True)
         for sign in (1.0, -1.0)
     ]

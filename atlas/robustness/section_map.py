@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from atlas.robustness.linear import one_period
-from workers.cell.stretch import begin, sections_from
-from workers.kernel.cells import physical_states
+from atlas.robustness.linear_measures import one_period
+from workers.cell.interval import begin, sections_from
+from workers.kernel.cell_loops import physical_states
 from workers.kernel.motion import RUNNING, STATUS
 from workers.model.oscillator import Array, Oscillator, at_rows
 from workers.results import NO_REASON

@@ -6,20 +6,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.robustness.linear import NO_ORBIT, UNMEASURED, measures_of
+from atlas.robustness.fatal_shock import shock_of
+from atlas.robustness.linear_measures import NO_ORBIT, UNMEASURED, measures_of
 from atlas.robustness.norm import weights_of
-from atlas.robustness.shock import shock_of
 from atlas.robustness.table import LINEAR, SHOCKS, Arrays, empty, of_family
+from workers.attractors.attractor import ON_ATTRACTOR, STABLE, Attractor
 from workers.attractors.basins import AttractorTable
-from workers.attractors.record import ON_ATTRACTOR, STABLE, Attractor
-from workers.attractors.starts import Starts
-from workers.cell.stretch import begin
+from workers.attractors.initial_states import AttractorSettings
+from workers.cell.interval import begin
 from workers.model.oscillator import Array, at_rows
 from workers.model.system import System
 from workers.results import BEYOND_TABLE, NO_REASON, UNKNOWN_LABEL
 from workers.settings import Settings
 
-SAME = 1e-6
+SAME_ATTRACTOR = 1e-6
 """Distance of the states of one attractor, relative to the largest component of any."""
 
 
@@ -62,7 +62,7 @@ def shock_measures(
     cells: Mapping[str, NDArray[Any]],
     norm: Mapping[str, float],
     settings: Settings,
-    starts: Starts,
+    starts: AttractorSettings,
 ) -> Arrays:
     """The minimal fatal shocks of attractors (N, keep) of cells; arguments as in ``linear_measures``.
 
@@ -92,5 +92,5 @@ def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
     state = np.asarray(attractor.result["state"])
     away = np.abs(cell["state"] - state).max(axis=-1)
     same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))
-    here = np.flatnonzero(same & (away <= SAME * np.abs(state).max(initial=1e-300)))
+    here = np.flatnonzero(same & (away <= SAME_ATTRACTOR * np.abs(state).max(initial=1e-300)))
     return int(here[0]) if len(here) else UNKNOWN_LABEL

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.orbits.curves.table import KINDS
-from atlas.orbits.finished import current_group
-from atlas.robustness.linear import FLAGS
+from atlas.orbits.orbit_table import current_group
+from atlas.robustness.linear_measures import FLAGS
 from atlas.store.groups import STABILITY, write_table
 from atlas.store.schema import StoredArray, variable_attributes
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, CodeMeaning, Variable
 
@@ -27,7 +27,7 @@ LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
 
 
 @dataclass(frozen=True)
-class Measure(Variable):
+class MeasureVariable(Variable):
     """A measure of each attractor, or of each cell: a variable of a family."""
 
     family: str = ""
@@ -41,22 +41,24 @@ def _numbered(names: Iterable[str]) -> tuple[CodeMeaning, ...]:
 _NAN = float("nan")
 _FAMILIES = {
     LINEAR: (
-        Measure("return_time", "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
-        Measure("reactivity", "float64", _NAN, "largest log growth of a deviation over one forcing period"),
-        Measure("amplification", "float64", _NAN, "largest growth of a deviation over any number of periods"),
-        Measure("amplified_after", "int32", -1, "forcing periods after which it is that large"),
-        Measure("unmeasured", "int8", -1, "why one of these is not known; -1 if all are", codes=_numbered(FLAGS)),
+        MeasureVariable("return_time", "float64", _NAN, "forcing periods in which deviations fall by e in the end"),
+        MeasureVariable("reactivity", "float64", _NAN, "largest log growth of a deviation over one forcing period"),
+        MeasureVariable("amplification", "float64", _NAN, "largest growth of a deviation over any number of periods"),
+        MeasureVariable("amplified_after", "int32", -1, "forcing periods after which it is that large"),
+        MeasureVariable(
+            "unmeasured", "int8", -1, "why one of these is not known; -1 if all are", codes=_numbered(FLAGS)
+        ),
     ),
     SHOCKS: (
-        Measure("fatal_shock", "float64", _NAN, "smallest deviation found that leads to another attractor"),
-        Measure("shock_reaches", "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
-        Measure("shock_tried", "int32", -1, "states that fill the ball of this size and are not fatal"),
+        MeasureVariable("fatal_shock", "float64", _NAN, "smallest deviation found that leads to another attractor"),
+        MeasureVariable("shock_reaches", "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
+        MeasureVariable("shock_tried", "int32", -1, "states that fill the ball of this size and are not fatal"),
     ),
     MARGIN: (
-        Measure("margin", "float64", _NAN, "distance to the nearest curve"),
-        Measure("margin_error", "float64", _NAN, "estimated distance of its nearest chord from the curve"),
-        Measure("margin_kind", "int8", -1, "kind of the nearest curve", codes=_numbered(KINDS)),
-        Measure("margin_curve", "int32", -1, "number of the nearest curve, from 0"),
+        MeasureVariable("margin", "float64", _NAN, "distance to the nearest curve"),
+        MeasureVariable("margin_error", "float64", _NAN, "estimated distance of its nearest chord from the curve"),
+        MeasureVariable("margin_kind", "int8", -1, "kind of the nearest curve", codes=_numbered(KINDS)),
+        MeasureVariable("margin_curve", "int32", -1, "number of the nearest curve, from 0"),
     ),
 }
 MEASURES = {
@@ -67,32 +69,32 @@ MEASURES = {
 """All measures by name."""
 
 
-def of_family(family: str) -> list[Measure]:
+def of_family(family: str) -> list[MeasureVariable]:
     """The measures that are computed together."""
     return [measure for measure in MEASURES.values() if measure.family == family]
 
 
-def empty(measures: Iterable[Measure], shape: tuple[int, ...]) -> Arrays:
+def empty(measures: Iterable[MeasureVariable], shape: tuple[int, ...]) -> Arrays:
     """Arrays of one shape in which no measure is known."""
     return {measure.name: np.full(shape, measure.fill, dtype=measure.dtype) for measure in measures}
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredMeasures:
     """The measures that a store has, by name, and of each family the request that they answer."""
 
     arrays: Arrays
     requests: dict[str, dict[str, Any]]
 
 
-def read_measures(handle: Atlas) -> Stored:
+def read_measures(handle: AtlasStore) -> StoredMeasures:
     """The measures of a store; none if it has none, or damaged ones, or those of another version."""
     arrays, attributes = current_group(handle, STABILITY, VERSION) or ({}, {})
     requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
-    return Stored({name: arrays[name] for name in MEASURES if name in arrays}, requests)
+    return StoredMeasures({name: arrays[name] for name in MEASURES if name in arrays}, requests)
 
 
-def write_measures(handle: Atlas, stored: Stored) -> None:
+def write_measures(handle: AtlasStore, stored: StoredMeasures) -> None:
     """Keep measures in the store, in the place of any before."""
     dims = handle.spec.dims
     many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
@@ -104,15 +106,15 @@ def write_measures(handle: Atlas, stored: Stored) -> None:
     write_table(handle, STABILITY, columns, own | stored.requests)
 
 
-def drop_family(handle: Atlas, family: str) -> None:
+def drop_family(handle: AtlasStore, family: str) -> None:
     """Remove the measures of a family from the store, if it has any."""
     stored = read_measures(handle)
     if family in stored.requests:
         arrays = {name: values for name, values in stored.arrays.items() if MEASURES[name].family != family}
-        write_measures(handle, Stored(arrays, {k: v for k, v in stored.requests.items() if k != family}))
+        write_measures(handle, StoredMeasures(arrays, {k: v for k, v in stored.requests.items() if k != family}))
 
 
-def check_names(handle: Atlas) -> None:
+def check_names(handle: AtlasStore) -> None:
     """InputError if its machine has a parameter or a result with the name of a measure."""
     shared = {*handle.array_names} & MEASURES.keys()
     if shared:

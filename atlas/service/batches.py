@@ -14,27 +14,27 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from atlas.errors import NetworkError, RunError
-from atlas.service.cluster import LOST, loss_reported
-from atlas.service.fitness import Failure, Refusal
-from atlas.task.site import RefusedError, StoreFullError
+from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported
+from atlas.service.worker_health import AttemptFailure, WorkerRefusal
+from atlas.task.store_ref import StoreFullError, WorkerRefusedError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-PAUSE, LONGEST_PAUSE = 5e-3, 50e-3
+MIN_POLL_SECONDS, MAX_POLL_SECONDS = 5e-3, 50e-3
 """Seconds between two looks at few jobs under way, and at many: meanwhile the finished jobs make a batch."""
-BATCH, HOLD = 16, 0.25
+MIN_BATCH, MAX_HOLD_SECONDS = 16, 0.25
 """Finished jobs that make a batch, or one in 20 of the jobs under way if that is less; and seconds to wait for them.
 
 Both are small, so that no thread runs out of jobs.
 """
-LEAST_MEMORY = 500_000_000
+MIN_WORKER_MEMORY = 500_000_000
 """Bytes that a worker needs; the kernels take most of them, and Dask pauses a worker with a lower limit."""
-MANY = 400
+MANY_IN_FLIGHT = 400
 """Jobs under way that are looked at with the longest pause."""
 
 
-class Numbered(Protocol):
+class IndexedJob(Protocol):
     """A job with an index, which identifies it."""
 
     @property
@@ -42,12 +42,12 @@ class Numbered(Protocol):
         """The index of its tile, or its number among other jobs."""
 
 
-J = TypeVar("J", bound=Numbered)
+J = TypeVar("J", bound=IndexedJob)
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Labour(Generic[J, R]):
+class JobType(Generic[J, R]):
     """A kind of work, as functions of modules; one run at a time uses this name.
 
     act       does a job
@@ -60,11 +60,11 @@ class Labour(Generic[J, R]):
     act: Callable[[J], R]
     prepare: Callable[[], object]
     forget: Callable[[], object]
-    memory: int = LEAST_MEMORY
+    memory: int = MIN_WORKER_MEMORY
 
 
 @dataclass(frozen=True)
-class Done(Generic[R]):
+class AttemptSuccess(Generic[R]):
     """The result of a job, the worker that did it, and its seconds, with those of the worker's setup if it waited."""
 
     worker: str
@@ -72,60 +72,60 @@ class Done(Generic[R]):
     seconds: float = 0.0
 
 
-Result: TypeAlias = Done[R] | Refusal | Failure
-"""The value returned by ``work``."""
+Result: TypeAlias = AttemptSuccess[R] | WorkerRefusal | AttemptFailure
+"""The value returned by ``run_on_worker``."""
 if TYPE_CHECKING:
     Ended: TypeAlias = Future[Result[R]]
 
 
 @dataclass(frozen=True)
-class Attempt(Generic[J]):
+class JobAttempt(Generic[J]):
     """A job that is to be done: its failures so far, and the workers that may do it, None for any.
 
     ``since`` is when it was submitted, by the monotonic clock; ``is_moved``: it was taken from a worker that hangs.
     """
 
     job: J
-    failures: tuple[Failure, ...] = ()
+    failures: tuple[AttemptFailure, ...] = ()
     workers: tuple[str, ...] | None = None
     since: float = 0.0
     is_moved: bool = False
 
 
-def work(act: Callable[[J], R], job: J) -> Result[R]:
+def run_on_worker(act: Callable[[J], R], job: J) -> Result[R]:
     """A worker's function: it runs the job, and returns an exception as a value that names the worker."""
     from distributed import get_worker
 
     here, begin = get_worker().address, time.perf_counter()
     try:
         result = act(job)
-        return Done(here, result, time.perf_counter() - begin)
-    except RefusedError as error:
-        return Refusal(here, str(error))
+        return AttemptSuccess(here, result, time.perf_counter() - begin)
+    except WorkerRefusedError as error:
+        return WorkerRefusal(here, str(error))
     except NetworkError as error:
-        return Refusal(here, str(error), passing=True)
+        return WorkerRefusal(here, str(error), passing=True)
     except StoreFullError as error:
-        return Failure(here, str(error), full=True)
+        return AttemptFailure(here, str(error), full=True)
     except Exception as error:
-        return Failure(here, _in_words(error), trace=traceback.format_exc())
+        return AttemptFailure(here, _in_words(error), trace=traceback.format_exc())
 
 
-class Batches(Generic[J, R]):
+class InFlightJobs(Generic[J, R]):
     """The attempts under way; ``act`` does a job. ``seconds`` limits the wait for a result that Dask cannot find."""
 
     def __init__(self, client: "Client", act: Callable[[J], R], seconds: float) -> None:
         self._client, self._act, self._seconds = client, act, seconds
         self._token, self._submitted = uuid.uuid4().hex[:8], 0
-        self._running: dict[Ended[R], Attempt[J]] = {}
+        self._running: dict[Ended[R], JobAttempt[J]] = {}
         self._apart: dict[Ended[R], str] = {}
         self._taken = -math.inf
 
     def __len__(self) -> int:
         return len(self._running)
 
-    def submit(self, attempts: Iterable[Attempt[J]]) -> None:
+    def submit(self, attempts: Iterable[JobAttempt[J]]) -> None:
         """Submit attempts; attempts for the same workers go together, which costs hardly more than one."""
-        together: dict[tuple[str, ...] | None, list[Attempt[J]]] = {}
+        together: dict[tuple[str, ...] | None, list[JobAttempt[J]]] = {}
         for attempt in attempts:
             together.setdefault(attempt.workers, []).append(attempt)
         for workers, group in together.items():
@@ -135,7 +135,7 @@ class Batches(Generic[J, R]):
                 keys.append((f"tile-{self._token}", self._submitted, *job.index))
             acts, names = [self._act] * len(jobs), list(workers) if workers else None
             with loss_reported(self._client):
-                futures = self._client.map(work, acts, jobs, key=keys, workers=names, pure=False)
+                futures = self._client.map(run_on_worker, acts, jobs, key=keys, workers=names, pure=False)
             now = time.monotonic()
             self._running.update({future: replace(one, since=now) for future, one in zip(futures, group, strict=True)})
 
@@ -144,7 +144,7 @@ class Batches(Generic[J, R]):
         """When the first of the attempts under way was submitted; infinite without any."""
         return min((attempt.since for attempt in self._running.values()), default=math.inf)
 
-    def held(self) -> dict[str, list[Attempt[J]]]:
+    def held(self) -> dict[str, list[JobAttempt[J]]]:
         """The attempts under way by the worker that has them, the oldest first, by one request to the scheduler."""
         under_way = {future.key: attempt for future, attempt in self._running.items()}
         with loss_reported(self._client):
@@ -153,7 +153,7 @@ class Batches(Generic[J, R]):
         oldest_first = {w: sorted(held[w], key=lambda attempt: (attempt.since, attempt.job.index)) for w in held}
         return {worker: attempts for worker, attempts in oldest_first.items() if attempts}
 
-    def set_apart(self, worker: str, attempts: Iterable[Attempt[J]]) -> None:
+    def set_apart(self, worker: str, attempts: Iterable[JobAttempt[J]]) -> None:
         """Count attempts on a worker as under way no more. They go on, since Dask cannot interrupt them."""
         gone = {id(attempt) for attempt in attempts}
         for future in [future for future, attempt in self._running.items() if id(attempt) in gone]:
@@ -166,7 +166,7 @@ class Batches(Generic[J, R]):
         self._apart = {future: worker for future, worker in self._apart.items() if not future.done()}
         return before - {*self._apart.values()}
 
-    def withdraw(self, which: Callable[[Attempt[J]], bool], waiting: bool = False) -> list[Attempt[J]]:
+    def cancel(self, which: Callable[[JobAttempt[J]], bool], waiting: bool = False) -> list[JobAttempt[J]]:
         """Take back attempts; with ``waiting`` only attempts that no worker has begun: Dask cannot interrupt others."""
         futures = [future for future, attempt in self._running.items() if which(attempt)]
         with loss_reported(self._client):
@@ -177,19 +177,19 @@ class Batches(Generic[J, R]):
                 self._client.cancel(futures)
         return [self._running.pop(future) for future in futures]
 
-    def ended(self) -> "Iterator[tuple[Attempt[J], Result[R]]]":
+    def ended(self) -> "Iterator[tuple[JobAttempt[J], Result[R]]]":
         """The attempts that have ended after a short wait, with their results.
 
         If a result was lost with its worker, Dask repeats the job, and the attempt ends again.
         """
-        time.sleep(PAUSE + LONGEST_PAUSE * min(1.0, len(self._running) / MANY))
+        time.sleep(MIN_POLL_SECONDS + MAX_POLL_SECONDS * min(1.0, len(self._running) / MANY_IN_FLIGHT))
         ended = [future for future in self._running if future.done()]
-        few = len(ended) < min(BATCH, len(self._running) // 20)
-        if few and time.monotonic() - self._taken < HOLD:
+        few = len(ended) < min(MIN_BATCH, len(self._running) // 20)
+        if few and time.monotonic() - self._taken < MAX_HOLD_SECONDS:
             return
         self._taken = time.monotonic()
         if any(future.status not in ("finished", "error") for future in ended):
-            raise RunError(LOST)
+            raise RunError(CLUSTER_LOST_MESSAGE)
         failed = [(future, self._failure_of(future)) for future in ended if future.status == "error"]
         for future, result in (*failed, *self._fetched([future for future in ended if future.status == "finished"])):
             future.release()
@@ -212,7 +212,7 @@ class Batches(Generic[J, R]):
             if result is not None:
                 yield by_number[number], result
 
-    def _failure_of(self, future: "Ended[R]") -> Failure:
+    def _failure_of(self, future: "Ended[R]") -> AttemptFailure:
         """The failure of a job that never returned: all workers that had it died."""
         error = future.exception()
         assert error is not None
@@ -221,7 +221,7 @@ class Batches(Generic[J, R]):
                 f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on "
                 "every host, the scheduler's too"
             )
-        return Failure("", _in_words(error))
+        return AttemptFailure("", _in_words(error))
 
 
 def _in_words(error: BaseException) -> str:

@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from atlas.arguments import checked_path
+from atlas.argument_checks import validate_path
 from atlas.errors import InputError, RunError
 from atlas.platform import interrupts_blocked
 from atlas.service.timing import TIMING, Timing
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 DASHBOARD = "127.0.0.1:8787"
 """Dask's own port: a browser, or a tunnel to it, may stay open from run to run."""
-LOST = "the cluster was lost; the same command resumes from the stored tiles"
+CLUSTER_LOST_MESSAGE = "the cluster was lost; the same command resumes from the stored tiles"
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def _security(tls: Tls | None) -> "Security":
 
 
 @contextmanager
-def connected(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
+def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
     """A client of the scheduler at an address; InputError if none answers within ``timing.connect`` seconds."""
     import asyncio  # here, since most commands need none
 
@@ -161,7 +161,7 @@ def performance_reported(
         return
     from distributed import performance_report
 
-    report = performance_report(str(checked_path(path)), mode="inline")
+    report = performance_report(str(validate_path(path)), mode="inline")
     with loss_reported(client), client.as_current():
         report.__enter__()
     try:
@@ -187,13 +187,13 @@ def loss_reported(client: "Client") -> Iterator[None]:
     except Exception as error:
         if client.status == "running" and not isinstance(error, CancelledError | CommClosedError):
             raise
-        raise RunError(LOST) from error
+        raise RunError(CLUSTER_LOST_MESSAGE) from error
 
 
 def worker_threads(client: "Client") -> dict[str, int]:
     """Threads of each worker by its address; RunError if the cluster is gone."""
     if client.status != "running":
-        raise RunError(LOST)
+        raise RunError(CLUSTER_LOST_MESSAGE)
     with loss_reported(client):
         return dict(client.nthreads())
 

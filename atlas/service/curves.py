@@ -5,33 +5,33 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.errors import ChunkError
-from atlas.orbits.curves.finish import edge_share, finished
-from atlas.orbits.curves.job import CurveJob, do_and_keep, read_part
+from atlas.formatting import duration, plural, text_repr
+from atlas.orbits.curves.job import CurveJob, read_part, run_and_store
 from atlas.orbits.curves.plane import plane_of
 from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.search_result import edge_share, finish_search
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curves, read_curves, write_curves
 from atlas.robustness.table import MARGIN, drop_family
-from atlas.service.crew import Crew, called
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress
-from atlas.store.archive import refuse_packed
+from atlas.service.worker_pool import WorkerPool, open_store_call
 from atlas.store.groups import CURVES
-from atlas.store.location import Given
-from atlas.store.parts import drop_parts, kept_parts, part_names
-from atlas.store.store import Atlas
+from atlas.store.object_backend import Given
+from atlas.store.parts import drop_parts, finished_parts, part_names
+from atlas.store.store import AtlasStore
+from atlas.store.zip_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
-from atlas.task.site import PartReceipt
-from atlas.text import duration, plural, text_repr
+from atlas.task.store_ref import PartReport
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
 @dataclass(frozen=True)
-class CurvesSummary:
+class CurveSummary:
     """The curves of a store, and the cost of finding them: none if the store had them."""
 
     store: str
@@ -84,32 +84,32 @@ class CurvesSummary:
 
 @with_fields
 def find_curves(
-    store: "Given | Atlas",
+    store: "Given | AtlasStore",
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunFields],
-) -> CurvesSummary:
+    **fields: Unpack[RunOptionFields],
+) -> CurveSummary:
     """Find the curves of a finished plane and keep them in its store.
 
     Returns at once if the store has the curves for these settings. The search runs on ``client`` or on the workers
     given by the options, like ``run``. The same call resumes a search that was stopped.
     Raises InputError if the store is not a finished plane; see also ``run``.
     """
-    with called(store, client, chosen(options, fields)) as (handle, options, stack):
+    with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         settings = CurveSettings() if settings is None else settings
-        checked_kind("settings", settings, CurveSettings, "an atlas.CurveSettings")
+        validate_type("settings", settings, CurveSettings, "an atlas.CurveSettings")
         search = CurveSearch(plane_of(handle), settings)
         digest = settings.digest(search.plane)
         stored = _stored(handle, digest)
         if stored is not None:
-            return CurvesSummary(str(handle.place), stored)
-        refuse_packed(handle.place)
-        crew = Crew.at_work(handle, do_and_keep, kernels_for(handle.spec.record, ORBITS), client, options, stack)
-        return _Coordinator(crew.handle, search, digest, crew).run()
+            return CurveSummary(str(handle.place), stored)
+        check_not_packed(handle.place)
+        crew = WorkerPool.open(handle, run_and_store, kernels_for(handle.spec.record, ORBITS), client, options, stack)
+        return _CurveRun(crew.handle, search, digest, crew).run()
 
 
-def _stored(handle: Atlas, digest: str) -> Curves | None:
+def _stored(handle: AtlasStore, digest: str) -> Curves | None:
     """The stored curves, if a search with this digest found them; else None."""
     try:
         stored = read_curves(handle)
@@ -123,27 +123,27 @@ def _stored(handle: Atlas, digest: str) -> Curves | None:
 
 
 @dataclass
-class _Coordinator:
+class _CurveRun:
     """A search on a claimed store."""
 
-    handle: Atlas
+    handle: AtlasStore
     search: CurveSearch
     digest: str
-    crew: Crew[CurveJob, PartReceipt]
+    crew: WorkerPool[CurveJob, PartReport]
 
-    def run(self) -> CurvesSummary:
+    def run(self) -> CurveSummary:
         """Do the stages that are due, and write the curves."""
-        kept = kept_parts(self.handle, CURVES, self.digest)
+        kept = finished_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self.crew.do(jobs, self._progress)
+            self.crew.run_jobs(jobs, self._progress)
             self.search.take([read_part(self.handle, name) for name in tasks])
-        curves = finished(self.search)
+        curves = finish_search(self.search)
         drop_family(self.handle, MARGIN)  # margins to the previous curves
         write_curves(self.handle, curves)
         drop_parts(self.handle, CURVES)
         crew, seconds = self.crew, time.monotonic() - self.crew.begin
-        return CurvesSummary(str(self.handle.place), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
+        return CurveSummary(str(self.handle.place), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number
@@ -151,7 +151,7 @@ class _Coordinator:
 
     def _progress(self) -> Progress:
         search = self.search
-        settled, edges = search.settled, len(search.edges)
+        settled, edges = search.n_settled, len(search.edges)
         curves = f"{plural(len(search.curves), 'curve')}, {search.points} points"
         stage = f"{search.doing}: {curves}, {settled} of {edges} edges settled"
         return Progress(stage, cells=edges, cells_done=settled)

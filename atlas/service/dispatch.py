@@ -11,39 +11,39 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Generic
 
 from atlas.errors import RunError
-from atlas.service.batches import Attempt, Batches, Done, J, Labour, R, Result
-from atlas.service.cluster import LOST, worker_memory, worker_threads
-from atlas.service.fitness import Failure, Fitness, Refusal, host_of
+from atlas.formatting import byte_size, duration, plural
+from atlas.service.batches import AttemptSuccess, InFlightJobs, J, JobAttempt, JobType, R, Result
+from atlas.service.cluster import CLUSTER_LOST_MESSAGE, worker_memory, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
-from atlas.text import byte_size, duration, plural
+from atlas.service.worker_health import AttemptFailure, WorkerHealth, WorkerRefusal, host_of
 
 if TYPE_CHECKING:
     from distributed import Client
 
 LOG = logging.getLogger(__name__)
 """Decisions, and errors of workers with their tracebacks, at level DEBUG."""
-IN_FLIGHT, MOST_IN_FLIGHT = 2, 64
+IN_FLIGHT, MAX_IN_FLIGHT = 2, 64
 """Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows.
 
 If jobs are short, enough of them to keep the thread busy for AHEAD seconds, at most MOST_IN_FLIGHT.
 """
-AHEAD = 10.0
+QUEUED_SECONDS = 10.0
 """Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
-SPARE = 1
+EXTRA_IN_FLIGHT = 1
 """Jobs under way beyond one for each thread where their order may change: the next begins as soon as one ends."""
-ATTEMPTS = 3
+MAX_ATTEMPTS = 3
 """How often a tile that raises, or whose workers die, is tried in one run."""
-NAMED = 3
+MAX_NAMED_WORKERS = 3
 """Workers, or tiles of a worker, named in a line about several."""
 SLOW = 10.0
 """Times the longest job so far, after which a worker that has ended none hangs, if ``Timing.hung`` is over too."""
-CHOICES = 64
+MAX_ALLOWED_WORKERS = 64
 """Workers that jobs are restricted to, and four for each job: Dask keeps a copy of the list for each job."""
 
 
 @dataclass(frozen=True)
-class Workers:
+class WorkerStatus:
     """The workers of a run: number of threads, excluded workers with the reason, and why no job has ended lately."""
 
     threads: int
@@ -52,15 +52,15 @@ class Workers:
 
 
 @contextmanager
-def workforce(client: "Client", labour: Labour[J, R], timing: Timing = TIMING) -> "Iterator[Workforce[J, R]]":
+def open_dispatcher(client: "Client", labour: JobType[J, R], timing: Timing = TIMING) -> "Iterator[Dispatcher[J, R]]":
     """The workers of a cluster, set up for their jobs until the end of the block."""
-    from atlas.service.setup import set_up  # imports Dask, which takes a while to load
+    from atlas.service.worker_setup import prepare_workers  # imports Dask, which takes a while to load
 
-    with set_up(client, labour, timing.connect) as act:
-        yield Workforce(client, act, timing, labour.memory)
+    with prepare_workers(client, labour, timing.connect) as act:
+        yield Dispatcher(client, act, timing, labour.memory)
 
 
-class Workforce(Generic[J, R]):
+class Dispatcher(Generic[J, R]):
     """The workers of a cluster, and the record of their successes and failures.
 
     A job that fails is tried again, on another worker or machine if there is one. A worker is excluded if FAILURES jobs
@@ -70,14 +70,14 @@ class Workforce(Generic[J, R]):
     """
 
     def __init__(
-        self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int, ahead: float = AHEAD
+        self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int, ahead: float = QUEUED_SECONDS
     ) -> None:
         self.client, self.timing, self.memory, self.ahead = client, timing, memory, ahead
         self.waiting: Iterator[J] = iter(())
-        self.running: Batches[J, R] = Batches(client, act, timing.connect)
-        self.again: deque[Attempt[J]] = deque()
-        self.doubtful: list[Attempt[J]] = []
-        self.fitness = Fitness()
+        self.running: InFlightJobs[J, R] = InFlightJobs(client, act, timing.connect)
+        self.again: deque[JobAttempt[J]] = deque()
+        self.doubtful: list[JobAttempt[J]] = []
+        self.fitness = WorkerHealth()
         self.threads: dict[str, int] = {}
         self.most_workers = self.done = 0
         self.thread_seconds = 0.0
@@ -85,7 +85,7 @@ class Workforce(Generic[J, R]):
         self.heard: dict[str, float] = {}
         self.last_good = self.last_end = self.looked = time.monotonic()
 
-    def outcomes(self, jobs: Iterable[J], tick: Callable[[Workers], None]) -> Iterator[R | TileFailure]:
+    def outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
 
         ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
@@ -103,7 +103,7 @@ class Workforce(Generic[J, R]):
                     ticked = time.monotonic()
                 self.fill()
                 if not (self.running or self.again):
-                    yield from self.judged()
+                    yield from self.judge_doubtful()
                     if not self.again:
                         tick(self.workers())  # shows workers excluded since the last tick
                         return
@@ -114,7 +114,7 @@ class Workforce(Generic[J, R]):
                         yield outcome
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing to cancel
-                self.running.withdraw(lambda _: True)
+                self.running.cancel(lambda _: True)
 
     def look(self) -> None:
         """Look at the cluster, which may grow and shrink during the run."""
@@ -122,13 +122,13 @@ class Workforce(Generic[J, R]):
         self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
         self.looked = now
         if threads.keys() - self.threads.keys():
-            self.need(self.memory)
+            self.require_memory(self.memory)
         if threads != self.threads:
             LOG.debug("%s: %s", plural(len(threads), "worker"), ", ".join(sorted(threads)))
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
-        lost = self.running.withdraw(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
+        lost = self.running.cancel(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         if lost:
             LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
         self.again.extend(lost)
@@ -157,21 +157,21 @@ class Workforce(Generic[J, R]):
             silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
             reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
             LOG.debug("%s hangs: %s", worker, reason)
-            self.fitness.refuse(Refusal(worker, f"{reason}; others do them"))
+            self.fitness.refuse(WorkerRefusal(worker, f"{reason}; others do them"))
             self.running.set_apart(worker, attempts)
             self.again.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
-    def need(self, memory: int) -> None:
+    def require_memory(self, memory: int) -> None:
         """Set the bytes that jobs need from now on: workers with less memory are excluded."""
         self.memory = memory
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:
                 needed = f"needs {byte_size(memory)}: dask worker --memory-limit"
-                self.fitness.refuse(Refusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
+                self.fitness.refuse(WorkerRefusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
 
-    def workers(self) -> Workers:
+    def workers(self) -> WorkerStatus:
         """The workers, by the last look at the cluster and the outcomes so far."""
-        return Workers(sum(self.threads.values()), self.fitness.left_out, self.trouble())
+        return WorkerStatus(sum(self.threads.values()), self.fitness.left_out, self.trouble())
 
     def trouble(self) -> str:
         """Why no job has ended for a while, empty if nothing is known to be wrong."""
@@ -184,9 +184,13 @@ class Workforce(Generic[J, R]):
             usual = self.timing.hung if self.longest is None else 2.0 * self.longest
             held = self.running.held() if silent >= usual else {}
             shown = [f"{worker} has {_tiles(attempts)}" for worker, attempts in held.items()]
-            more = ", ..." if len(shown) > NAMED else ""
-            return f"nothing has ended for {duration(silent)}: {', '.join(shown[:NAMED])}{more}" if shown else ""
-        names = ", ".join(paused[:NAMED]) + (", ..." if len(paused) > NAMED else "")
+            more = ", ..." if len(shown) > MAX_NAMED_WORKERS else ""
+            return (
+                f"nothing has ended for {duration(silent)}: {', '.join(shown[:MAX_NAMED_WORKERS])}{more}"
+                if shown
+                else ""
+            )
+        names = ", ".join(paused[:MAX_NAMED_WORKERS]) + (", ..." if len(paused) > MAX_NAMED_WORKERS else "")
         return (
             f"nothing has ended for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} for lack of "
             f"memory: {names}"
@@ -201,7 +205,7 @@ class Workforce(Generic[J, R]):
         elif not self.running and (
             len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > self.timing.worker
         ):
-            if not self.fitness.restored():
+            if not self.fitness.readmit_failed():
                 worker, reason = next(iter(left_out.items()))
                 raise RunError(
                     f"no worker can do this run: {worker}: {reason}; finished tiles are kept; the same command resumes"
@@ -210,12 +214,12 @@ class Workforce(Generic[J, R]):
         else:
             return  # a worker that did jobs is gone, and may come back
         if self.client.status != "running":
-            raise RunError(LOST)
+            raise RunError(CLUSTER_LOST_MESSAGE)
         room = max(0, self.window(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
-            attempt = self.again.popleft() if self.again else next(map(Attempt, self.waiting), None)
+            attempt = self.again.popleft() if self.again else next(map(JobAttempt, self.waiting), None)
             if attempt is None:
                 break
             workers = _elsewhere(willing, attempt.failures) if attempt.failures and willing else anywhere
@@ -225,13 +229,13 @@ class Workforce(Generic[J, R]):
     def window(self, threads: int) -> int:
         """The number of jobs to keep under way for this number of threads, by the times of jobs so far."""
         if not self.ahead:
-            return threads + SPARE
+            return threads + EXTRA_IN_FLIGHT
         jobs = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
-        return threads * min(MOST_IN_FLIGHT, max(IN_FLIGHT, jobs))
+        return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, jobs))
 
     def drop(self, stale: Callable[[J], bool]) -> list[J]:
         """Take back jobs that are no longer wanted, and return them; a job that a worker has begun is finished."""
-        dropped = self.running.withdraw(lambda attempt: stale(attempt.job), waiting=True)
+        dropped = self.running.cancel(lambda attempt: stale(attempt.job), waiting=True)
         for attempts in (self.again, self.doubtful):
             gone = [attempt for attempt in attempts if stale(attempt.job)]
             for attempt in gone:
@@ -239,17 +243,17 @@ class Workforce(Generic[J, R]):
             dropped += gone
         return [attempt.job for attempt in dropped]
 
-    def outcome(self, attempt: Attempt[J], result: Result[R]) -> R | TileFailure | None:
+    def outcome(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if result.worker:
             self.heard[result.worker] = self.last_end
-        if isinstance(result, Done):
+        if isinstance(result, AttemptSuccess):
             self.fitness.finish(result.worker)
             self.done += 1
             self.longest = max(self.longest or 0.0, result.seconds)
             return result.result
-        if isinstance(result, Refusal):
+        if isinstance(result, WorkerRefusal):
             LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
             self.fitness.refuse(result)
             self.again.append(attempt)
@@ -260,7 +264,7 @@ class Workforce(Generic[J, R]):
         LOG.debug("tile %s failed on %s: %s%s", attempt.job.index, where, result.reason, trace)
         self.fitness.fail(attempt.job.index, result, attempt.failures)
         attempt = replace(attempt, failures=(*attempt.failures, result))
-        at_fault = self.fitness.is_at_fault(attempt.failures, ATTEMPTS)
+        at_fault = self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS)
         if at_fault:
             return _given_up(attempt)
         LOG.debug(
@@ -269,25 +273,25 @@ class Workforce(Generic[J, R]):
         (self.again if at_fault is False else self.doubtful).append(attempt)
         return None
 
-    def judged(self) -> Iterator[TileFailure]:
+    def judge_doubtful(self) -> Iterator[TileFailure]:
         """Judge the jobs in doubt once all others are done: a job is tried again or given up."""
         if self.fitness.left_out.keys() >= self.threads.keys():
-            self.fitness.restored()
+            self.fitness.readmit_failed()
         for attempt in self.doubtful:
-            if self.fitness.is_at_fault(attempt.failures, ATTEMPTS) is False:
+            if self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS) is False:
                 self.again.append(attempt)
             else:
                 yield _given_up(attempt)
         self.doubtful.clear()
 
 
-def _tiles(attempts: list[Attempt[J]]) -> str:
+def _tiles(attempts: list[JobAttempt[J]]) -> str:
     """The first of some attempts' tiles, in words."""
-    names = ", ".join(str(attempt.job.index) for attempt in attempts[:NAMED])
-    return f"tile{'s' * (len(attempts) > 1)} {names}{', ...' * (len(attempts) > NAMED)}"
+    names = ", ".join(str(attempt.job.index) for attempt in attempts[:MAX_NAMED_WORKERS])
+    return f"tile{'s' * (len(attempts) > 1)} {names}{', ...' * (len(attempts) > MAX_NAMED_WORKERS)}"
 
 
-def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, ...] | None:
+def _elsewhere(willing: list[str], failures: tuple[AttemptFailure, ...]) -> tuple[str, ...] | None:
     """The workers for the next attempt: on machines without a failure, else workers without a failure, else any."""
     failed = {failure.worker for failure in failures}
     hosts = {host_of(worker) for worker in failed}
@@ -297,11 +301,11 @@ def _elsewhere(willing: list[str], failures: tuple[Failure, ...]) -> tuple[str, 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
     """Enough workers for Dask to choose from, for this number of jobs; None if there are none."""
-    enough = CHOICES + 4 * jobs
+    enough = MAX_ALLOWED_WORKERS + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 
 
-def _given_up(attempt: Attempt[J]) -> TileFailure:
+def _given_up(attempt: JobAttempt[J]) -> TileFailure:
     last = attempt.failures[-1]
     LOG.debug("tile %s is given up after %s", attempt.job.index, plural(len(attempt.failures), "attempt"))
     return TileFailure(attempt.job.index, last.reason, last.worker, last.trace)

@@ -5,20 +5,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.errors import InputError
-from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
+from atlas.formatting import plural
+from atlas.service.notebook import progress_reporter
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
-from atlas.service.summary import Summary
-from atlas.spec.grown import extended, refined
+from atlas.service.summary import RunSummary
+from atlas.spec.extension import extend_spec, refine_spec
 from atlas.spec.spec import Spec
-from atlas.store.location import Given, Place, beside, is_url, place_of
+from atlas.store.object_backend import Given, StoreBackend, is_url, open_backend, sibling_backend
 from atlas.store.origin import Origin
-from atlas.store.store import Atlas, done_tiles, open_handle
+from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.task.reuse import count_shared
-from atlas.text import plural
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: "Given | Atlas",
+    store: "Given | AtlasStore",
     into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunFields],
-) -> Summary:
+    **fields: Unpack[RunOptionFields],
+) -> RunSummary:
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
     ``spec`` is the spec of the new atlas; only the values on its axes may differ. Alternatively ``refine`` is the
@@ -50,9 +50,9 @@ def extend(
     >>> atlas.open("finer.zarr").largest.shape
     (9, 13)
     """
-    options = chosen(options, fields)
+    options = merge_options(options, fields)
     if spec is not None:
-        checked_kind("spec", spec, Spec, "an atlas.Spec")
+        validate_type("spec", spec, Spec, "an atlas.Spec")
     old = handle_from(store, options.storage_options)
     if old.spec.points or (spec is not None and spec.points):
         raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
@@ -60,28 +60,28 @@ def extend(
         raise InputError(f"{old.place}: an atlas of all attractors is not extended: run the new one into its own store")
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
-    grown = refined(old.spec, refine, old.tile) if spec is None else extended(old.spec, spec, str(old.place))
+    grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.place))
     place = place_from(old, into, options.storage_options)
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
         raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
-    with reporting(options.on_progress) as report:
+    with progress_reporter(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
         return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
 
 
-def handle_from(store: "Given | Atlas", storage_options: Mapping[str, Any] | None) -> Atlas:
+def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:
     """The handle of a store whose cells are reused; the options, of the new store, apply to it too at a URL."""
-    return open_handle(store, storage_options if is_url(store) else None)
+    return open_store(store, storage_options if is_url(store) else None)
 
 
-def place_from(old: Atlas, into: Given, storage_options: Mapping[str, Any] | None = None) -> Place:
+def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] | None = None) -> StoreBackend:
     """The place of a new store that reuses the cells of an old one; InputError if it cannot reuse any."""
-    place = place_of(into, storage_options=storage_options)
+    place = open_backend(into, storage_options=storage_options)
     if place == old.place:
         raise InputError(f"{place}: is the store to take cells from; the new one needs another path")
-    if beside(place, str(old.place)) != old.place:
+    if sibling_backend(place, str(old.place)) != old.place:
         raise InputError(f"{old.place}: workers reach it by its name, as they reach {place}; give both alike")
     if old.solver_version != SOLVER_VERSION:
         raise InputError(

@@ -4,17 +4,17 @@ import time
 from dataclasses import asdict, dataclass
 from typing import Any, Unpack
 
-from atlas.orbits.labels.table import Count, labels_of, stored_count, write_labels
-from atlas.service.crew import called, claimed_place
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
+from atlas.formatting import duration, plural, text_repr
+from atlas.orbits.labels.table import LabelCounts, labels_of, stored_count, write_labels
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress, prepare_kernels
+from atlas.service.worker_pool import hold_store_lease, open_store_call
 from atlas.spec.system import must_offer
-from atlas.store.archive import refuse_packed
 from atlas.store.groups import check_table_size
-from atlas.store.location import Given
-from atlas.store.store import Atlas
+from atlas.store.object_backend import Given
+from atlas.store.store import AtlasStore
+from atlas.store.zip_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
-from atlas.text import duration, plural, text_repr
 from workers.results import LABEL
 
 
@@ -23,7 +23,7 @@ class LabelSummary:
     """The counts of a store's labels, and the seconds spent finding them; 0 if the store had them already."""
 
     store: str
-    count: Count
+    count: LabelCounts
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
@@ -49,23 +49,23 @@ class LabelSummary:
 
 @with_fields
 def label_attractors(
-    store: "Given | Atlas", options: RunOptions = DEFAULTS, **fields: Unpack[RunFields]
+    store: "Given | AtlasStore", options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]
 ) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Returns at once if the store has labels. Raises InputError if the store is not a finished atlas of all attractors.
     """
-    with called(store, None, chosen(options, fields)) as (handle, options, _):
+    with open_store_call(store, None, merge_options(options, fields)) as (handle, options, _):
         stored = stored_count(handle)
         if stored is not None:
             return LabelSummary(str(handle.place), stored)
-        refuse_packed(handle.place)
+        check_not_packed(handle.place)
         must_offer(handle.spec.record, "labels")
         check_table_size(handle, [LABEL])
         begin = time.monotonic()
-        with claimed_place(handle.place, options) as claim:
+        with hold_store_lease(handle.place, options) as claim:
             prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             labels = labels_of(handle)
-            write_labels(handle.at(claim.guard(handle.place)), labels)
+            write_labels(handle.at(claim.fence_backend(handle.place)), labels)
         return LabelSummary(str(handle.place), labels.count, time.monotonic() - begin)

@@ -18,18 +18,18 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from atlas.errors import InputError, NetworkError, RunError, one_line
-from atlas.service.process import is_name, is_running, this_process
+from atlas.errors import InputError, NetworkError, RunError, to_one_line
+from atlas.service.process_identity import is_name, is_running, this_process
 from atlas.service.timing import TIMING, Timing
-from atlas.store.location import Place
-from atlas.store.sidecar import CLAIM, Notes, note_fence
+from atlas.store.object_backend import StoreBackend
+from atlas.store.sidecar import LEASE_NAME, Sidecar, token_fence
 
 ENDED = "ended"
 """The name of the note about the end of the last submitted run."""
 
 
 @dataclass(frozen=True)
-class Record:
+class LeaseRecord:
     """The contents of a claim. ``process`` is a unique name of the holder's process; empty where no such name exists.
 
     ValueError for a field that no holder writes.
@@ -56,7 +56,7 @@ class Record:
         return json.dumps(asdict(self)).encode()
 
     @classmethod
-    def unpack(cls, data: bytes) -> "Record | None":
+    def unpack(cls, data: bytes) -> "LeaseRecord | None":
         """The inverse; None for a damaged claim, for example if its holder was killed while it wrote."""
         try:
             return cls(**json.loads(data))
@@ -74,7 +74,7 @@ class Record:
     def trouble(self) -> str:
         """The holder's reason why the run makes no progress; empty if it reports none."""
         value = self.progress.get("trouble")
-        return one_line(value) if isinstance(value, str) else ""
+        return to_one_line(value) if isinstance(value, str) else ""
 
     @property
     def is_alive(self) -> bool | None:
@@ -85,7 +85,7 @@ class Record:
         return f"process {self.pid} on {self.host}"
 
 
-class Claim:
+class Lease:
     """A claim held by this run: a thread advances its counter until ``release``.
 
     ``lost`` is the reason why this run no longer holds the claim, empty while it does. If the counter stands still for
@@ -94,7 +94,7 @@ class Claim:
     most ``patience`` seconds, or ``timing.dead`` if that is more.
     """
 
-    def __init__(self, notes: Notes, record: Record, timing: Timing = TIMING, patience: float = 0.0) -> None:
+    def __init__(self, notes: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
         self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
         self._advanced, self._most_silent = time.monotonic(), max(timing.dead, patience)
         self.lost = ""
@@ -136,19 +136,19 @@ class Claim:
         if self._record.cancelled:
             raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
 
-    def guard(self, place: Place) -> Place:
+    def fence_backend(self, place: StoreBackend) -> StoreBackend:
         """The claimed place behind a fence: every write and removal first calls ``check`` and reads the claim.
 
         A process that has slept since the last beat may not know yet that its claim was replaced.
         """
         lost = "this run has lost its claim of the store: another run has taken it; finished tiles are kept"
-        look = note_fence(place, CLAIM, self.token, RunError, lost)
+        look = token_fence(place, LEASE_NAME, self.token, RunError, lost)
 
         def fence() -> None:
             self.check()
             look()
 
-        return place.behind(fence)
+        return place.with_fence(fence)
 
     def release(self) -> None:
         """Free the store."""
@@ -156,7 +156,7 @@ class Claim:
         self._thread.join()
         with suppress(OSError):
             self._beat()  # a cancellation may have changed the bytes that are to be removed
-            self._notes.remove(CLAIM, self._data)
+            self._notes.remove(LEASE_NAME, self._data)
 
     def _beat_on(self) -> None:
         while not self._released.wait(self._timing.beat) and not self.lost:
@@ -170,12 +170,12 @@ class Claim:
             while not self.lost:
                 advanced = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
                 begin = time.monotonic()
-                if self._notes.put(CLAIM, advanced.pack(), expected=self._data):
+                if self._notes.put(LEASE_NAME, advanced.pack(), expected=self._data):
                     self._record, self._data, self._advanced = advanced, advanced.pack(), begin
                     self._failure = None
                     return
-                data = self._notes.read(CLAIM)
-                record = Record.unpack(data) if data is not None else None
+                data = self._notes.read(LEASE_NAME)
+                record = LeaseRecord.unpack(data) if data is not None else None
                 if data is None:
                     self.lost = "this run's claim of the store was removed; finished tiles are kept"
                 elif record is None or record.token != self._record.token:
@@ -185,30 +185,30 @@ class Claim:
 
 
 @contextmanager
-def claimed(
-    notes: Notes,
+def hold_lease(
+    notes: Sidecar,
     name: str,
     say: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
     patience: float = 0.0,
-) -> Iterator[Claim]:
+) -> Iterator[Lease]:
     """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
 
     To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``say`` is called with a line
-    about it. ``patience``: see ``Claim``.
+    about it. ``patience``: see ``Lease``.
     """
-    mine = Record(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
+    mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
-        while not notes.put(CLAIM, mine.pack(), expected=None):
-            other = notes.read(CLAIM)
+        while not notes.put(LEASE_NAME, mine.pack(), expected=None):
+            other = notes.read(LEASE_NAME)
             abandoned = other is not None and _is_abandoned(notes, name, other, say, timing)
-            if abandoned and notes.put(CLAIM, mine.pack(), expected=other):
+            if abandoned and notes.put(LEASE_NAME, mine.pack(), expected=other):
                 break
     except NetworkError:
         raise
     except OSError as error:
         raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
-    claim = Claim(notes, mine, timing, patience)
+    claim = Lease(notes, mine, timing, patience)
     try:
         yield claim
     finally:
@@ -216,7 +216,7 @@ def claimed(
 
 
 @dataclass(frozen=True)
-class Sighting:
+class LeaseObservation:
     """A claim as it was last seen.
 
     record    its contents, None for a damaged claim
@@ -225,7 +225,7 @@ class Sighting:
     timing    ``timing.silent`` and ``timing.dead`` decide when the silence is reported, and what it means
     """
 
-    record: Record | None
+    record: LeaseRecord | None
     alive: bool | None = None
     silence: float = 0.0
     timing: Timing = TIMING
@@ -245,7 +245,7 @@ class Sighting:
         return ""
 
 
-class Observer:
+class LeaseObserver:
     """An observer of a store's claim from outside; it measures how long the counter stands still.
 
     Whether a process of this machine is alive is known at once. For a holder on another machine a single look says
@@ -253,23 +253,23 @@ class Observer:
     seconds. ``mark`` is the part of the claim that only its holder changes.
     """
 
-    def __init__(self, notes: Notes, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
+    def __init__(self, notes: Sidecar, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
         self._notes, self._timing, self._sleep = notes, timing, sleep
         self.mark, self._since = object(), 0.0
 
-    def look(self) -> Sighting | None:
+    def look(self) -> LeaseObservation | None:
         """The present claim, None if there is none."""
         begin = time.monotonic()
-        data = self._notes.read(CLAIM)
+        data = self._notes.read(LEASE_NAME)
         mark, now = None if data is None else _mark(data), time.monotonic()
         if mark != self.mark or now - begin > self._timing.dead / 4:  # the store was away, for the holder too
             self.mark, self._since = mark, now
         if data is None:
             return None
-        record = Record.unpack(data)
-        return Sighting(record, record.is_alive if record else None, now - self._since, self._timing)
+        record = LeaseRecord.unpack(data)
+        return LeaseObservation(record, record.is_alive if record else None, now - self._since, self._timing)
 
-    def settle(self) -> Sighting | None:
+    def settle(self) -> LeaseObservation | None:
         """The claim, once it is known to move, to stand still, or to be gone."""
         seen, first = self.look(), self.mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
@@ -279,30 +279,30 @@ class Observer:
 
 
 def cancel(
-    notes: Notes,
+    notes: Sidecar,
     name: str,
     wait_seconds: float,
     say: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
-) -> Record:
+) -> LeaseRecord:
     """Ask the run that holds a store to stop, and wait until it has; InputError if no run holds it.
 
     Raises RunError if the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the request
     stands.
     """
     while True:
-        data = notes.read(CLAIM)
+        data = notes.read(LEASE_NAME)
         if data is None:
             raise InputError(f"{name}: no run is at work on it")
-        record = Record.unpack(data)
+        record = LeaseRecord.unpack(data)
         if record is None:
-            raise RunError(f"{name}: {Sighting(None).trouble}")
+            raise RunError(f"{name}: {LeaseObservation(None).trouble}")
         if record.is_alive is False:
-            raise InputError(f"{name}: no run is at work on it: {Sighting(record, alive=False).trouble}")
-        if record.cancelled or notes.put(CLAIM, replace(record, cancelled=True).pack(), expected=data):
+            raise InputError(f"{name}: no run is at work on it: {LeaseObservation(record, alive=False).trouble}")
+        if record.cancelled or notes.put(LEASE_NAME, replace(record, cancelled=True).pack(), expected=data):
             break
     say(f"asked {record} to stop")
-    observer, end = Observer(notes, timing), time.monotonic() + wait_seconds
+    observer, end = LeaseObserver(notes, timing), time.monotonic() + wait_seconds
     while time.monotonic() < end:
         seen = observer.look()
         if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
@@ -313,25 +313,25 @@ def cancel(
     raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next beat")
 
 
-def note_end(notes: Notes, text: str) -> None:
+def record_end(notes: Sidecar, text: str) -> None:
     """Note the end of a submitted run, for the status; the next run that ends well clears the note."""
     with suppress(Exception):  # a failure to write the note must not hide the run's own error
         notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
 
 
-def noted_end(notes: Notes) -> str:
+def read_end(notes: Sidecar) -> str:
     """The note about the end of the last submitted run, empty if it ended well."""
     return (notes.read(ENDED) or b"").decode(errors="replace")
 
 
-def _is_abandoned(notes: Notes, name: str, data: bytes, say: Callable[[str], None], timing: Timing) -> bool:
+def _is_abandoned(notes: Sidecar, name: str, data: bytes, say: Callable[[str], None], timing: Timing) -> bool:
     """Watch a claim: True once its counter has stood still long enough; InputError as soon as the counter moves."""
-    record = Record.unpack(data)
+    record = LeaseRecord.unpack(data)
     if record and record.is_alive is False:
         say(f"replacing the claim of {record}, which is gone")
         return True
     say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
-    observer = Observer(notes, timing)
+    observer = LeaseObserver(notes, timing)
     while (seen := observer.look()) is not None:
         if observer.mark != _mark(data):
             raise InputError(
@@ -347,5 +347,5 @@ def _is_abandoned(notes: Notes, name: str, data: bytes, say: Callable[[str], Non
 
 def _mark(data: bytes) -> object:
     """The part of a claim that only its holder changes: a request to stop, written by others, is no sign of life."""
-    record = Record.unpack(data)
+    record = LeaseRecord.unpack(data)
     return (record.token, record.beat) if record else data

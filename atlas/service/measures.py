@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from atlas.arguments import checked_flag
+from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, RunError
+from atlas.formatting import duration, plural, text_repr
 from atlas.robustness.job import (
     NEEDED,
     MeasureJob,
@@ -19,8 +20,8 @@ from atlas.robustness.job import (
     pieces,
     read_measured,
 )
-from atlas.robustness.margin import checked_scale, margin_request, margins_hold, margins_of
-from atlas.robustness.norm import checked_weights
+from atlas.robustness.margin import margin_request, margins_hold, margins_of, validate_scale
+from atlas.robustness.norm import validate_weights
 from atlas.robustness.table import (
     LINEAR,
     MARGIN,
@@ -28,24 +29,23 @@ from atlas.robustness.table import (
     SHOCKS,
     VERSION,
     Arrays,
-    Stored,
+    StoredMeasures,
     empty,
     of_family,
     read_measures,
     summary_of,
     write_measures,
 )
-from atlas.service.crew import Crew, called
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress
-from atlas.store.archive import refuse_packed
-from atlas.store.location import Given
-from atlas.store.parts import drop_parts, kept_parts
-from atlas.store.store import Atlas
+from atlas.service.worker_pool import WorkerPool, open_store_call
+from atlas.store.object_backend import Given
+from atlas.store.parts import drop_parts, finished_parts
+from atlas.store.store import AtlasStore
 from atlas.store.tiles import read_tile
-from atlas.task.site import PartReceipt
-from atlas.task.solving import kernels_of
-from atlas.text import duration, plural, text_repr
+from atlas.store.zip_backend import check_not_packed
+from atlas.task.solve_block import kernels_of
+from atlas.task.store_ref import PartReport
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: "Given | Atlas",
+    store: "Given | AtlasStore",
     *,
     shocks: bool = False,
     margin: bool = False,
@@ -94,7 +94,7 @@ def measure_attractors(
     scale: Mapping[str, float] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunFields],
+    **fields: Unpack[RunOptionFields],
 ) -> MeasureSummary:
     """Measure the stability of all attractors of a finished atlas, and keep the measures in its store.
 
@@ -106,42 +106,44 @@ def measure_attractors(
     ``client`` or on the workers given by the options, like ``run``; the same call resumes work that was stopped.
     Raises InputError if the store is not a finished atlas; see also ``run``.
     """
-    with called(store, client, chosen(options, fields)) as (handle, options, stack):
+    with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)
-        weights = checked_weights(norm, handle.spec.record)
+        weights = validate_weights(norm, handle.spec.record)
         for name, flag in (("shocks", shocks), ("margin", margin)):
-            checked_flag(name, flag)
-        of_margin = margin_request(handle, checked_scale(handle, scale)) if margin else None
+            validate_flag(name, flag)
+        of_margin = margin_request(handle, validate_scale(handle, scale)) if margin else None
         wanted = _requests(handle, shocks, of_margin, weights)
         before = read_measures(handle)
         stored = _still_true(handle, before, wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
         if not missing and stored.requests == before.requests:
             return MeasureSummary(str(handle.place), summary_of(stored.arrays), stored.requests)
-        refuse_packed(handle.place)
+        check_not_packed(handle.place)
         begin = time.monotonic()
         families = [family for family in missing if family != MARGIN]
         kernels = kernels_of(handle.spec)
-        crew = Crew.at_work(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
+        crew = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
         handle = crew.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.place}: another run has measured it meanwhile; run the same command again")
-        measured = Stored(dict(stored.arrays), dict(stored.requests))
+        measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
         if families:
-            job = _Measuring(handle, crew, tuple(weights.items()))
+            job = _MeasureRun(handle, crew, tuple(weights.items()))
             measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
         measured.requests.update({family: wanted[family] for family in missing})
         ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
-        write_measures(handle, Stored(ordered, measured.requests))
+        write_measures(handle, StoredMeasures(ordered, measured.requests))
         for family in families:
             drop_parts(handle, group_of(family))
         seconds, busy = time.monotonic() - begin, crew.processor_seconds
         return MeasureSummary(str(handle.place), summary_of(ordered), measured.requests, seconds, busy, crew.tasks)
 
 
-def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping[str, float]) -> dict[str, Request]:
+def _requests(
+    handle: AtlasStore, shocks: bool, margin: Request | None, norm: Mapping[str, float]
+) -> dict[str, Request]:
     """The request of each family; ``content`` is a digest of the cells that its measures depend on."""
     if shocks and not handle.spec.coexistence:
         raise InputError(f"{handle.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
@@ -152,7 +154,7 @@ def _requests(handle: Atlas, shocks: bool, margin: Request | None, norm: Mapping
     return requests if margin is None else requests | {MARGIN: margin}
 
 
-def _still_true(handle: Atlas, stored: Stored, wanted: Mapping[str, Request]) -> Stored:
+def _still_true(handle: AtlasStore, stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
     """The stored measures that still hold: computed from the present cells, and margins to the present curves."""
     content = wanted[LINEAR]["content"]
     kept = {
@@ -160,10 +162,12 @@ def _still_true(handle: Atlas, stored: Stored, wanted: Mapping[str, Request]) ->
         for family, request in stored.requests.items()
         if (margins_hold(handle, request) if family == MARGIN else request.get("content") == content)
     }
-    return Stored({name: values for name, values in stored.arrays.items() if MEASURES[name].family in kept}, kept)
+    return StoredMeasures(
+        {name: values for name, values in stored.arrays.items() if MEASURES[name].family in kept}, kept
+    )
 
 
-def _content(handle: Atlas) -> str:
+def _content(handle: AtlasStore) -> str:
     """A digest of the results of cells that the measures of attractors depend on."""
     content = hashlib.sha256(handle.digest.encode())
     for index in sorted(tile.index for tile in handle.tiling.tiles()):
@@ -177,11 +181,11 @@ def _digest(requests: Mapping[str, Request]) -> str:
 
 
 @dataclass
-class _Measuring:
+class _MeasureRun:
     """The measuring of attractors in a claimed store."""
 
-    handle: Atlas
-    crew: Crew[MeasureJob, PartReceipt]
+    handle: AtlasStore
+    crew: WorkerPool[MeasureJob, PartReport]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
     done: int = 0
@@ -192,7 +196,7 @@ class _Measuring:
         kept = {
             f"{family}/{name}"
             for family, digest in families.items()
-            for name in kept_parts(handle, group_of(family), digest)
+            for name in finished_parts(handle, group_of(family), digest)
         }
         parts = [(family, *piece) for family in families for piece in pieces(handle, family)]
         self.cells = sum(last - first for *_, first, last in parts)
@@ -202,7 +206,7 @@ class _Measuring:
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
         ]
-        self.crew.do(jobs, self._progress, self._count)
+        self.crew.run_jobs(jobs, self._progress, self._count)
         many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
         arrays: Arrays = {}
         for family in families:
@@ -215,7 +219,7 @@ class _Measuring:
                 arrays[measured][here] = values if many else values[:, 0]
         return arrays
 
-    def _count(self, receipt: PartReceipt) -> None:
+    def _count(self, receipt: PartReport) -> None:
         self.done += receipt.cells
 
     def _progress(self) -> Progress:

@@ -9,7 +9,7 @@ from html import escape
 from types import TracebackType
 from typing import Any
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.service.progress import Progress
 
 INTERVAL = 0.25
@@ -17,10 +17,10 @@ INTERVAL = 0.25
 
 
 @contextmanager
-def reporting(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
+def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
     """The function called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
     if on_progress is not None:
-        checked_kind("on_progress", on_progress, Callable, "a function of a Progress")
+        validate_type("on_progress", on_progress, Callable, "a function of a Progress")
     display = None if on_progress is not None else _notebook_display()
     if display is None:
         yield on_progress
@@ -62,13 +62,13 @@ class NotebookReporter(AbstractContextManager["NotebookReporter"]):
         assert self._last is not None
         self._shown, self._due = self._last, time.monotonic() + self._interval
         if self._handle is None:
-            self._handle = self._display(Bar(self._last, self._notes), display_id=True)
+            self._handle = self._display(NotebookProgressBar(self._last, self._notes), display_id=True)
         else:
-            self._handle.update(Bar(self._last, self._notes))
+            self._handle.update(NotebookProgressBar(self._last, self._notes))
 
 
 @dataclass(frozen=True)
-class Bar:
+class NotebookProgressBar:
     """A snapshot, and the notes up to it, as a notebook shows them."""
 
     progress: Progress

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from typing import Any, TypedDict, TypeVar, Unpack
 
-from atlas.arguments import checked_kind, checked_path, is_whole
-from atlas.errors import InputError, shown
+from atlas.argument_checks import is_integer, validate_path, validate_type
+from atlas.errors import InputError, brief_repr
+from atlas.formatting import short_repr
 from atlas.service.cluster import Tls
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
-from atlas.store.outage import LONG
-from atlas.text import short_repr
+from atlas.store.outage import LONG_PATIENCE
 
 F = TypeVar("F", bound=Callable[..., Any])
-MOST_WORKERS = 1024
+MAX_WORKERS = 1024
 """Processes of a local cluster: more than a machine has processors, and few enough to start."""
 
 
@@ -51,7 +51,7 @@ class RunOptions:
     dashboard: bool = True
     performance_report: str | os.PathLike[str] | None = None
     storage_options: Mapping[str, Any] | None = field(default=None, repr=False)
-    patience: float = LONG
+    patience: float = LONG_PATIENCE
     wait: float = math.inf
     timing: Timing = TIMING
 
@@ -59,12 +59,12 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        if self.workers is not None and (not 1 <= self.workers <= MOST_WORKERS or self.scheduler is not None):
-            given, most = shown(self.workers), f"must be 1 to {MOST_WORKERS}"
+        if self.workers is not None and (not 1 <= self.workers <= MAX_WORKERS or self.scheduler is not None):
+            given, most = brief_repr(self.workers), f"must be 1 to {MAX_WORKERS}"
             raise InputError(f"workers: found {given}, {most}, for a local cluster only")
-        whole = isinstance(self.tile, Sequence) and all(is_whole(n, Integral) for n in self.tile)
+        whole = isinstance(self.tile, Sequence) and all(is_integer(n, Integral) for n in self.tile)
         if self.tile is not None and not whole:
-            raise InputError(f"tile: found {shown(self.tile)}, must be the index of a tile, whole numbers")
+            raise InputError(f"tile: found {brief_repr(self.tile)}, must be the index of a tile, whole numbers")
         if self.tls is not None and self.scheduler is None:
             raise InputError("tls: has the files of a connection to a scheduler, found no scheduler; give its address")
         if self.tile is not None and self.scheduler is not None:
@@ -72,12 +72,12 @@ class RunOptions:
         if self.performance_report is not None:
             if self.tile is not None:
                 raise InputError("performance_report: is of workers, and a tile is done in this process; give one")
-            path = checked_path(self.performance_report)
+            path = validate_path(self.performance_report)
             if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
                 raise InputError(f"performance_report {path}: cannot be written; give a file in a folder that is there")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
-                raise InputError(f"{name}: found {shown(seconds)}, must be 0 s or more")
+                raise InputError(f"{name}: found {brief_repr(seconds)}, must be 0 s or more")
 
     def _check_kinds(self) -> None:
         for name, kind, right in (
@@ -89,13 +89,13 @@ class RunOptions:
             ("storage_options", Mapping, "settings by name, such as {'anon': True}"),
         ):
             if (given := getattr(self, name)) is not None:
-                checked_kind(name, given, kind, right)
+                validate_type(name, given, kind, right)
         for name in ("patience", "wait"):
-            checked_kind(name, getattr(self, name), Real, "a number of seconds")
-        checked_kind("dashboard", self.dashboard, bool, "true or false")
-        checked_kind("timing", self.timing, Timing, "an atlas.service.timing.Timing")
+            validate_type(name, getattr(self, name), Real, "a number of seconds")
+        validate_type("dashboard", self.dashboard, bool, "true or false")
+        validate_type("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
-    def updated(self, **changed: Unpack["RunFields"]) -> "RunOptions":
+    def replace_fields(self, **changed: Unpack["RunOptionFields"]) -> "RunOptions":
         """The options with these fields in place of their own; TypeError for a name that is no field."""
         return replace(self, **changed) if changed else self
 
@@ -121,7 +121,7 @@ def with_fields(function: F) -> F:
     return function
 
 
-class RunFields(TypedDict, total=False):
+class RunOptionFields(TypedDict, total=False):
     """Fields of ``RunOptions`` as keywords of a call: ``run(spec, store, workers=4)``."""
 
     workers: int | None
@@ -137,9 +137,9 @@ class RunFields(TypedDict, total=False):
     timing: Timing
 
 
-def chosen(options: RunOptions, fields: RunFields) -> RunOptions:
+def merge_options(options: RunOptions, fields: RunOptionFields) -> RunOptions:
     """The options of a call, with its separate fields."""
-    return checked_kind("options", options, RunOptions, "an atlas.RunOptions").updated(**fields)
+    return validate_type("options", options, RunOptions, "an atlas.RunOptions").replace_fields(**fields)
 
 
 DEFAULTS = RunOptions()

@@ -6,18 +6,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from atlas.arguments import checked_flag, checked_path
+from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
-from atlas.service.lease import Observer
-from atlas.service.notebook import reporting
+from atlas.formatting import byte_size, plural, text_repr
+from atlas.service.lease import LeaseObserver
+from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
-from atlas.store.archive import SUFFIX, write_zip
 from atlas.store.groups import groups_of, read_group
-from atlas.store.location import Given, place_of
-from atlas.store.sidecar import notes_of
-from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
-from atlas.text import byte_size, plural, text_repr
+from atlas.store.object_backend import Given, open_backend
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
+from atlas.store.zip_backend import SUFFIX, write_zip
 
 SHOWN = 3
 """Number of missing chunks that a message names."""
@@ -70,14 +70,14 @@ def pack(
     >>> atlas.pack("plane.zarr", "plane.zip").complete
     True
     """
-    target = checked_path(file, "file").absolute()
-    checked_flag("force", force)
+    target = validate_path(file, "file").absolute()
+    validate_flag("force", force)
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
     if target.is_dir():
         raise InputError(f"{file}: is a folder")
-    handle = open_handle(store)
-    if place_of(target) == handle.place:
+    handle = open_store(store)
+    if open_backend(target) == handle.place:
         raise InputError(f"{file}: is the store itself")
     if target.exists() and not force:
         raise InputError(f"{file}: exists already; --force (force=True) replaces it")
@@ -86,12 +86,12 @@ def pack(
         _refuse_links(handle.place.local)
     tiles, keys = done_tiles(handle), sorted(handle.place.whole_keys(handle.place.list_keys()))
     _refuse_lost(handle, tiles, set(keys))
-    with reporting(on_progress) as report:
+    with progress_reporter(on_progress) as report:
         size = _pack(handle, keys, target, report or (lambda _: None), timing)
     return PackSummary(str(file), len(keys), size, handle.tiling.count, len(tiles))
 
 
-def _pack(handle: Atlas, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
+def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
     """Pack the objects of these keys, and return the bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
@@ -122,7 +122,7 @@ def _refuse_links(store: Path) -> None:
                 raise InputError(f"{store}: {path.relative_to(store)} is {kind}; only folders and files are packed")
 
 
-def _refuse_lost(handle: Atlas, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
+def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
     """ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
     needed = [v for v in handle.variables if not v.sparse]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
@@ -132,7 +132,7 @@ def _refuse_lost(handle: Atlas, tiles: set[tuple[int, ...]], keys: set[str]) -> 
         read_group(handle, group)
 
 
-def _refuse_running(handle: Atlas, timing: Timing) -> None:
-    seen = Observer(notes_of(handle.place), timing).settle()
+def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
+    seen = LeaseObserver(sidecar_of(handle.place), timing).settle()
     if seen is not None and seen.alive is not False and not seen.trouble:
         raise InputError(f"{handle.place}: {seen.record} is at work on it; pack it when that has ended")

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import InputError, shown
+from atlas.errors import InputError, brief_repr
+from atlas.formatting import byte_size, count_of, duration, html_table, plural, text_repr
 from atlas.overview.coarsen import level_variables
-from atlas.overview.levels import Levels
+from atlas.overview.levels import OverviewLevels
 from atlas.platform import processors
-from atlas.spec.spec import MOST_AXES, Spec
+from atlas.spec.spec import MAX_AXES, Spec
 from atlas.spec.system import unused_lines
-from atlas.store.location import Place
-from atlas.store.record import WIDTH
+from atlas.store.object_backend import StoreBackend
+from atlas.store.record_format import WIDTH
 from atlas.store.schema import LARGEST_CHUNK, coordinate_names
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from atlas.store.tiling import Index, Tiling
-from atlas.text import byte_size, count_of, duration, html_table, plural, text_repr
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
@@ -49,7 +49,7 @@ NO_BASINS = (
 
 
 @dataclass(frozen=True)
-class Probe:
+class ProbeResult:
     """Cells solved for their cost, and the average cost of a cell of the atlas: forcing periods, processor seconds.
 
     ``low`` and ``high`` are the range of the seconds, which few cells leave uncertain.
@@ -74,7 +74,7 @@ class Plan:
     spec: Spec = field(repr=False)
     tiling: Tiling
     workers: int
-    probe: Probe | None = None
+    probe: ProbeResult | None = None
 
     @cached_property
     def bytes(self) -> int:
@@ -89,7 +89,7 @@ class Plan:
         total += _array_bytes(tiling.grid, 8 * WIDTH) + _array_bytes((1,), 8 * WIDTH * tiling.count)
         coordinates = len(coordinate_names(spec))
         total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
-        levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.kept)
         for level in range(1, levels.count + 1):
             cells = math.prod(map(min, levels.chunk, levels.shape_of(level)))
             for variable in level_variables(spec.variables):
@@ -102,7 +102,7 @@ class Plan:
     def objects(self) -> int:
         """About how many files or objects the store has: chunks and records of tiles, and chunks of overviews."""
         spec, tiling = self.spec, self.tiling
-        levels = Levels(spec.shape, tiling.tile, kept=spec.kept)
+        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.kept)
         chunks = sum(
             math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
             for level in range(1, levels.count + 1)
@@ -113,7 +113,7 @@ class Plan:
     @property
     def note(self) -> str:
         """Hints at other specs that the user may have meant, empty for most specs."""
-        notes = [NO_BASINS] if self.spec.of_states and self.spec.attractors is None else []
+        notes = [NO_BASINS] if self.spec.has_state_axes and self.spec.attractors is None else []
         if self.objects > MANY_OBJECTS:
             notes.append(
                 f"about {count_of(self.objects)} objects are more than some providers take in a bucket: larger tiles "
@@ -197,22 +197,22 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     return Plan(spec, Tiling(spec.shape, chosen), count)
 
 
-def plan_of_run(spec: Spec, place: Place, handle: Atlas | None, workers: int, tile: Index | None) -> Plan:
+def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
     """The plan of a run that makes the store at a place, or completes the one with this handle.
 
     InputError if a new store cannot be made, if its disk cannot hold it, and if ``tile`` is not the index of a tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
     if handle is None and place.local is not None:
-        refuse_shortage(plan, place.local)
+        check_free_space(plan, place.local)
     grid = plan.tiling.grid
     if tile is not None and not (len(tile) == len(grid) and all(0 <= i < n for i, n in zip(tile, grid, strict=True))):
-        given, most = shown(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
+        given, most = brief_repr(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
         raise InputError(f"tile: found {given}, must be the index of a tile: {most}")
     return plan
 
 
-def refuse_shortage(plan: Plan, target: Path, tiles: int | None = None) -> None:
+def check_free_space(plan: Plan, target: Path, tiles: int | None = None) -> None:
     """InputError if the disk of ``target`` has no room for this number of tiles, by default all."""
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
@@ -229,7 +229,7 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
     of two planes of a stack.
     """
     shape = spec.shape
-    fixed = {0: 1} if len(shape) == MOST_AXES else {}
+    fixed = {0: 1} if len(shape) == MAX_AXES else {}
     if spec.continuation is not None:
         place, _ = spec.continuation
         fixed[place] = shape[place]

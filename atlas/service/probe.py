@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.service.plan import Plan, Probe
+from atlas.service.plan import Plan, ProbeResult
 from atlas.service.progress import Progress, prepare_kernels
 from atlas.spec.spec import Spec
 from atlas.task.compile import kernels_for, warm_up
-from atlas.task.solving import kernels_of, solve_apart
+from atlas.task.solve_block import kernels_of, solve_independent
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
@@ -23,7 +23,7 @@ STEPS = (4, 16, 64, CELLS)
 BUDGET, LONG_BUDGET = 2.0, 10.0
 """Processor seconds; and those for the first FEW cells, since fewer tell next to nothing."""
 FEW = 16
-LONGEST, LONGEST_WATCH = 20_000, 48_000
+MAX_PROBE_PERIODS, MAX_SURVIVAL = 20_000, 48_000
 """Largest budget and largest survival of a probed cell, in forcing periods.
 
 Its error shows the cost with a larger budget, its ``survived`` the cost of a longer survival.
@@ -38,7 +38,7 @@ _Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
 """Parameters and results of cells, as arrays (starts, cells)."""
 
 
-class _Measured(NamedTuple):
+class _ProbeStep(NamedTuple):
     """One step: processor seconds, periods simulated, the least and the most that cells (starts, cells) will take."""
 
     seconds: float
@@ -59,20 +59,20 @@ def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
         if progress.plan is not None and not planned:
             planned = True
             if progress.tiles_done < progress.tiles and progress.plan.tiling.cells > CELLS:
-                progress = replace(progress, plan=probed(progress.plan, report))
+                progress = replace(progress, plan=add_probe(progress.plan, report))
         report(progress)
 
     return reported
 
 
-def probed(plan: Plan, report: Callable[[Progress], None]) -> Plan:
+def add_probe(plan: Plan, report: Callable[[Progress], None]) -> Plan:
     """The plan with the time that a probe of its spec measures."""
     prepare_kernels(report, *kernels_of(plan.spec))
     report(Progress("probing a few cells"))
     return replace(plan, probe=probe(plan.spec, plan.tiling.tile))
 
 
-def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> Probe:
+def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> ProbeResult:
     """The cost of a cell of the spec in tiles of this shape, measured on 256 cells, or fewer if they cost much.
 
     A first solution, which loads the kernels, does not count. Cells are solved in batches, as in a tile. ``clock``
@@ -85,10 +85,10 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     if spec.attractors is not None:
         _solve(spec, settings, starts[:1], length)  # the search has kernels of its own
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
-    steps: list[_Measured] = []
+    steps: list[_ProbeStep] = []
     spent, done = 0.0, 0
 
-    def timed(chosen: list[tuple[int, ...]], few: int) -> _Measured:
+    def timed(chosen: list[tuple[int, ...]], few: int) -> _ProbeStep:
         begin = clock()
         solved = [_solve(spec, settings, part, length) for part in _parts(chosen, few)]
         return _measured(spec, solved, clock() - begin, share, length)
@@ -127,16 +127,16 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
 def brief(settings: Settings) -> tuple[Settings, float]:
     """The settings with at most LONGEST periods, and LONGEST_WATCH of survival; and the share of the full budget."""
     if settings.method == "adaptive":
-        share = min(1.0, LONGEST / settings.max_periods)
-        survival = min(LONGEST_WATCH, settings.survival)
-        return replace(settings, max_periods=min(LONGEST, settings.max_periods), survival=survival), share
+        share = min(1.0, MAX_PROBE_PERIODS / settings.max_periods)
+        survival = min(MAX_SURVIVAL, settings.survival)
+        return replace(settings, max_periods=min(MAX_PROBE_PERIODS, settings.max_periods), survival=survival), share
     whole = settings.transient_periods + settings.periods
-    transient = settings.transient_periods * min(whole, LONGEST) // whole
-    periods = max(1, settings.periods * min(whole, LONGEST) // whole)
+    transient = settings.transient_periods * min(whole, MAX_PROBE_PERIODS) // whole
+    periods = max(1, settings.periods * min(whole, MAX_PROBE_PERIODS) // whole)
     return replace(settings, transient_periods=transient, periods=periods), (transient + periods) / whole
 
 
-def _evenness(steps: list[_Measured]) -> float:
+def _evenness(steps: list[_ProbeStep]) -> float:
     """The fraction of the starts that would do all the work if it were shared equally; 1 before the first step.
 
     The cells of a tile cost about the same; a batch of cells from all over the plane must be larger by this factor.
@@ -145,7 +145,7 @@ def _evenness(steps: list[_Measured]) -> float:
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
 
 
-def _measured(spec: Spec, solved: list[_Solved], seconds: float, share: float, length: int) -> _Measured:
+def _measured(spec: Spec, solved: list[_Solved], seconds: float, share: float, length: int) -> _ProbeStep:
     given, arrays = ({name: np.concatenate([one[k][name] for one in solved]) for name in solved[0][k]} for k in (0, 1))
     if spec.attractors is None:
         least, most = _full_periods(spec, given, arrays, share)
@@ -154,7 +154,7 @@ def _measured(spec: Spec, solved: list[_Solved], seconds: float, share: float, l
     counted = slice(None)
     if length > 1 and spec.continuation is not None:
         counted = slice(None, -1) if spec.continuation[1] else slice(1, None)
-    return _Measured(seconds, float(arrays["periods_used"].sum(dtype=np.float64)), least[:, counted], most[:, counted])
+    return _ProbeStep(seconds, float(arrays["periods_used"].sum(dtype=np.float64)), least[:, counted], most[:, counted])
 
 
 def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[int, ...]]]:
@@ -171,7 +171,7 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
-        return params, solve_apart(spec, params, settings)
+        return params, solve_independent(spec, params, settings)
     return params, solve_lines(spec.record, params, settings, backward=spec.continuation[1])
 
 
@@ -199,18 +199,18 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
 
 def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
     """The remaining periods of watching chaotic cells that were watched with a survival of ``few`` periods."""
-    from workers.cell.course import part_to_survive, relaxation_periods
+    from workers.cell.schedule import relaxation_periods, survival_share
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
     flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.record.parameters}
     oscillators, _ = spec.record.build_many(flat)
     with np.errstate(divide="ignore", invalid="ignore"):  # cells without an oscillator are not chaotic
-        part = part_to_survive(relaxation_periods(oscillators, np.arange(hits.size), hits)).reshape(survived.shape)
+        part = survival_share(relaxation_periods(oscillators, np.arange(hits.size), hits)).reshape(survived.shape)
     required = np.where(survived >= few, 1.0, part) * spec.settings.survival
     return np.maximum(required - survived, 0.0)
 
 
-def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:
+def _estimate(steps: list[_ProbeStep], cells: int, of: int) -> ProbeResult:
     """The estimate: periods from all steps, time of a period from the last, whose cells fill the processor best."""
     last = steps[-1]
     rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
@@ -219,7 +219,7 @@ def _estimate(steps: list[_Measured], cells: int, of: int) -> Probe:
     spread = np.std(middle, ddof=1) / math.sqrt(middle.size) if middle.size > 1 else middle.mean()
     doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - cells / of))
     periods = float(middle.mean())
-    return Probe(
+    return ProbeResult(
         cells=cells,
         periods_per_cell=periods,
         seconds_per_cell=rate * (periods + 1.0),

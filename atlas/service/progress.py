@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from atlas.formatting import duration, plural, shares
 from atlas.service.plan import Plan
-from atlas.task.compile import Compilation, compile_once, warming
-from atlas.text import duration, plural, shares
+from atlas.task.compile import CompileProgress, compile_notice, compile_once
 from workers.results import REASONS, REGIME
 
 LOG_INTERVAL = 5.0
@@ -86,9 +86,9 @@ def reason_lines(reasons: Mapping[str, int]) -> list[str]:
 
 def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
     """Compile the kernels of cells, and ``more``, on this machine if they are not, and report the progress."""
-    stage = warming(*more)
+    stage = compile_notice(*more)
 
-    def report_compilation(now: Compilation) -> None:
+    def report_compilation(now: CompileProgress) -> None:
         doing = stage if now.of else "waiting for another process, which compiles the kernels"
         report(Progress(doing, cells=now.of, cells_done=now.done, seconds=now.seconds))
 

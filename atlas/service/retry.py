@@ -4,23 +4,23 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
-from atlas.arguments import checked_kind, checked_name, is_whole
+from atlas.argument_checks import check_name, is_integer, validate_type
 from atlas.errors import InputError, check_names
+from atlas.formatting import plural
 from atlas.service.extend import handle_from, place_from
-from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
+from atlas.service.notebook import progress_reporter
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.status import read_status
 from atlas.service.submit import submit
-from atlas.service.summary import Summary
+from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
-from atlas.store.location import Given, Place
-from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, Allowance, Origin, Retry
-from atlas.store.store import Atlas
-from atlas.text import plural
+from atlas.store.object_backend import Given, StoreBackend
+from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, BudgetVariable, Origin, RetryRequest
+from atlas.store.store import AtlasStore
 from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
-from workers.settings import MOST_PERIODS
+from workers.settings import MAX_PERIODS
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -32,15 +32,15 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: "Given | Atlas",
+    store: "Given | AtlasStore",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
     survival: int | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunFields],
-) -> Summary:
+    **fields: Unpack[RunOptionFields],
+) -> RunSummary:
     """Solve some cells of a complete atlas again, with more periods, into a new store that takes over all others.
 
     ``regimes`` are one or more of undetermined, which a larger budget ``max_periods`` may decide, chaotic and
@@ -57,9 +57,9 @@ def retry(
     >>> summary.retried, atlas.status("again.zarr").fraction
     (True, 1.0)
     """
-    options = chosen(options, fields)
-    spec, place, origin, report = asked(store, into, regimes, max_periods, survival, options.storage_options)
-    with reporting(options.on_progress) as on_progress:
+    options = merge_options(options, fields)
+    spec, place, origin, report = prepare_retry(store, into, regimes, max_periods, survival, options.storage_options)
+    with progress_reporter(options.on_progress) as on_progress:
         options = replace(options, on_progress=on_progress)
         options.report(Progress(report))
         return complete(spec, place, client, options, origin)
@@ -74,19 +74,19 @@ def submit_retry(
     options: RunOptions,
 ) -> str:
     """Have the cluster at ``options.scheduler`` do a ``retry``, and leave; see ``submit.submit``."""
-    spec, place, origin, report = asked(store, into, regimes, max_periods, survival)
+    spec, place, origin, report = prepare_retry(store, into, regimes, max_periods, survival)
     options.report(Progress(report))
     return submit(spec, place, options, origin)
 
 
-def asked(
-    store: "Given | Atlas",
+def prepare_retry(
+    store: "Given | AtlasStore",
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None,
     survival: int | None,
     storage_options: Mapping[str, Any] | None = None,
-) -> tuple[Spec, Place, Origin, str]:
+) -> tuple[Spec, StoreBackend, Origin, str]:
     """The spec of a retry, the place of its new store, the origin of its other cells, and a line about its work.
 
     InputError if the retry could change no cell.
@@ -98,8 +98,8 @@ def asked(
         raise InputError(
             f"{old.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
         )
-    names = regimes.split(",") if isinstance(regimes, str) else checked_kind("regimes", regimes, Iterable, "names")
-    wanted = checked_retry(old, tuple(names), max_periods, survival)
+    names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
+    wanted = validate_retry(old, tuple(names), max_periods, survival)
     place = place_from(old, into, storage_options)
     status = read_status(old)
     if status.fraction < 1:
@@ -110,17 +110,17 @@ def asked(
     return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, wanted), report
 
 
-def checked_retry(
-    old: Atlas, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
-) -> Retry:
+def validate_retry(
+    old: AtlasStore, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
+) -> RetryRequest:
     """A user's retry of a store; InputError if it could not change a cell."""
     for name in regimes:
-        checked_name("regimes", name)
+        check_name("regimes", name)
     names = [name.strip() for name in regimes if name.strip()]
     check_names("regime to retry", names, DECIDED_BY)
     if not names:
         raise InputError(f"retry: found none, must be one or more of {', '.join(DECIDED_BY)}")
-    request = Retry(tuple(dict.fromkeys(names)), max_periods, survival)
+    request = RetryRequest(tuple(dict.fromkeys(names)), max_periods, survival)
     for allowance in ALLOWANCES:
         _check_amount(old, allowance, getattr(request, allowance.setting))
     for name in names:
@@ -136,18 +136,18 @@ def checked_retry(
     return request
 
 
-def _check_amount(old: Atlas, allowance: Allowance, amount: int | None) -> None:
+def _check_amount(old: AtlasStore, allowance: BudgetVariable, amount: int | None) -> None:
     if amount is None:
         return
     least = _least(old, allowance)
     if old.spec.settings.method == "fixed":
         raise InputError(f'{allowance.setting}: a spec with method = "fixed" has no {allowance.name} to raise')
-    if not is_whole(amount) or not least < amount <= MOST_PERIODS:
-        bounds = f"must exceed the {least} that such cells were given and be at most {MOST_PERIODS}"
+    if not is_integer(amount) or not least < amount <= MAX_PERIODS:
+        bounds = f"must exceed the {least} that such cells were given and be at most {MAX_PERIODS}"
         raise InputError(f"{allowance.setting}: found {amount}, {bounds}")
 
 
-def _least(old: Atlas, allowance: Allowance) -> int:
+def _least(old: AtlasStore, allowance: BudgetVariable) -> int:
     """The largest allowance that cells of a store were given."""
     retried = old.origin.retry if old.origin is not None else None
-    return max(allowance.of_spec(old.spec), retried.given(allowance) if retried is not None else 0)
+    return max(allowance.from_spec(old.spec), retried.given(allowance) if retried is not None else 0)

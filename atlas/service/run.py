@@ -5,39 +5,39 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
-from atlas.arguments import checked_kind
+from atlas.argument_checks import validate_type
 from atlas.errors import InputError, RunError
-from atlas.overview.upkeep import Overviews
-from atlas.service.batches import LEAST_MEMORY
+from atlas.formatting import plural
+from atlas.overview.builder import OverviewBuilder
+from atlas.service.batches import MIN_WORKER_MEMORY
+from atlas.service.clients import check_client, connect_client, worker_count
 from atlas.service.cluster import leave_if_bootstrapping
-from atlas.service.crew import Crew, claimed_place
-from atlas.service.dispatch import Workers
-from atlas.service.hiring import check_client, joined, worker_count
-from atlas.service.notebook import reporting
-from atlas.service.options import DEFAULTS, RunFields, RunOptions, chosen, with_fields
-from atlas.service.plan import Plan, plan_of_run, refuse_shortage
+from atlas.service.dispatch import WorkerStatus
+from atlas.service.notebook import progress_reporter
+from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
+from atlas.service.plan import Plan, check_free_space, plan_of_run
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.service.schedule import Order
-from atlas.service.summary import Summary, TileFailure, Totals
+from atlas.service.summary import RunSummary, RunTotals, TileFailure
+from atlas.service.tile_order import TileOrder
+from atlas.service.worker_pool import WorkerPool, hold_store_lease
 from atlas.spec.spec import Spec
+from atlas.store.create import check_run, create_store
 from atlas.store.groups import ATTRACTORS, group_attributes
-from atlas.store.location import Given, Place, place_of, waiting
-from atlas.store.making import check_run, create
+from atlas.store.object_backend import Given, StoreBackend, open_backend, waiting
 from atlas.store.origin import Origin
-from atlas.store.records import Records, RunRecords
-from atlas.store.store import Atlas, done_tiles, find
+from atlas.store.store import AtlasStore, done_tiles, find_store
+from atlas.store.tile_records import RunTileRecords, TileRecords
 from atlas.store.tiling import Index
-from atlas.task.attempt import do_job, run_job
-from atlas.task.basins import labelling_bytes
-from atlas.task.solving import kernels_of
-from atlas.task.task import LABELS, Job, Made, Receipt
-from atlas.text import plural
+from atlas.task.attempt import execute_job, run_tile_job
+from atlas.task.label_basins import labelling_bytes
+from atlas.task.solve_block import kernels_of
+from atlas.task.tile_job import LABELS, DerivedReport, RunJob, TileReport
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
-SMALL, BYTES_PER_CELL = 4096, 750
+SMALL_TILE_CELLS, BYTES_PER_CELL = 4096, 750
 """Cells of a tile that fit into any worker's memory, and bytes of each further cell: 200 MB for 512 x 512 cells."""
 
 
@@ -47,8 +47,8 @@ def run(
     store: Given,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
-    **fields: Unpack[RunFields],
-) -> Summary:
+    **fields: Unpack[RunOptionFields],
+) -> RunSummary:
     """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
@@ -59,7 +59,7 @@ def run(
     Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
     the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
     server does not answer.
-    A tile that raises does not stop the others: see ``Summary.failures``. After Ctrl-C the same call resumes.
+    A tile that raises does not stop the others: see ``RunSummary.failures``. After Ctrl-C the same call resumes.
 
     ``client`` is a Dask client here:
 
@@ -69,21 +69,21 @@ def run(
     >>> summary.cells_solved, summary.failures
     (4, ())
     """
-    options = chosen(options, fields)
-    checked_kind("spec", spec, Spec, "an atlas.Spec")
-    with reporting(options.on_progress) as report:
-        place = place_of(store, storage_options=options.storage_options)
+    options = merge_options(options, fields)
+    validate_type("spec", spec, Spec, "an atlas.Spec")
+    with progress_reporter(options.on_progress) as report:
+        place = open_backend(store, storage_options=options.storage_options)
         return complete(spec, place, client, replace(options, on_progress=report))
 
 
 def complete(
     spec: Spec,
-    place: Place,
+    place: StoreBackend,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
     origin: Origin | None = None,
     run_id: str = "",
-) -> Summary:
+) -> RunSummary:
     """Make or complete a store; see ``run``.
 
     ``origin`` is the store whose cells it reuses. ``run_id``, if given, is that of the run that the store belongs to,
@@ -92,22 +92,22 @@ def complete(
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
-        handle = find(place)  # reads only, so that bad input leaves no trace
+        handle = find_store(place)  # reads only, so that bad input leaves no trace
         check_run(place, spec, handle, origin, run_id)
-        client = joined(client, options, stack)
+        client = connect_client(client, options, stack)
         workers = worker_count(client, options)
         plan = plan_of_run(spec, place, handle, workers, options.tile)
-        claim = stack.enter_context(claimed_place(place, options))
-        place = claim.guard(waiting(place, options.patience))
+        claim = stack.enter_context(hold_store_lease(place, options))
+        place = claim.fence_backend(waiting(place, options.patience))
         before = handle  # before the claim another run may have made the store, or another one in its place
-        handle = find(place) if before is None else before.at(place).current()
+        handle = find_store(place) if before is None else before.at(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:
             check_run(place, spec, handle, origin, run_id)
         if handle is None:
             options.report(Progress("making the store"))
-            handle = create(place, spec, plan.tiling.tile, origin, run_id)
+            handle = create_store(place, spec, plan.tiling.tile, origin, run_id)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
-        crew = Crew(handle, do_job, kernels, options, claim, stack, workers, client, memory)
+        crew = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
         run = _Run(handle, crew, replace(plan, tiling=handle.tiling))
         if options.tile is not None:
             run.do_alone(options.tile)
@@ -122,12 +122,12 @@ def complete(
 class _Run:
     """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
-    def __init__(self, handle: Atlas, crew: Crew[Job, Receipt | Made], plan: Plan) -> None:
+    def __init__(self, handle: AtlasStore, crew: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
         self.handle, self.crew, self.doing = handle, crew, "solving"
-        self.stored = Records(handle, done_tiles(handle))
+        self.stored = TileRecords(handle, done_tiles(handle))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
-        self.totals = Totals(plan, int(self.stored.done.sum()), cells, retried)
+        self.totals = RunTotals(plan, int(self.stored.done.sum()), cells, retried)
 
     def begin(self) -> None:
         """Report the progress of the store, and make the groups of its overviews."""
@@ -135,10 +135,10 @@ class _Run:
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
             if self.handle.place.local is not None:
-                refuse_shortage(totals.plan, self.handle.place.local, int(self.due.sum()))
+                check_free_space(totals.plan, self.handle.place.local, int(self.due.sum()))
         self.report(stage)
-        self.overviews = Overviews(self.handle)
-        self.records = RunRecords(self.handle, self.stored, self.due)
+        self.overviews = OverviewBuilder(self.handle)
+        self.records = RunTileRecords(self.handle, self.stored, self.due)
 
     @property
     def needs_workers(self) -> bool:
@@ -154,48 +154,48 @@ class _Run:
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_job(Job(index, self.crew.site))
+        receipt = run_tile_job(RunJob(index, self.crew.site))
         self.records.add(receipt.index, receipt.record)
         self.totals.add(receipt)
 
     def hand_out(self) -> None:
         """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
-        handle, totals, order, site = self.handle, self.totals, Order(self.due), self.crew.site
+        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.crew.site
         force = self.crew.force
         totals.start()
         try:
-            for outcome in self.crew.outcomes((Job(index, site) for index in order), self._tick):
-                if isinstance(outcome, Receipt):
+            for outcome in self.crew.outcomes((RunJob(index, site) for index in order), self._tick):
+                if isinstance(outcome, TileReport):
                     order.note(outcome.index, outcome.solve_seconds)
                     self.records.add(outcome.index, outcome.record)
-                if not isinstance(outcome, Made):
+                if not isinstance(outcome, DerivedReport):
                     totals.add(outcome)
                 self.report("solving")
             if handle.spec.basins:
                 self.doing = "labelling the attractors"
-                force.need(force.memory + labelling_bytes(handle))
-                self._make([Job((), site, LABELS)])
+                force.require_memory(force.memory + labelling_bytes(handle))
+                self._make([RunJob((), site, LABELS)])
             self.doing = "writing overviews"
             for level in self.overviews.levels:
-                self._make([Job(index, site, level) for index in self.overviews.missing(level)])
+                self._make([RunJob(index, site, level) for index in self.overviews.missing(level)])
         except KeyboardInterrupt:
             self.report("interrupted, dropping the tiles under way")
             raise
 
-    def _make(self, jobs: list[Job]) -> None:
+    def _make(self, jobs: list[RunJob]) -> None:
         """Let workers do jobs other than tiles. A failed chunk of an overview is left to ``finish``, which raises."""
         for outcome in self.crew.outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
-            if isinstance(outcome, Made):
+            if isinstance(outcome, DerivedReport):
                 for index, row in outcome.records:
                     self.records.add(index, row)
             failed = outcome.message if isinstance(outcome, TileFailure) else ""
-            if fault := outcome.fault if isinstance(outcome, Made) else failed:
+            if fault := outcome.fault if isinstance(outcome, DerivedReport) else failed:
                 note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process makes it at the end"
                 self.crew.options.report(replace(self.totals.progress(self.doing), note=note))
 
-    def _tick(self, workers: Workers) -> None:
+    def _tick(self, workers: WorkerStatus) -> None:
         totals = self.totals
         self.crew.claim.check(lambda: self.report("waiting for the store, which does not answer"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
@@ -215,4 +215,4 @@ class _Run:
 
 def memory_of(cells: int) -> int:
     """Bytes that a worker needs for tiles of this number of cells."""
-    return LEAST_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL)
+    return MIN_WORKER_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL_TILE_CELLS)

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError
-from atlas.service.lease import Observer, Record, Sighting, noted_end
+from atlas.formatting import duration, html_table, text_repr
+from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord, read_end
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
-from atlas.store.record import WIDTH
-from atlas.store.records import Records, by_name, count_tiles
-from atlas.store.sidecar import notes_of
-from atlas.store.store import Atlas
-from atlas.text import duration, html_table, text_repr
+from atlas.store.record_format import WIDTH
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import AtlasStore
+from atlas.store.tile_records import TileRecords, count_tiles, counts_by_name
 from workers.results import REASONS, REGIMES
 
 
 @dataclass(frozen=True)
-class Status:
+class StoreStatus:
     """Tiles and cells done of a store, the regimes of these cells, and the run at work on it.
 
     ``reasons`` counts the cells without a certain result by the reason in words.
@@ -28,12 +28,12 @@ class Status:
     why the run at work makes no progress; ``ended``, how the last submitted run ended. Both are empty if all is well.
     """
 
-    handle: Atlas
+    handle: AtlasStore
     tiles_done: int
     cells_done: int
     regimes: dict[str, int]
     reasons: dict[str, int]
-    run: Record | None
+    run: LeaseRecord | None
     trouble: str
     ended: str
 
@@ -143,7 +143,7 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Holding:
+class StoreCounts:
     """The contents of a store: number of tiles done, and the counts above 0 of cells by regime and by reason."""
 
     tiles: int
@@ -151,7 +151,7 @@ class Holding:
     reasons: dict[str, int]
 
     @classmethod
-    def reported(cls, seen: Sighting | None) -> "Holding | None":
+    def reported(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
         """The counts that the run on a store reports; None if there is no such run, or no sound report."""
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
@@ -165,19 +165,19 @@ class Holding:
         return holding if known and all(type(count) is int and count >= 0 for count in counts) else None
 
 
-class Census:
+class StatusReader:
     """A counter of a store's cells: by the report of the run at work on it, else by the records.
 
     A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of such tiles.
     """
 
-    def __init__(self, handle: Atlas, timing: Timing = TIMING) -> None:
+    def __init__(self, handle: AtlasStore, timing: Timing = TIMING) -> None:
         self.handle, self.timing = handle, timing
         self.tiles_read = 0
-        self.notes = notes_of(handle.place)
-        self.observer = Observer(self.notes, timing)
+        self.notes = sidecar_of(handle.place)
+        self.observer = LeaseObserver(self.notes, timing)
 
-    def take(self, settled: bool = False) -> Status:
+    def take(self, settled: bool = False) -> StoreStatus:
         """The present status; ``settled`` waits until a claim of another machine moves, or has stood still for long.
 
         If a run was at work before the count and has ended since, the tiles are counted again: its last tiles may have
@@ -185,7 +185,7 @@ class Census:
         """
         look = self.observer.settle if settled else self.observer.look
         seen = look()
-        while (holding := Holding.reported(seen)) is None:
+        while (holding := StoreCounts.reported(seen)) is None:
             before = _token(seen)
             holding = self._count()
             seen = look()
@@ -195,10 +195,10 @@ class Census:
         trouble = trouble or (run.trouble if run else "")
         cells = sum(holding.regimes.values())
         counted = (holding.tiles, cells, holding.regimes, holding.reasons)
-        return Status(self.handle, *counted, run, trouble, noted_end(self.notes))
+        return StoreStatus(self.handle, *counted, run, trouble, read_end(self.notes))
 
-    def _count(self) -> Holding:
-        records = Records(self.handle)
+    def _count(self) -> StoreCounts:
+        records = TileRecords(self.handle)
         total = records.rows.reshape(-1, WIDTH).sum(axis=0)
         unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known).tolist()]
         self.tiles_read += len(unknown)
@@ -206,23 +206,23 @@ class Census:
             if isinstance(row, ChunkError):
                 raise row
             total += row
-        return Holding(int(records.done.sum()), *by_name(total))
+        return StoreCounts(int(records.done.sum()), *counts_by_name(total))
 
 
-def _token(seen: Sighting | None) -> str:
+def _token(seen: LeaseObservation | None) -> str:
     return seen.record.token if seen and seen.record else ""
 
 
-def read_status(handle: Atlas, timing: Timing = TIMING) -> Status:
-    """The status of a store, see ``Census``.
+def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
+    """The status of a store, see ``StatusReader``.
 
     If the run at work is on another machine, this takes up to ``timing.silent`` seconds: only its counter shows that
     it is alive.
     """
-    return Census(handle, timing).take(settled=True)
+    return StatusReader(handle, timing).take(settled=True)
 
 
-def watch(census: Census, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[Status]:
+def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[StoreStatus]:
     """Statuses, one every ``seconds``, until the atlas is complete or no run has been at work for a while."""
     idle, beat = 0.0, -1
     while True:

@@ -9,21 +9,21 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from atlas.errors import InputError, NetworkError, RunError
-from atlas.service.cluster import LOST, connected, count_threads, worker_threads
-from atlas.service.fitness import Refusal
-from atlas.service.lease import note_end
+from atlas.formatting import plural
+from atlas.service.cluster import CLUSTER_LOST_MESSAGE, connect_to_scheduler, count_threads, worker_threads
+from atlas.service.lease import record_end
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import complete
+from atlas.service.worker_health import WorkerRefusal
 from atlas.spec.spec import Spec
 from atlas.store.access import BY_ENVIRONMENT
-from atlas.store.archive import refuse_packed
-from atlas.store.location import LocalPlace, Place, place_of
+from atlas.store.object_backend import LocalBackend, StoreBackend, open_backend
 from atlas.store.origin import Origin
-from atlas.store.sidecar import notes_of
-from atlas.store.store import find, open_handle
-from atlas.task.site import RefusedError, check_solver, checked_handle
-from atlas.text import plural
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import find_store, open_store
+from atlas.store.zip_backend import check_not_packed
+from atlas.task.store_ref import WorkerRefusedError, check_solver, open_checked
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -51,12 +51,14 @@ class Submission:
     origin: Origin | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 
-    def without(self, refusal: Refusal) -> "Submission":
+    def without(self, refusal: WorkerRefusal) -> "Submission":
         """The same submission, without the worker that refused."""
         return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
 
 
-def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOptions, origin: Origin | None = None) -> str:
+def submit(
+    spec: Spec, store: str | os.PathLike[str] | StoreBackend, options: RunOptions, origin: Origin | None = None
+) -> str:
     """Let the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
 
     Returns once tiles are being solved, or the atlas is complete. The coordinator is a task that takes no thread from
@@ -70,13 +72,13 @@ def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOption
     scheduler, timing = options.scheduler, options.timing
     if scheduler is None:
         raise InputError("submit: needs the address of a scheduler")
-    place = place_of(store)
-    refuse_packed(place)
-    known = isinstance(place, LocalPlace) or getattr(place, "access", None) == BY_ENVIRONMENT
-    if options.storage_options is not None or not known or place_of(str(place)) != place:
+    place = open_backend(store)
+    check_not_packed(place)
+    known = isinstance(place, LocalBackend) or getattr(place, "access", None) == BY_ENVIRONMENT
+    if options.storage_options is not None or not known or open_backend(str(place)) != place:
         raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
     options.report(Progress(f"connecting to {scheduler}", passing=True))
-    with connected(scheduler, options.tls, timing) as client:
+    with connect_to_scheduler(scheduler, options.tls, timing) as client:
         count_threads(client, options.wait_for_first, options.wait, timing.poll)
         path, name = str(place), f"atlas-{uuid.uuid4().hex[:8]}"
         settled = replace(options, scheduler=None, tls=None, on_progress=None)
@@ -101,7 +103,7 @@ def submit(spec: Spec, store: str | os.PathLike[str] | Place, options: RunOption
         return next((worker for worker, keys in where.items() if future.key in keys), "the cluster")
 
 
-def coordinate(task: Submission) -> Refusal | None:
+def coordinate(task: Submission) -> WorkerRefusal | None:
     """Coordinate a run on this worker, or return a refusal that names it.
 
     As soon as tiles are under way, a variable of the scheduler with the submission's name holds the store's run id, and
@@ -132,8 +134,8 @@ def coordinate(task: Submission) -> Refusal | None:
                 task = replace(task, run_id=earlier or task.run_id)
             try:
                 check_coordinator(task)
-            except RefusedError as error:
-                refusal = Refusal(get_worker().address, str(error))
+            except WorkerRefusedError as error:
+                refusal = WorkerRefusal(get_worker().address, str(error))
                 if unwatched:
                     time.sleep(task.options.timing.poll)  # a busy worker may lose the task back to this one repeatedly
                     task = task.without(refusal)
@@ -143,7 +145,7 @@ def coordinate(task: Submission) -> Refusal | None:
         except BaseException as error:
             # The submitter reports bad input; without a store nobody asks for a status.
             if (unwatched or not isinstance(error, InputError)) and _run_id(task.store):
-                note_end(notes_of(task.store), _in_words(error))
+                record_end(sidecar_of(task.store), _in_words(error))
             forget()
             raise
         forget()
@@ -156,17 +158,19 @@ def check_coordinator(task: Submission) -> None:
         check_solver(task.solver_version)
         return
     try:
-        checked_handle(task.store, task.run_id, task.solver_version)
+        open_checked(task.store, task.run_id, task.solver_version)
     except NetworkError:
         raise
     except OSError as error:
-        raise RefusedError(f"{task.store}: {error.strerror or error}; is the path the same on all hosts?") from None
+        raise WorkerRefusedError(
+            f"{task.store}: {error.strerror or error}; is the path the same on all hosts?"
+        ) from None
 
 
 def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> None:
     run_id = task.run_id
     if not run_id:
-        handle = find(task.store)
+        handle = find_store(task.store)
         run_id = handle.run_id if handle else uuid.uuid4().hex
 
     def report(progress: Progress) -> None:
@@ -174,21 +178,21 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
             begin(run_id)
 
     options = replace(task.options, on_progress=report)
-    summary = complete(task.spec, place_of(task.store), client, options, task.origin, run_id)
+    summary = complete(task.spec, open_backend(task.store), client, options, task.origin, run_id)
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
-        note_end(notes_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
+        record_end(sidecar_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
 
 
 def _run_id(store: str) -> str:
     """The run id of the store at a path, empty if this host sees no store: it need not."""
     try:
-        return open_handle(store).run_id
+        return open_store(store).run_id
     except (InputError, OSError):
         return ""
 
 
-def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Refusal | None]":
+def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[WorkerRefusal | None]":
     """Submit the coordinator to workers that may take it, to outlive this client."""
     from distributed import fire_and_forget
 
@@ -215,7 +219,7 @@ def _willing(client: "Client", task: Submission, seconds: float = 0.0) -> list[s
     return willing
 
 
-def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> Refusal | None:
+def _refusal(future: "Future[WorkerRefusal | None]", begun: "Event", poll: float) -> WorkerRefusal | None:
     """Wait until the coordinator has begun, ended well (None) or refused; raise its exception."""
     while not future.done():
         if begun.wait(timeout=poll):
@@ -224,7 +228,7 @@ def _refusal(future: "Future[Refusal | None]", begun: "Event", poll: float) -> R
         error = future.exception()
         raise error if isinstance(error, InputError | RunError) else RunError(_in_words(error))
     if future.status != "finished":
-        raise RunError(LOST)
+        raise RunError(CLUSTER_LOST_MESSAGE)
     return future.result()
 
 

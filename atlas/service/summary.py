@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from atlas.formatting import duration, plural, shares, text_repr
 from atlas.service.plan import Plan
 from atlas.service.progress import Progress, reason_lines
 from atlas.spec.laws import LawUse, law_lines, merged
-from atlas.task.task import Receipt
-from atlas.text import duration, plural, shares, text_repr
+from atlas.task.tile_job import TileReport
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class TileFailure:
 
 
 @dataclass(frozen=True)
-class Summary:
+class RunSummary:
     """The result of a run.
 
     tiles, tiles_done              tiles in all; tiles done by now
@@ -94,7 +94,7 @@ class Summary:
         return "\n".join(lines + reason_lines(self.reasons) + law_lines(self.laws))
 
 
-class Totals:
+class RunTotals:
     """The state of a run between its snapshots: its receipts added up."""
 
     def __init__(self, plan: Plan, tiles_done: int = 0, cells_done: int = 0, retried: bool = False) -> None:
@@ -114,7 +114,7 @@ class Totals:
         """Start the clock."""
         self.begin = time.perf_counter()
 
-    def add(self, outcome: Receipt | TileFailure) -> None:
+    def add(self, outcome: TileReport | TileFailure) -> None:
         """Count one tile's outcome."""
         self.seconds = time.perf_counter() - self.begin
         if isinstance(outcome, TileFailure):
@@ -140,7 +140,7 @@ class Totals:
         names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
         return {"workers": threads} | {name: getattr(self, name) for name in names}
 
-    def summary(self, store: str) -> Summary:
+    def summary(self, store: str) -> RunSummary:
         """The sum, for a store at that path or URL."""
-        sums = {entry.name: getattr(self, entry.name) for entry in fields(Summary) if entry.name != "store"}
-        return Summary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})
+        sums = {entry.name: getattr(self, entry.name) for entry in fields(RunSummary) if entry.name != "store"}
+        return RunSummary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})

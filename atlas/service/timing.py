@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from atlas.errors import InputError, shown
-from atlas.text import short_repr
+from atlas.errors import InputError, brief_repr
+from atlas.formatting import short_repr
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Timing:
     def __post_init__(self) -> None:
         for name, seconds in vars(self).items():
             if not seconds >= 0:
-                raise InputError(f"timing: {name} is {shown(seconds)}, must be 0 s or more")
+                raise InputError(f"timing: {name} is {brief_repr(seconds)}, must be 0 s or more")
 
 
 TIMING = Timing()

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from atlas.errors import InputError, check_names, shown
+from atlas.errors import InputError, brief_repr, check_names
 from atlas.spec.axis import number
-from workers.attractors.starts import MOST_KEPT, Starts
+from workers.attractors.initial_states import MAX_KEPT, AttractorSettings
 from workers.model.system import System
 from workers.settings import Settings
 
@@ -15,19 +15,19 @@ MOST_COST = 2**31 - 1
 """Largest cost of a cell in forcing periods, by the width of ``periods_used``."""
 
 
-def checked_attractors(given: object, record: System, settings: Settings) -> Starts | None:
+def parse_attractors(given: object, record: System, settings: Settings) -> AttractorSettings | None:
     """The initial states in a table; InputError with the wrong key. None if no table is given."""
     if given is None:
         return None
-    table: object = resolved_attractors(given) if isinstance(given, Starts) else given
+    table: object = attractors_to_json(given) if isinstance(given, AttractorSettings) else given
     if not isinstance(table, Mapping):
-        raise InputError(f"attractors: found {shown(table)}, must be a table")
+        raise InputError(f"attractors: found {brief_repr(table)}, must be a table")
     check_names("key in attractors", table, KEYS)
     if settings.method == "fixed":
         raise InputError('attractors: need method = "adaptive", found "fixed"')
     whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
     try:
-        starts = Starts(**whole, box=_checked_box(table.get("box", {}), record))
+        starts = AttractorSettings(**whole, box=_checked_box(table.get("box", {}), record))
     except ValueError as error:
         raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
     cost = settings.max_periods + settings.survival
@@ -39,22 +39,22 @@ def checked_attractors(given: object, record: System, settings: Settings) -> Sta
     return starts
 
 
-def cell_attractors(starts: int, record: System, settings: Settings) -> Starts:
+def cell_attractors(starts: int, record: System, settings: Settings) -> AttractorSettings:
     """The initial states of a search for the attractors of one cell, which keeps all; InputError as above."""
-    search = checked_attractors({"starts": starts, "keep": MOST_KEPT}, record, settings)
+    search = parse_attractors({"starts": starts, "keep": MAX_KEPT}, record, settings)
     assert search is not None
     return search
 
 
-def resolved_search(
-    record: System, parameters: Mapping[str, float], settings: Settings, search: Starts
+def search_to_json(
+    record: System, parameters: Mapping[str, float], settings: Settings, search: AttractorSettings
 ) -> dict[str, Any]:
     """The system, parameters, settings and search of one cell in full, as plain JSON."""
-    described = {"parameters": parameters, "solve": asdict(settings), "search": resolved_attractors(search)}
+    described = {"parameters": parameters, "solve": asdict(settings), "search": attractors_to_json(search)}
     return record.resolved() | described
 
 
-def resolved_attractors(starts: Starts) -> dict[str, Any]:
+def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:
     """The table as plain JSON."""
     box = {name: [low, high] for name, low, high in starts.box}
     return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
@@ -62,7 +62,9 @@ def resolved_attractors(starts: Starts) -> dict[str, Any]:
 
 def _checked_box(value: object, record: System) -> tuple[tuple[str, float, float], ...]:
     if not isinstance(value, Mapping):
-        raise InputError(f"attractors.box: found {shown(value)}, must be a table of components of the initial state")
+        raise InputError(
+            f"attractors.box: found {brief_repr(value)}, must be a table of components of the initial state"
+        )
     check_names("component in attractors.box", value, record.states)
     box = []
     for name in record.states:
@@ -70,7 +72,9 @@ def _checked_box(value: object, record: System) -> tuple[tuple[str, float, float
             continue
         ends = value[name]
         if not isinstance(ends, list | tuple) or len(ends) != 2:
-            raise InputError(f"attractors.box.{name}: found {shown(ends)}, must be two numbers, lowest and highest")
+            raise InputError(
+                f"attractors.box.{name}: found {brief_repr(ends)}, must be two numbers, lowest and highest"
+            )
         low, high = (number(f"attractors.box.{name}", end) for end in ends)
         if not low <= high:
             raise InputError(f"attractors.box.{name}: found {low:g} to {high:g}, must rise")

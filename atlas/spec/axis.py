@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from atlas.arguments import is_whole
-from atlas.errors import InputError, check_names, shown
+from atlas.argument_checks import is_integer
+from atlas.errors import InputError, brief_repr, check_names
 from workers.model.parameter import Parameter
 
 KEYS = ("start", "stop", "num", "values", "scale", "continuation")
@@ -79,7 +79,7 @@ class StoredAxis(Axis):
         scale, continuation = _checked_kind(where, outline)
         ends = number(f"{where}.start", outline["start"]), number(f"{where}.stop", outline["stop"])
         known = {"name": str(outline["name"]), "scale": scale, "continuation": continuation}
-        for name, value in (known | {"_known": (*ends, checked_num(where, outline)), "_read": read}).items():
+        for name, value in (known | {"_known": (*ends, validate_num(where, outline)), "_read": read}).items():
             object.__setattr__(self, name, value)
 
     _known: tuple[float, float, int]
@@ -107,7 +107,7 @@ class StoredAxis(Axis):
         return Axis, (self.name, self.values, self.scale, self.continuation)
 
 
-def spaced_again(outline: Mapping[str, Any]) -> tuple[float, ...]:
+def values_from_outline(outline: Mapping[str, Any]) -> tuple[float, ...]:
     """The values of an axis with even spacing on its scale, from its outline; InputError for an invalid outline."""
     return _spaced(str(outline["name"]), outline, outline["scale"])
 
@@ -115,11 +115,11 @@ def spaced_again(outline: Mapping[str, Any]) -> tuple[float, ...]:
 def number(where: str, value: object) -> float:
     """The value as a float; InputError unless it is a finite real number. ``where`` names it in the message."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
-        raise InputError(f"{where}: found {shown(value)}, must be a number")
+        raise InputError(f"{where}: found {brief_repr(value)}, must be a number")
     try:
         result = float(value) + 0.0  # -0.0 becomes 0.0: equal specs have one digest
     except OverflowError:
-        raise InputError(f"{where}: found {shown(value)}, must be a finite number") from None
+        raise InputError(f"{where}: found {brief_repr(value)}, must be a finite number") from None
     if not math.isfinite(result):
         raise InputError(f"{where} = {result!r}: must be a finite number")
     return result
@@ -145,12 +145,14 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
         value = {"values": value.values, "scale": value.scale, "continuation": value.continuation}
     if isinstance(value, tuple):  # could be meant as start, stop and num
         raise InputError(
-            f"{where}: found the tuple {shown(value)}, must be a list of values, or a table with start, stop and num"
+            f"{where}: found the tuple {brief_repr(value)}, must be a list of values, or a table with start, stop and num"
         )
     if isinstance(value, np.ndarray) or (isinstance(value, Sequence) and not isinstance(value, str)):
         value = {"values": value}
     if not isinstance(value, Mapping):
-        raise InputError(f"{where}: found {shown(value)}, must be a table with start, stop and num, or with values")
+        raise InputError(
+            f"{where}: found {brief_repr(value)}, must be a table with start, stop and num, or with values"
+        )
     check_names(f"key in {where}", value, KEYS)
     scale, continuation = _checked_kind(where, value)
     values = _listed(where, value) if "values" in value else _spaced(where, value, scale)
@@ -166,17 +168,19 @@ def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None
     """Scale and continuation of an axis."""
     scale, continuation = table.get("scale", "linear"), table.get("continuation")
     if scale not in SCALES:
-        raise InputError(f"{where}.scale: found {shown(scale)}, must be one of {', '.join(SCALES)}")
+        raise InputError(f"{where}.scale: found {brief_repr(scale)}, must be one of {', '.join(SCALES)}")
     if continuation is not None and continuation not in DIRECTIONS:
-        raise InputError(f"{where}.continuation: found {shown(continuation)}, must be one of {', '.join(DIRECTIONS)}")
+        raise InputError(
+            f"{where}.continuation: found {brief_repr(continuation)}, must be one of {', '.join(DIRECTIONS)}"
+        )
     return scale, continuation
 
 
-def checked_num(where: str, table: Mapping[str, Any]) -> int:
+def validate_num(where: str, table: Mapping[str, Any]) -> int:
     """The number of values in a table; InputError unless it is an integer."""
     num = table["num"]
-    if not is_whole(num):
-        raise InputError(f"{where}.num: found {shown(num)}, must be a whole number, 1 or more")
+    if not is_integer(num):
+        raise InputError(f"{where}.num: found {brief_repr(num)}, must be a whole number, 1 or more")
     return num
 
 
@@ -188,7 +192,7 @@ def _listed(where: str, table: Mapping[str, Any]) -> tuple[float, ...]:
     if isinstance(listed, np.ndarray) and listed.ndim == 1:
         listed = listed.tolist()
     if not isinstance(listed, Sequence) or isinstance(listed, str):
-        raise InputError(f"{where}.values: found {shown(listed)}, must be a list of numbers")
+        raise InputError(f"{where}.values: found {brief_repr(listed)}, must be a list of numbers")
     check_count(f"{where}.values", len(listed))
     values = all_floats(listed) or tuple(number(f"{where}.values[{i}]", value) for i, value in enumerate(listed))
     _check_increasing(f"{where}.values", values)
@@ -199,7 +203,7 @@ def _spaced(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ..
     missing = [key for key in ("start", "stop", "num") if key not in table]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; give start, stop and num, or values")
-    num = checked_num(where, table)
+    num = validate_num(where, table)
     check_count(f"{where}.num", num)
     start, stop = number(f"{where}.start", table["start"]), number(f"{where}.stop", table["stop"])
     if scale == "log" and min(start, stop) <= 0:
@@ -219,7 +223,7 @@ def _spaced(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ..
 def check_count(where: str, count: int) -> None:
     """Raise InputError unless an axis may have this number of points; ``where`` names it in the message."""
     if not 1 <= count <= MAX_POINTS:
-        raise InputError(f"{where}: found {shown(count)} points, must be 1 to {MAX_POINTS}")
+        raise InputError(f"{where}: found {brief_repr(count)} points, must be 1 to {MAX_POINTS}")
 
 
 def all_floats(values: Sequence[object]) -> tuple[float, ...]:

@@ -51,7 +51,7 @@ def sources(system: System) -> list[str]:
     return entries
 
 
-def computed_by(packages: str) -> str:
+def software_version(packages: str) -> str:
     """The version of this package in a store's attribute ``software``."""
     match = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
     return match[1] if match else "unknown"

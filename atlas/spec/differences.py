@@ -1,6 +1,6 @@
 """The differences of two specs, in words."""
 
-from atlas.spec.points import differing
+from atlas.spec.points import describe_difference
 from atlas.spec.spec import Spec
 from workers.model.system import identity
 
@@ -14,7 +14,7 @@ def differences(stored: Spec, given: Spec) -> list[str]:
         texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if stored.points or given.points:
-        texts += differing(stored.points, given.points)
+        texts += describe_difference(stored.points, given.points)
     elif names != wanted:
         what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
         texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")

@@ -11,22 +11,22 @@ from typing import Any
 
 from atlas.spec import attractors, axis
 from atlas.spec.points import FILE
-from atlas.spec.spec import MOST_AXES, SECTIONS, SETTING_MEANINGS
-from workers.attractors.starts import WHOLE as STARTS
-from workers.attractors.starts import Starts
+from atlas.spec.spec import MAX_AXES, SECTIONS, SETTING_MEANINGS
+from workers.attractors.initial_states import INTEGER_BOUNDS as STARTS
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.elements import PAD, RELEASES, RUB
 from workers.model.entries import NAME
 from workers.model.laws import SEGMENTS
 from workers.model.measures import KEYS as MEASURE_KEYS
 from workers.model.measures import MEASURES, REPORTS
 from workers.model.parameter import Parameter
-from workers.model.reading import LARGEST, MANY, PARAMETER_KEYS
-from workers.model.reading_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, SPRINGS, STOPS
-from workers.model.reading_force import HARMONIC_KEYS, HIGHEST, ORDER, POINTS, WAVEFORM_KEYS
-from workers.model.reading_laws import SPRING_KEYS
+from workers.model.parse_definition import MANY, MAX_COORDINATES, PARAMETER_KEYS
+from workers.model.parse_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, SPRINGS, STOPS
+from workers.model.parse_force import HARMONIC_KEYS, HIGHEST, ORDER, POINTS, WAVEFORM_KEYS
+from workers.model.parse_laws import SPRING_KEYS
 from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
 from workers.model.waveform import WAVEFORMS
-from workers.settings import CHOICES, WHOLE, Settings
+from workers.settings import INTEGER_BOUNDS, VALID_WORDS, Settings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -48,7 +48,7 @@ def spec_schema() -> Schema:
             "default": DEFAULT,
         },
         "parameters": {"description": "fixed parameters; others have their default", **_map(_NUMBER)},
-        "axes": {"description": "the parameters that are swept, x first", **_map(_axis(), 0, MOST_AXES)},
+        "axes": {"description": "the parameters that are swept, x first", **_map(_axis(), 0, MAX_AXES)},
         "points": {
             "description": "parameter sets, one row a cell, in place of axes",
             "anyOf": [
@@ -60,7 +60,7 @@ def spec_schema() -> Schema:
         "attractors": {"description": "asks for all attractors of each cell", **_attractors()},
         "store": {
             "description": "how the atlas is stored",
-            **_table({"tile": {**_list(_whole(1), 1, MOST_AXES), "description": "cells of a tile, y before x"}}),
+            **_table({"tile": {**_list(_whole(1), 1, MAX_AXES), "description": "cells of a tile, y before x"}}),
         },
     }
     assert tuple(sections) == SECTIONS
@@ -129,8 +129,8 @@ def _axis() -> Schema:
 
 def _settings() -> Schema:
     """The settings of a cell."""
-    kinds: Schema = {name: {"enum": list(known)} for name, known in CHOICES.items()}
-    kinds |= {name: _whole(*ends) for name, ends in WHOLE.items()}
+    kinds: Schema = {name: {"enum": list(known)} for name, known in VALID_WORDS.items()}
+    kinds |= {name: _whole(*ends) for name, ends in INTEGER_BOUNDS.items()}
     kinds |= {"tolerance": {**_NUMBER, **_POSITIVE}, "observe": _TEXT}
     return _table(
         {
@@ -142,7 +142,7 @@ def _settings() -> Schema:
 
 def _attractors() -> Schema:
     """The initial states from which attractors are sought."""
-    defaults = {"starts": Starts.count, "seed": Starts.seed, "keep": Starts.keep}
+    defaults = {"starts": AttractorSettings.count, "seed": AttractorSettings.seed, "keep": AttractorSettings.keep}
     entries: Schema = {name: {**_whole(*ends), "default": defaults[name]} for name, ends in STARTS.items()}
     entries["box"] = {
         "description": "lowest and highest initial value of components of the state",
@@ -153,9 +153,9 @@ def _attractors() -> Schema:
 
 def _definition() -> Schema:
     """A machine as a table [system]: a part of ``KEYS``, with sizes of rows and matrices by number of coordinates."""
-    row, matrix = _list(_ENTRY, 1, LARGEST), _list(_list(_ENTRY, 1, LARGEST), 1, LARGEST)
+    row, matrix = _list(_ENTRY, 1, MAX_COORDINATES), _list(_list(_ENTRY, 1, MAX_COORDINATES), 1, MAX_COORDINATES)
     entries: Schema = {key: _TEXT for key in TEXTS}
-    entries |= {key: _list(_NAME, 1, LARGEST) for key in ("coordinates", "velocities")}
+    entries |= {key: _list(_NAME, 1, MAX_COORDINATES) for key in ("coordinates", "velocities")}
     entries |= {key: matrix for key in ("mass", "damping", "stiffness")}
     entries |= {key: row for key in ("force", "phase", "cosine", "load", "gap")}
     entries |= {key: _ENTRY for key in ("upper", "lower", "restitution")}
@@ -196,8 +196,8 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
     """A contact or a friction element: a name, a row, and constants."""
     known: Schema = {
         "name": _NAME,
-        "gap": _list(_ENTRY, 1, LARGEST),
-        "row": _list(_ENTRY, 1, LARGEST),
+        "gap": _list(_ENTRY, 1, MAX_COORDINATES),
+        "row": _list(_ENTRY, 1, MAX_COORDINATES),
         "release": {"enum": list(RELEASES), "default": RELEASES[0]},
         "law": {"anyOf": [_list(_list(_ENTRY, 2, 2), 2, SEGMENTS + 1), {"type": "string"}]},
         "range": {"anyOf": [_ENTRY, _list(_ENTRY, 2, 2)]},

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from atlas.text import plural
+from atlas.formatting import plural
 from workers.model.measures import LAW_ERROR, RANGE_SHARE
 from workers.model.system import System
 

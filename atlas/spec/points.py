@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from atlas.errors import InputError, check_names, shown
+from atlas.errors import InputError, brief_repr, check_names
 from atlas.spec.axis import Axis, Values, admitted, all_floats, number
 from workers.model.parameter import Parameter
 from workers.model.system import System
@@ -57,7 +57,7 @@ def row_count(points: Columns) -> int:
     return points.rows if isinstance(points, StoredColumns) else len(next(iter(points.values())))
 
 
-def checked_points(given: object, record: System, folder: Path | None = None) -> Columns:
+def parse_points(given: object, record: System, folder: Path | None = None) -> Columns:
     """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to value lists of one length.
 
     A path is relative to the folder, if any. InputError with row and column for a value that is no number, or outside
@@ -71,7 +71,7 @@ def checked_points(given: object, record: System, folder: Path | None = None) ->
         path = Path(given[FILE])
         return _read_file(path if folder is None else folder / path, record)
     if not isinstance(given, Mapping):
-        raise InputError(f"points: found {shown(given)}, must be a table with the key {FILE}, or with columns")
+        raise InputError(f"points: found {brief_repr(given)}, must be a table with the key {FILE}, or with columns")
     return _checked_columns("points", given, record)
 
 
@@ -85,7 +85,7 @@ def described(points: Columns) -> str:
     return f"{row_count(points)} rows of {', '.join(points)}"
 
 
-def differing(stored: Columns, given: Columns) -> list[str]:
+def describe_difference(stored: Columns, given: Columns) -> list[str]:
     """The difference of two tables in a few words; empty if they are equal."""
     if stored == given:
         return []
@@ -130,7 +130,7 @@ def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns
                 columns[name].append(float(field.strip() if "_" not in field else ""))
             except ValueError:
                 raise InputError(
-                    f"{where}, row {place}, column {name}: found {shown(field)}, must be a number"
+                    f"{where}, row {place}, column {name}: found {brief_repr(field)}, must be a number"
                 ) from None
     return _checked_columns(where, columns, record)
 
@@ -153,7 +153,7 @@ def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Co
     for name, values in given.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
-            raise InputError(f"{where}: column {name}: found {shown(values)}, must be a list of numbers")
+            raise InputError(f"{where}: column {name}: found {brief_repr(values)}, must be a list of numbers")
         columns[name] = _all_admitted(record.parameter(name), listed) or tuple(
             _value(f"{where}, row {place}, column {name}", name, value, record) for place, value in enumerate(listed, 2)
         )

@@ -16,7 +16,7 @@ FIRST_SETTINGS = (
 """Settings of the first version, which enter every digest. Settings added since do not belong here."""
 
 
-def outlined(outline: Mapping[str, Any]) -> list[str]:
+def outline_names(outline: Mapping[str, Any]) -> list[str]:
     """The names of the axes of an outline, or of the columns of its points."""
     return list(outline["points"]["columns"]) if "points" in outline else [axis["name"] for axis in outline["axes"]]
 
@@ -24,7 +24,7 @@ def outlined(outline: Mapping[str, Any]) -> list[str]:
 def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
     """The resolved spec of an outline, with the values of its axes or of the columns of its points, by name."""
     if "points" in outline:
-        return {**outline, "points": {name: list(values[name]) for name in outlined(outline)}}
+        return {**outline, "points": {name: list(values[name]) for name in outline_names(outline)}}
     ends = ("start", "stop", "num")
     axes = [
         {key: value for key, value in axis.items() if key not in ends} | {"values": list(values[axis["name"]])}

@@ -9,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from atlas.arguments import checked_atlas, checked_kind, checked_path, is_whole
-from atlas.errors import InputError, check_names, shown
-from atlas.spec.attractors import checked_attractors, resolved_attractors
-from atlas.spec.axis import Axis, StoredAxis, Values, admitted, checked_num, read_axis
+from atlas.argument_checks import is_integer, validate_atlas, validate_path, validate_type
+from atlas.errors import InputError, brief_repr, check_names
+from atlas.spec.attractors import attractors_to_json, parse_attractors
+from atlas.spec.axis import Axis, StoredAxis, Values, admitted, read_axis, validate_num
 from atlas.spec.examples import packaged_text
-from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, checked_points, described, row_count
-from atlas.spec.resolved import outlined, resolved_digest, with_values
-from atlas.spec.system import checked_system, resolved_system
+from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, described, parse_points, row_count
+from atlas.spec.resolved import outline_names, resolved_digest, with_values
+from atlas.spec.system import parse_system, resolved_system
 from workers import Settings
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.observables import VALUE
 from workers.model.system import System
 from workers.model.toml_text import TomlError, parse_toml, read_toml
 from workers.results import ATTRACTOR, Variable
 
 SECTIONS = ("system", "parameters", "axes", "points", "solve", "attractors", "store")
-MOST_AXES = 3
+MAX_AXES = 3
 FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "three whole numbers (1, y, x)"}
 """Meaning of the shape of a tile, by the number of axes."""
 SETTING_MEANINGS = {
@@ -64,7 +64,7 @@ class Spec:
     override ``parameters``.
 
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
-    ``workers.attractors.starts.Starts``, asks for all attractors reached from this number of initial states of a cell;
+    ``workers.attractors.initial_states.AttractorSettings``, asks for all attractors reached from this number of initial states of a cell;
     None asks for the attractor of the cell's own initial state. If all axes are components of the initial state, the
     results are basins: the attractor of each initial state of one machine.
 
@@ -83,7 +83,7 @@ class Spec:
     tile: tuple[int, ...] | None
     record: System = field(repr=False)
     points: Columns = field(repr=False)
-    attractors: Starts | None = None
+    attractors: AttractorSettings | None = None
 
     def __init__(
         self,
@@ -93,9 +93,9 @@ class Spec:
         solve: Mapping[str, Any] | Settings | None = None,
         store: Mapping[str, Any] | None = None,
         points: Mapping[str, Any] | None = None,
-        attractors: Mapping[str, Any] | Starts | None = None,
+        attractors: Mapping[str, Any] | AttractorSettings | None = None,
     ) -> None:
-        record = checked_system(system)
+        record = parse_system(system)
         parameters, store = {} if parameters is None else parameters, {} if store is None else store
         if axes is None and points is None:
             raise InputError("axes: found None, must be a table of one to three axes; or give points")
@@ -105,10 +105,10 @@ class Spec:
         check_parameters(record, axes, "parameter in axes")
         if points is not None and axes:
             raise InputError(f"found axes ({', '.join(axes)}) and points; give one of the two")
-        if points is None and not 1 <= len(axes) <= MOST_AXES:
+        if points is None and not 1 <= len(axes) <= MAX_AXES:
             count = f"found {len(axes)} ({', '.join(axes)})" if axes else "found none"
             raise InputError(f"axes: {count}, must be one to three")
-        columns = {} if points is None else checked_points(points, record)
+        columns = {} if points is None else parse_points(points, record)
         for name in axes:
             if name in parameters:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
@@ -119,10 +119,10 @@ class Spec:
         read = tuple(read_axis(record.parameter(name), given) for name, given in axes.items())
         put(self, "axes", (axis_of(columns),) if columns else read)
         _check_continuation(self.axes, record)
-        fixed = checked_parameters(record, parameters)
+        fixed = validate_parameters(record, parameters)
         put(self, "parameters", {name: value for name, value in fixed.items() if name not in (axes or columns)})
         put(self, "settings", observable_settings(_settings_of(solve), record))
-        put(self, "attractors", checked_attractors(attractors, record, self.settings))
+        put(self, "attractors", parse_attractors(attractors, record, self.settings))
         put(self, "tile", _checked_tile(store, len(self.axes)))
         _check_whole_lines(self)
         if self.attractors is not None and self.continuation is not None:
@@ -144,8 +144,8 @@ class Spec:
             raise InputError("system missing")
         if "axes" not in tables and "points" not in tables:
             raise InputError("axes missing; one to three tables [axes.NAME], or [points] with a file")
-        system = checked_system(tables["system"], folder)
-        points = {"points": checked_points(tables["points"], system, folder)} if "points" in tables else {}
+        system = parse_system(tables["system"], folder)
+        points = {"points": parse_points(tables["points"], system, folder)} if "points" in tables else {}
         return cls(**{**tables, **points, "system": system})
 
     @classmethod
@@ -154,7 +154,7 @@ class Spec:
 
         ``points`` is a CSV file of parameter sets that replaces its points or its axes, which must be columns there.
         """
-        path, where = checked_path(source, "spec"), str(source) or "''"
+        path, where = validate_path(source, "spec"), str(source) or "''"
         try:
             tables = read_toml(path) if path.exists() else parse_toml(packaged_text(str(source)))
             if points is not None:
@@ -183,7 +183,7 @@ class Spec:
     @property
     def kept(self) -> int:
         """The number of leading ``dims`` that are never coarsened: the planes of a stack, the rows of a table."""
-        return 1 if self.points or len(self.axes) == MOST_AXES else 0
+        return 1 if self.points or len(self.axes) == MAX_AXES else 0
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
@@ -204,7 +204,7 @@ class Spec:
             cells = {"axes": [], "points": {"columns": [*self.points], "num": row_count(self.points)}}
         else:
             cells = {"axes": [axis.outline() for axis in self.axes]}
-        many = {} if self.attractors is None else {"attractors": resolved_attractors(self.attractors)}
+        many = {} if self.attractors is None else {"attractors": attractors_to_json(self.attractors)}
         return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
 
     @classmethod
@@ -220,7 +220,7 @@ class Spec:
     def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
         """The inverse of ``outline``; ``read`` gives the values by name at first use."""
         points = outline.get("points")
-        columns = None if points is None else StoredColumns(points["columns"], checked_num("points", points), read)
+        columns = None if points is None else StoredColumns(points["columns"], validate_num("points", points), read)
         return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
 
     def check_stored_form(self) -> None:
@@ -239,10 +239,10 @@ class Spec:
 
         InputError if the dataset lacks its spec or some of its cells.
         """
-        checked_atlas(ds)
+        validate_atlas(ds)
         try:
             kept, digest = json.loads(ds.attrs["spec"]), ds.attrs["digest"]
-            kept = with_values(kept, {name: ds[name].values.tolist() for name in outlined(kept)})
+            kept = with_values(kept, {name: ds[name].values.tolist() for name in outline_names(kept)})
         except (KeyError, TypeError, ValueError):
             raise InputError("this dataset lacks the spec of its atlas, or a coordinate") from None
         if resolved_digest(kept) != digest:
@@ -267,7 +267,7 @@ class Spec:
         asked = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
         return {"exponent": self.record.exponents, "state": len(self.record.states)} | asked | kept
 
-    def observing(self, observe: str) -> "Spec":
+    def with_observables(self, observe: str) -> "Spec":
         """The same spec with these observables, see ``workers.Settings``."""
         other = copy(self)
         asked = replace(self.settings, observe=observe)
@@ -283,10 +283,10 @@ class Spec:
     @property
     def basins(self) -> bool:
         """Whether the results are basins: the attractor of each initial state of one machine."""
-        return self.attractors is not None and self.of_states
+        return self.attractors is not None and self.has_state_axes
 
     @property
-    def of_states(self) -> bool:
+    def has_state_axes(self) -> bool:
         """Whether all its axes are components of the initial state, so that its cells belong to one machine."""
         names = [*self.points] if self.points else [axis.name for axis in self.axes]
         return {*self.record.states}.issuperset(names)
@@ -317,7 +317,7 @@ class Spec:
 def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
     """Values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
     if given is not None and not isinstance(given, Mapping):
-        raise InputError(f"found {shown(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
+        raise InputError(f"found {brief_repr(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
         if name in (given or {}):
             raise InputError(f"{name}: given twice")
@@ -326,7 +326,7 @@ def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> d
 
 def given_settings(given: Settings | None) -> Settings:
     """The settings in a call; the defaults for None."""
-    return Settings() if given is None else checked_kind("settings", given, Settings, "atlas.Settings(...)")
+    return Settings() if given is None else validate_type("settings", given, Settings, "atlas.Settings(...)")
 
 
 def check_parameters(record: System, given: Iterable[object], kind: str = "parameter") -> None:
@@ -334,26 +334,26 @@ def check_parameters(record: System, given: Iterable[object], kind: str = "param
     known = {parameter.name for parameter in record.parameters}
     for name in given:
         if name not in known:
-            raise InputError(record.unknown(name if isinstance(name, str) else shown(name), kind))
+            raise InputError(record.unknown_name_message(name if isinstance(name, str) else brief_repr(name), kind))
 
 
-def checked_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
+def validate_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
     """All parameters of a system: given ones checked against their ranges, others at their defaults."""
     check_parameters(record, given)
     return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in record.parameters}
 
 
-def checked_settings(given: Mapping[str, Any]) -> Settings:
+def parse_settings(given: Mapping[str, Any]) -> Settings:
     """Settings from the [solve] table; InputError with the setting otherwise."""
     if not isinstance(given, Mapping):
-        raise InputError(f"solve: found {shown(given)}, must be a table")
+        raise InputError(f"solve: found {brief_repr(given)}, must be a table")
     check_names("key in solve", given, [field.name for field in fields(Settings)])
     for name, value in given.items():
-        if is_whole(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
-            raise InputError(f"solve.{name}: found {shown(value)}, must be less than 2**63")
+        if is_integer(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
+            raise InputError(f"solve.{name}: found {brief_repr(value)}, must be less than 2**63")
     # A whole tolerance must have the same digest as the equal float.
     whole: dict[str, Any] = {
-        name: float(value) if name == "tolerance" and is_whole(value) else value for name, value in given.items()
+        name: float(value) if name == "tolerance" and is_integer(value) else value for name, value in given.items()
     }
     try:
         return Settings(**whole)
@@ -375,7 +375,7 @@ def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[
     check_names("key", tables, SECTIONS)
     if "system" not in tables:
         raise InputError("system missing")
-    columns = checked_points({FILE: points}, checked_system(tables["system"], folder))
+    columns = parse_points({FILE: points}, parse_system(tables["system"], folder))
     axes = tables.get("axes", {})
     for name in axes if isinstance(axes, Mapping) else ():
         if name not in columns:
@@ -385,18 +385,18 @@ def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[
 
 
 def _settings_of(solve: Mapping[str, Any] | Settings | None) -> Settings:
-    return solve if isinstance(solve, Settings) else checked_settings({} if solve is None else solve)
+    return solve if isinstance(solve, Settings) else parse_settings({} if solve is None else solve)
 
 
 def _check_tables(**tables: object) -> None:
     for name, table in tables.items():
         if not isinstance(table, Mapping):
-            raise InputError(f"{name}: found {shown(table)}, must be a table")
+            raise InputError(f"{name}: found {brief_repr(table)}, must be a table")
 
 
 def _check_continuation(axes: tuple[Axis, ...], record: System) -> None:
     continued = [axis.name for axis in axes if axis.continuation]
-    if len(axes) == MOST_AXES and continued:
+    if len(axes) == MAX_AXES and continued:
         raise InputError(f"axes.{continued[0]}: a stack has no continued axis; compute its planes one by one")
     if len(continued) > 1:
         raise InputError(f"axes: found continuation on {' and '.join(continued)}, must be on one")
@@ -410,7 +410,7 @@ def _check_whole_lines(spec: Spec) -> None:
     place, _ = spec.continuation
     if spec.tile[place] < spec.shape[place]:
         raise InputError(
-            f"store.tile: found {shown(list(spec.tile))}, must hold whole lines of {spec.dims[place]}, "
+            f"store.tile: found {brief_repr(list(spec.tile))}, must hold whole lines of {spec.dims[place]}, "
             f"which is continued over {spec.shape[place]} cells"
         )
 
@@ -420,9 +420,9 @@ def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None
     if "tile" not in store:
         return None
     tile = store["tile"]
-    right = isinstance(tile, list | tuple) and len(tile) == axes and all(is_whole(n) and n >= 1 for n in tile)
+    right = isinstance(tile, list | tuple) and len(tile) == axes and all(is_integer(n) and n >= 1 for n in tile)
     if not right:
-        raise InputError(f"store.tile: found {shown(tile)}, must be {FORMS[axes]}, each 1 or more")
-    if axes == MOST_AXES and tile[0] != 1:
-        raise InputError(f"store.tile: found {shown(tile)}, must begin with 1: a tile is of one plane")
+        raise InputError(f"store.tile: found {brief_repr(tile)}, must be {FORMS[axes]}, each 1 or more")
+    if axes == MAX_AXES and tile[0] != 1:
+        raise InputError(f"store.tile: found {brief_repr(tile)}, must begin with 1: a tile is of one plane")
     return tuple(int(n) for n in tile)

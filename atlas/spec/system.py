@@ -7,19 +7,19 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from atlas.errors import InputError, shown
+from atlas.errors import InputError, brief_repr
 from atlas.spec.examples import example_system
 from workers.model.system import System, find_system
 
 
-def checked_system(system: object, folder: Path | None = None) -> System:
+def parse_system(system: object, folder: Path | None = None) -> System:
     """The system of this name, .toml file (relative to the folder, if any), or table; a System is returned as it is.
 
     The name of a packaged example that describes its own system is one, too.
     InputError for an unknown name, with the nearest known one, and for a wrong definition.
     """
     if not isinstance(system, str | Mapping | System):
-        raise InputError(f"system: found {shown(system)}, must be the name of a system, a .toml file or a table")
+        raise InputError(f"system: found {brief_repr(system)}, must be the name of a system, a .toml file or a table")
     if folder is not None and isinstance(system, str) and system.endswith(".toml"):
         system = str(folder / system)
     try:
@@ -103,7 +103,7 @@ def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
 
 def unused_lines(record: System) -> list[str]:
     """A line about parameters without effect; none if all are used."""
-    return [f"no entry of {record.name} uses {', '.join(record.unused)}"] if record.unused else []
+    return [f"no entry of {record.name} uses {', '.join(record.unused_parameters)}"] if record.unused_parameters else []
 
 
 def must_offer(record: System, what: str, unforced: bool = False) -> None:

@@ -5,8 +5,8 @@ from typing import Any
 
 import tomli_w
 
-from atlas.spec.attractors import resolved_attractors
-from atlas.spec.axis import Axis, spaced_again
+from atlas.spec.attractors import attractors_to_json
+from atlas.spec.axis import Axis, values_from_outline
 from atlas.spec.spec import Spec
 from workers import Settings
 
@@ -22,7 +22,7 @@ def spec_toml(spec: Spec) -> str:
         "solve": {
             field.name: value for field in fields(Settings) if (value := getattr(settings, field.name)) != field.default
         },
-        "attractors": None if spec.attractors is None else resolved_attractors(spec.attractors),
+        "attractors": None if spec.attractors is None else attractors_to_json(spec.attractors),
     }
     return tomli_w.dumps({name: table for name, table in tables.items() if table}, multiline_strings=True)
 
@@ -30,7 +30,7 @@ def spec_toml(spec: Spec) -> str:
 def _axis_table(axis: Axis) -> dict[str, Any]:
     """An axis by its ends if it is evenly spaced on its scale, else by its values."""
     outline = axis.outline()
-    keys = ("start", "stop", "num") if spaced_again(outline) == tuple(axis.values) else ()
+    keys = ("start", "stop", "num") if values_from_outline(outline) == tuple(axis.values) else ()
     table = {key: outline[key] for key in keys} or {"values": list(axis.values)}
     kept = {key: outline[key] for key in ("scale", "continuation") if key in outline}
     return table | {key: value for key, value in kept.items() if value != "linear"}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
-from atlas.errors import InputError, shown
+from atlas.errors import InputError, brief_repr
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
@@ -39,7 +39,7 @@ Pairs = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
-class Access:
+class StorageAccess:
     """Access options beyond the environment; they may hold secrets, so they are never printed.
 
     config     settings of the store, by obstore's names
@@ -65,18 +65,18 @@ class Access:
         return from_url(url, retry_config={"max_retries": 0}, **given)
 
 
-BY_ENVIRONMENT = Access()
+BY_ENVIRONMENT = StorageAccess()
 """Access by the environment alone."""
 
 
-def access_by(options: Mapping[str, Any], url: str) -> Access:
+def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
     """The access by ``storage_options`` at a URL; InputError for invalid ones.
 
     Settings have obstore's names (``endpoint``, ``region``, ``access_key_id``, ``skip_signature``), or the names of
     fsspec's file systems (``anon``; at S3 ``key``, ``secret`` and ``token``).
     """
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
-        raise InputError(f"storage_options: found {shown(options)}, must be settings by name, such as anon=True")
+        raise InputError(f"storage_options: found {brief_repr(options)}, must be settings by name, such as anon=True")
     words = S3_SYNONYMS if url.startswith(("s3://", "s3a://")) else SYNONYMS
     config: dict[str, Any] = {}
     for given, value in options.items():
@@ -90,11 +90,11 @@ def access_by(options: Mapping[str, Any], url: str) -> Access:
         config[name] = value if isinstance(value, str | bool) else str(value)
     client = options.get(_CLIENT, {})
     if not isinstance(client, Mapping):
-        raise InputError(f"storage_options: {_CLIENT}: found {shown(client)}, must be settings by name")
-    return Access(_frozen(config), _frozen(client), options.get(_PROVIDER))
+        raise InputError(f"storage_options: {_CLIENT}: found {brief_repr(client)}, must be settings by name")
+    return StorageAccess(_frozen(config), _frozen(client), options.get(_PROVIDER))
 
 
-def signed_in(url: str, access: Access) -> tuple[str, Access]:
+def signed_in(url: str, access: StorageAccess) -> tuple[str, StorageAccess]:
     """A URL without its user and password, and the access with them, as browsers and curl give them to web servers.
 
     InputError for a bucket's URL that has some, which no client reads.
@@ -117,21 +117,21 @@ def is_obstore(store: object) -> bool:
     return module is not None and isinstance(store, module.ObjectStore)
 
 
-def access_of(store: Any) -> tuple[str, Access]:
+def access_of(store: Any) -> tuple[str, StorageAccess]:
     """The URL and the access of an obstore store. InputError if it is no store of a server.
 
     Its own retries are left out: they hide whether an earlier attempt of a write took effect.
     """
     kind = type(store).__name__
     if kind == "HTTPStore":
-        return str(store.url).rstrip("/"), Access((), _frozen(store.client_options or {}))
+        return str(store.url).rstrip("/"), StorageAccess((), _frozen(store.client_options or {}))
     if kind not in _URLS:
         raise InputError(f"{store}: is of no server; give a path, a URL, or an obstore store of S3, Google or Azure")
     config = dict(store.config)
     url = _URLS[kind].format(**config)
     config = {name: value for name, value in config.items() if name not in ("bucket", "container_name")}
     prefix = str(store.prefix or "").strip("/")
-    access = Access(_frozen(config), _frozen(store.client_options or {}), store.credential_provider)
+    access = StorageAccess(_frozen(config), _frozen(store.client_options or {}), store.credential_provider)
     return f"{url}/{prefix}" if prefix else url, access
 
 

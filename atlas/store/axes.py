@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import ChunkError, InputError, message_of
-from atlas.spec.axis import Values, spaced_again
-from atlas.spec.resolved import outlined, resolved_digest, with_values
+from atlas.spec.axis import Values, values_from_outline
+from atlas.spec.resolved import outline_names, resolved_digest, with_values
 from atlas.spec.spec import Spec
-from atlas.store.location import Place
+from atlas.store.object_backend import StoreBackend
 
 ROOT = "zarr.json"
 """The name of the object with the metadata of an array or a group. A store exists once its root has one."""
@@ -23,14 +23,14 @@ MOST_MIXED = 64
 _DTYPE = np.dtype("<f8")
 
 
-def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values:
+def read_values(place: StoreBackend, outline: Mapping[str, Any], digest: str) -> Values:
     """The values of all axes or columns of a spec's outline, the same to the bit as in its digest.
 
     A damaged or changed coordinate is replaced by its copy, or computed if it was evenly spaced, as the digest shows.
     Otherwise ChunkError, which names the damaged object.
     """
     faults: dict[str, str] = {}
-    candidates: dict[str, list[tuple[float, ...]]] = {name: [] for name in outlined(outline)}
+    candidates: dict[str, list[tuple[float, ...]]] = {name: [] for name in outline_names(outline)}
     axes = {axis["name"]: axis for axis in outline["axes"]}
     sources: tuple[Callable[[str], tuple[float, ...] | None], ...] = (
         lambda name: _stored(place, name, faults),
@@ -50,14 +50,16 @@ def read_values(place: Place, outline: Mapping[str, Any], digest: str) -> Values
     raise ChunkError(place, faults or {ROOT: "has a digest that does not match the spec and its coordinates"})
 
 
-def goes_with(place: Place, outline: Mapping[str, Any], digest: str) -> bool:
+def matches_coordinates(place: StoreBackend, outline: Mapping[str, Any], digest: str) -> bool:
     """Whether a spec's outline has this digest with the coordinates stored at a place."""
-    stored = {name: _stored(place, name, {}) for name in outlined(outline)}
+    stored = {name: _stored(place, name, {}) for name in outline_names(outline)}
     known = {name: values for name, values in stored.items() if values is not None}
     return known.keys() == stored.keys() and resolved_digest(with_values(outline, known)) == digest
 
 
-def changed_values(place: Place, outline: Mapping[str, Any], stored: Values, read: Callable[[], Values]) -> list[str]:
+def changed_values(
+    place: StoreBackend, outline: Mapping[str, Any], stored: Values, read: Callable[[], Values]
+) -> list[str]:
     """The names of the axes or columns whose stored values are not the spec's.
 
     Equal to the copies or to even spacing they are right. ``read``, see ``read_values``, decides all other cases.
@@ -81,11 +83,11 @@ def copy_key(name: str) -> str:
     return f"{name}/copy"
 
 
-def _stored(place: Place, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
+def _stored(place: StoreBackend, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
     """The values of a coordinate; None if it is damaged, with the damage added to ``faults``."""
     import zarr
 
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
 
     try:
         array: Any = zarr.open_array(zarr_store(place, read_only=True), path=name, mode="r", zarr_format=3)
@@ -102,7 +104,7 @@ def _stored(place: Place, name: str, faults: dict[str, str]) -> tuple[float, ...
     return None
 
 
-def _copied(place: Place, name: str) -> tuple[float, ...] | None:
+def _copied(place: StoreBackend, name: str) -> tuple[float, ...] | None:
     try:
         return tuple(np.frombuffer(place.get(copy_key(name)) or b"", dtype=_DTYPE).tolist()) or None
     except ValueError:
@@ -111,5 +113,5 @@ def _copied(place: Place, name: str) -> tuple[float, ...] | None:
 
 def _made(outline: Mapping[str, Any]) -> tuple[float, ...] | None:
     with suppress(InputError):
-        return spaced_again(outline)
+        return values_from_outline(outline)
     return None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError, message_of
 from atlas.store.schema import LARGEST_CHUNK, StoredArray, consolidate, coordinates, create_whole
-from atlas.store.store import ROOT, Atlas, open_group
+from atlas.store.store import ROOT, AtlasStore, open_group
 from workers.results import Variable
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
@@ -27,13 +27,13 @@ ARRAYS, CHECKSUM = "arrays", "checksum"
 """Attributes of a group: the names of its arrays; the checksum."""
 
 
-def groups_of(handle: Atlas) -> tuple[str, ...]:
+def groups_of(handle: AtlasStore) -> tuple[str, ...]:
     """The groups that a store of this spec may have."""
     spec = handle.spec
     return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
 
 
-def check_table_size(handle: Atlas, variables: Iterable[Variable]) -> None:
+def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
     """InputError if an array of a table with a value of these for every attractor of every cell would be too large."""
     spec = handle.spec
     count = math.prod(spec.shape) * (spec.attractors.keep if spec.coexistence and spec.attractors else 1)
@@ -45,7 +45,9 @@ def check_table_size(handle: Atlas, variables: Iterable[Variable]) -> None:
             )
 
 
-def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+def write_group(
+    handle: AtlasStore, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]
+) -> None:
     """Write a group, replacing an existing one."""
     drop_group(handle, group)
     root = open_group(handle.place, "r+")
@@ -62,7 +64,9 @@ def write_group(handle: Atlas, group: str, arrays: Mapping[str, StoredArray], at
     handle.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
 
 
-def write_table(handle: Atlas, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+def write_table(
+    handle: AtlasStore, table: str, columns: Mapping[str, StoredArray], attributes: Mapping[str, Any]
+) -> None:
     """Write a table for xarray, with the coordinates of its dimensions, replacing an existing one."""
     dims = {dim for column in columns.values() for dim in column.dims}
     known = {name: array for name, array in coordinates(handle.spec).items() if name in dims and array.dims == (name,)}
@@ -72,12 +76,12 @@ def write_table(handle: Atlas, table: str, columns: Mapping[str, StoredArray], a
     consolidate(root)  # xarray finds the group by the root's copy
 
 
-def drop_group(handle: Atlas, group: str) -> None:
+def drop_group(handle: AtlasStore, group: str) -> None:
     """Make a group absent."""
     handle.place.remove(f"{group}/{ROOT}")
 
 
-def group_attributes(handle: Atlas, group: str) -> dict[str, Any] | None:
+def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
     """The attributes of a group, None if it does not exist. ChunkError if they cannot be read."""
     key = f"{group}/{ROOT}"
     stored = handle.place.get(key)
@@ -87,7 +91,7 @@ def group_attributes(handle: Atlas, group: str) -> dict[str, Any] | None:
         raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
 
 
-def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
     """The arrays of a group by name, and its attributes; None if it does not exist.
 
     ChunkError, which names the missing or damaged objects, if they were not written together.
@@ -112,13 +116,13 @@ def read_group(handle: Atlas, group: str) -> tuple[dict[str, NDArray[Any]], dict
     return arrays, attributes
 
 
-def _names(handle: Atlas, group: str) -> list[str]:
+def _names(handle: AtlasStore, group: str) -> list[str]:
     """The names of the arrays of a group, from a listing of its objects."""
     keys = (key.split("/") for key in handle.place.list_keys(f"{group}/"))
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
 
-def _read(handle: Atlas, path: str) -> NDArray[Any] | dict[str, str]:
+def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
     """An array of one chunk, or its fault, by key."""
     key = f"{path}/{ROOT}"
     try:
@@ -135,7 +139,7 @@ def _read(handle: Atlas, path: str) -> NDArray[Any] | dict[str, str]:
         return {key: f"is damaged ({message_of(error)})"}
 
 
-def _checksum(handle: Atlas, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
+def _checksum(handle: AtlasStore, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
     """A digest of a group: its attributes, and all objects of its arrays."""
     digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in names:

@@ -15,7 +15,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Allowance(Variable):
+class BudgetVariable(Variable):
     """A variable with the value of a setting for each cell: after a retry, larger than the spec's.
 
     Only stores that a retry made have it; its fill value there is the spec's setting.
@@ -23,13 +23,15 @@ class Allowance(Variable):
 
     setting: str = ""
 
-    def of_spec(self, spec: Spec) -> int:
+    def from_spec(self, spec: Spec) -> int:
         """The amount of a cell that was not retried."""
         return int(getattr(spec.settings, self.setting))
 
 
-def _allowance(name: str, meaning: str, setting: str) -> Allowance:
-    return Allowance(name, "int32", 0, f"{meaning}; as in the spec unless retried", "1", sparse=True, setting=setting)
+def _allowance(name: str, meaning: str, setting: str) -> BudgetVariable:
+    return BudgetVariable(
+        name, "int32", 0, f"{meaning}; as in the spec unless retried", "1", sparse=True, setting=setting
+    )
 
 
 BUDGET = _allowance("budget", "forcing periods that the cell may cost", "max_periods")
@@ -37,20 +39,20 @@ SURVIVAL = _allowance("survival", "forcing periods for which chaos may be watche
 ALLOWANCES = (BUDGET, SURVIVAL)
 
 
-def allowances_in(spec: Spec) -> tuple[Allowance, ...]:
+def budget_variables(spec: Spec) -> tuple[BudgetVariable, ...]:
     """The allowances, with the spec's amounts as their fill values."""
-    return tuple(replace(allowance, fill=allowance.of_spec(spec)) for allowance in ALLOWANCES)
+    return tuple(replace(allowance, fill=allowance.from_spec(spec)) for allowance in ALLOWANCES)
 
 
 @dataclass(frozen=True)
-class Retry:
+class RetryRequest:
     """A request to solve the cells of these ``regimes``, by name, again, with the settings that are not None."""
 
     regimes: tuple[str, ...]
     max_periods: int | None = None
     survival: int | None = None
 
-    def given(self, allowance: Allowance) -> int:
+    def given(self, allowance: BudgetVariable) -> int:
         """The least amount of an allowance for these cells; 0 if the retry does not raise it."""
         return int(getattr(self, allowance.setting) or 0)
 
@@ -68,7 +70,7 @@ class Origin:
 
     store: str
     run_id: str
-    retry: Retry | None = None
+    retry: RetryRequest | None = None
 
     def attributes(self) -> dict[str, str]:
         """The attributes of the new store's root."""
@@ -76,10 +78,10 @@ class Origin:
         return {"origin": self.store, "origin_run_id": self.run_id, **given}
 
     @classmethod
-    def of_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
+    def from_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
         """The inverse; None without an origin."""
         if "origin" not in attributes:
             return None
         fields = json.loads(attributes.get("origin_retry", "null"))
-        retry = None if fields is None else Retry(**{**fields, "regimes": tuple(fields["regimes"])})
+        retry = None if fields is None else RetryRequest(**{**fields, "regimes": tuple(fields["regimes"])})
         return cls(attributes["origin"], attributes["origin_run_id"], retry)

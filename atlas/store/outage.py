@@ -15,9 +15,9 @@ from typing import TypeVar
 
 from atlas.errors import NetworkError, without_secrets
 
-BRIEF = 15.0
+SHORT_PATIENCE = 15.0
 """Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
-LONG = 180.0
+LONG_PATIENCE = 180.0
 """Seconds that a run waits for a store that it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)|\(RequestTimeout\b")
@@ -27,7 +27,7 @@ _REFUSED = re.compile(r"status code: 40[013]\b")
 _T = TypeVar("_T")
 
 
-def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
+def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
     """The result of a call to obstore, repeated with growing pauses while the store does not answer.
 
     Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that do not pass.
@@ -44,8 +44,8 @@ def persist(call: Callable[[], _T], url: str, patience: float) -> _T:
         time.sleep(pause)
 
 
-async def persist_async(call: Callable[[], Awaitable[_T]], url: str, patience: float) -> _T:
-    """As ``persist``, for a coroutine function."""
+async def retry_call_async(call: Callable[[], Awaitable[_T]], url: str, patience: float) -> _T:
+    """As ``retry_call``, for a coroutine function."""
     from obstore.exceptions import BaseError
 
     outage = _Outage(url, patience)

@@ -6,7 +6,7 @@ They lie apart from the groups, whose readers expect arrays. A part begins with 
 import hashlib
 from collections.abc import Iterator
 
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 
 PARTS = "parts"
 DIGEST = "digest"
@@ -14,36 +14,36 @@ DIGEST = "digest"
 _CHECKSUM_BYTES = 32
 
 
-def put_part(handle: Atlas, group: str, name: str, data: bytes) -> None:
+def put_part(handle: AtlasStore, group: str, name: str, data: bytes) -> None:
     """Keep a finished part of a search; it appears whole or not at all."""
     handle.place.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
 
 
-def get_part(handle: Atlas, group: str, name: str) -> bytes | None:
+def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:
     """A part; None if it is missing or damaged, and has to be computed again."""
     stored = handle.place.get(f"{PARTS}/{group}/{name}") or b""
     checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
     return data if hashlib.sha256(data).digest() == checksum else None
 
 
-def part_names(handle: Atlas, group: str) -> Iterator[str]:
+def part_names(handle: AtlasStore, group: str) -> Iterator[str]:
     """The names of all parts."""
     root = f"{PARTS}/{group}/"
     return (key.removeprefix(root) for key in handle.place.list_keys(root))
 
 
-def damaged_parts(handle: Atlas, group: str) -> list[str]:
+def damaged_parts(handle: AtlasStore, group: str) -> list[str]:
     """The keys of parts that are damaged."""
     names = sorted(part_names(handle, group))
     return [f"{PARTS}/{group}/{name}" for name in names if get_part(handle, group, name) is None]
 
 
-def drop_parts(handle: Atlas, group: str) -> None:
+def drop_parts(handle: AtlasStore, group: str) -> None:
     """Remove all parts."""
     handle.place.remove_all(list(handle.place.list_keys(f"{PARTS}/{group}/")))
 
 
-def kept_parts(handle: Atlas, group: str, digest: str) -> set[str]:
+def finished_parts(handle: AtlasStore, group: str, digest: str) -> set[str]:
     """The names of the parts that a search with this digest has finished; parts of any other search are removed."""
     if get_part(handle, group, DIGEST) != digest.encode():
         drop_parts(handle, group)

@@ -10,7 +10,7 @@ import numpy as np
 
 from atlas.spec.points import POINT
 from atlas.spec.spec import Spec
-from atlas.store.machine import package_version
+from atlas.store.host import package_version
 from atlas.store.origin import Origin
 from atlas.store.tiling import Tiling, part_side
 from workers import SOLVER_VERSION

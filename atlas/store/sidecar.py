@@ -21,14 +21,14 @@ import google_crc32c
 
 from atlas.errors import InputError, RunError
 from atlas.platform import file_lock
-from atlas.store.archive import ZipPlace
-from atlas.store.location import Given, ObjectPlace, Place, place_of
-from atlas.store.place import Fence
+from atlas.store.backend import Fence
+from atlas.store.object_backend import Given, ObjectBackend, StoreBackend, open_backend
+from atlas.store.zip_backend import ZipBackend
 
-CLAIM = "claim"
+LEASE_NAME = "claim"
 """The name of the note by which a run claims a store."""
 _LOCK, _PARTIAL = ".lock", ".partial"
-_LOOKS, _BETWEEN_LOOKS = 100, 0.01
+_READ_ATTEMPTS, _READ_PAUSE = 100, 0.01
 """Attempts to read a note that is being written in place, and the seconds between them."""
 _LOCK_SECONDS = 10.0
 """Seconds to wait for the lock, which is held for an instant."""
@@ -36,7 +36,7 @@ _BLOCK, _END = 4096, 18
 """Block size of a note's file in bytes, and bytes at its end: length and checksum of the text."""
 
 
-class Notes(Protocol):
+class Sidecar(Protocol):
     """Small named notes of one store that several processes share, with a conditional write."""
 
     def read(self, name: str) -> bytes | None:
@@ -52,22 +52,22 @@ class Notes(Protocol):
         """Remove all notes but one. For the holder of that note only."""
 
 
-def notes_of(store: Given) -> Notes:
+def sidecar_of(store: Given) -> Sidecar:
     """The notes of a store, next to it: a claim precedes the store, and Zarr owns its inside.
 
     If the store's path is a link, they are next to its target, so that a store has one claim.
     """
-    place = place_of(store)
-    if isinstance(place, ObjectPlace):
-        return notes_at_url(place)
-    path = place.path if isinstance(place, ZipPlace) else place.local  # a file is never claimed, so it has no notes
+    place = open_backend(store)
+    if isinstance(place, ObjectBackend):
+        return object_sidecar(place)
+    path = place.path if isinstance(place, ZipBackend) else place.local  # a file is never claimed, so it has no notes
     if path is None:
-        return NoNotes()
+        return NullSidecar()
     path = Path(os.path.realpath(path))
-    return Folder(path.parent / f".{path.name}.run")
+    return LocalSidecar(path.parent / f".{path.name}.run")
 
 
-class NoNotes:
+class NullSidecar:
     """The notes of a read-only store, which is never claimed."""
 
     def read(self, name: str) -> bytes | None:
@@ -83,14 +83,14 @@ class NoNotes:
         pass
 
 
-def claim_token(notes: Notes) -> str:
+def read_lease_token(notes: Sidecar) -> str:
     """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
-    return _token(notes.read(CLAIM))
+    return _token(notes.read(LEASE_NAME))
 
 
-def note_fence(store: Place, name: str, token: str, error: type[RunError], lost: str) -> Fence:
+def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError], lost: str) -> Fence:
     """A fence that raises ``error`` with the text ``lost`` unless a note of a store holds a token: one read."""
-    notes = notes_of(store)
+    notes = sidecar_of(store)
 
     def check() -> None:
         if _token(notes.read(name)) != token:
@@ -112,12 +112,12 @@ class TileAttempt:
         """The note's bytes."""
         return json.dumps(vars(self)).encode()
 
-    def remove(self, notes: Notes, name: str) -> None:
+    def remove(self, notes: Sidecar, name: str) -> None:
         """Remove the attempt's note, unless a later attempt has replaced it."""
         notes.remove(name, self.pack())
 
 
-def put_attempt(notes: Notes, name: str, run: str, most: int) -> TileAttempt:
+def start_attempt(notes: Sidecar, name: str, run: str, most: int) -> TileAttempt:
     """Write the note of a new attempt of a run, replacing an older note.
 
     RunError if the older note is of attempt number ``most`` of that run: all of them died before they removed it.
@@ -149,7 +149,7 @@ def _read_note(note: bytes | None) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Folder:
+class LocalSidecar:
     """Notes as files of a folder. The folder's lock, held for an instant, makes a conditional write atomic.
 
     The length of a file is a multiple of _BLOCK, and a checksum ends it. It appears whole, by a rename; it is
@@ -161,7 +161,7 @@ class Folder:
 
     def read(self, name: str) -> bytes | None:
         """See Notes. Empty for a note that stays damaged."""
-        for _ in range(_LOOKS):
+        for _ in range(_READ_ATTEMPTS):
             try:
                 text = _text((self.path / name).read_bytes())
             except (FileNotFoundError, NotADirectoryError):
@@ -170,7 +170,7 @@ class Folder:
                 text = None
             if text is not None:
                 return text
-            time.sleep(_BETWEEN_LOOKS)
+            time.sleep(_READ_PAUSE)
         return b""
 
     def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
@@ -275,14 +275,14 @@ def _text(file: bytes) -> bytes | None:
 
 
 @dataclass(frozen=True)
-class UrlNotes:
+class ObjectSidecar:
     """Notes as small objects under one prefix.
 
     Writes to an object store can be conditional (If-None-Match, If-Match), removals cannot: a note is removed by one
     request right after a look at it, or is left empty, which counts as absent.
     """
 
-    place: ObjectPlace
+    place: ObjectBackend
 
     def read(self, name: str) -> bytes | None:
         return self.place.get(name) or None
@@ -302,10 +302,10 @@ class UrlNotes:
         self.place.remove_all(name for name in self.place.list_keys() if name != keep)
 
 
-def notes_at_url(store: ObjectPlace) -> UrlNotes:
+def object_sidecar(store: ObjectBackend) -> ObjectSidecar:
     """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
     parts = urlsplit(store.url)
     above, _, name = parts.path.rstrip("/").rpartition("/")
     if not name:
         raise InputError(f"{store}: a store needs a name below the bucket, such as {store}/plane.zarr")
-    return UrlNotes(replace(store, url=parts._replace(path=f"{above}/.{name}.run").geturl()))
+    return ObjectSidecar(replace(store, url=parts._replace(path=f"{above}/.{name}.run").geturl()))

@@ -9,20 +9,20 @@ from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from atlas.errors import ChunkError, InputError, RunError, message_of, shown
+from atlas.errors import ChunkError, InputError, RunError, brief_repr, message_of
 from atlas.spec.axis import Values
 from atlas.spec.resolved import with_values
 from atlas.spec.spec import Spec
-from atlas.store.archive import ZipPlace
 from atlas.store.axes import ROOT as ROOT
 from atlas.store.axes import copies, read_values
-from atlas.store.location import Given, Place, place_of, refused
-from atlas.store.origin import Allowance, Origin, allowances_in
-from atlas.store.record import RECORD
+from atlas.store.metadata_backup import SPARE, copy_difference, decode_backup, form_fault, remedy, root_fault
+from atlas.store.object_backend import Given, StoreBackend, open_backend, os_errors_as_input_errors
+from atlas.store.origin import BudgetVariable, Origin, budget_variables
+from atlas.store.record_format import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
 from atlas.store.schema import ZOOM as ZOOM
-from atlas.store.spare import SPARE, form_fault, remedy, root_fault, spare_by, unlike_copy
 from atlas.store.tiling import Tiling, chunk_index
+from atlas.store.zip_backend import ZipBackend
 from workers.results import ATTRACTOR, REGIME, Variable, leading
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ READERS = 8
 """Tiles read at the same time: a disk or a network answers several requests as soon as one."""
 
 
-class _Opened(dict[str, Any]):
+class _SharedCache(dict[str, Any]):
     """Objects read and opened by the views of a handle, by name; ``lock`` is held meanwhile."""
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class _Opened(dict[str, Any]):
         self.lock = RLock()
 
 
-class MadeOnce(cached_property[_T]):
+class SharedCachedProperty(cached_property[_T]):
     """A property that is made once for all views of a handle."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
@@ -60,7 +60,7 @@ class MadeOnce(cached_property[_T]):
 
 
 @dataclass(frozen=True)
-class Atlas:
+class AtlasStore:
     """The handle of a store: its place, spec, solver version and contents.
 
     ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
@@ -68,7 +68,7 @@ class Atlas:
     is read or opened at its first use, and ``kept`` in this process.
     """
 
-    place: Place
+    place: StoreBackend
     outline: Mapping[str, Any]
     digest: str
     run_id: str
@@ -76,29 +76,29 @@ class Atlas:
     nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
     state: str = field(default="", repr=False, compare=False)
-    kept: _Opened = field(default_factory=_Opened, init=False, repr=False, compare=False)
+    kept: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {entry.name: getattr(self, entry.name) for entry in fields(self)} | {"kept": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        vars(self).update(state, kept=_Opened())
+        vars(self).update(state, kept=_SharedCache())
 
-    def __deepcopy__(self, memo: object) -> "Atlas":
+    def __deepcopy__(self, memo: object) -> "AtlasStore":
         return self  # a handle never changes
 
-    def current(self) -> "Atlas":
-        """This handle if the store's root has not changed since, else a new one; errors as for ``open_handle``.
+    def current(self) -> "AtlasStore":
+        """This handle if the store's root has not changed since, else a new one; errors as for ``open_store``.
 
         It takes one request, fewer than opening the store.
         """
-        with refused(self.place, "read"):
+        with os_errors_as_input_errors(self.place, "read"):
             same = self.state and _state(self.place.get(ROOT)) == self.state
-        return self if same else open_handle(self.place)
+        return self if same else open_store(self.place)
 
-    def at(self, place: Place) -> "Atlas":
+    def at(self, place: StoreBackend) -> "AtlasStore":
         """The same handle for another view of its place; both share everything that is read and opened."""
-        other = object.__new__(Atlas)
+        other = object.__new__(AtlasStore)
         vars(other).update(vars(self), place=place)
         return other
 
@@ -109,7 +109,7 @@ class Atlas:
             raise RunError(f"{self.place}: not a folder of this machine")
         return self.place.local
 
-    @MadeOnce
+    @SharedCachedProperty
     def arrays(self) -> Mapping[str, Mapping[str, Any]]:
         """The metadata of the root's arrays, by name."""
         return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
@@ -124,7 +124,7 @@ class Atlas:
         """The names of the root's groups."""
         return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
 
-    @MadeOnce
+    @SharedCachedProperty
     def spec(self) -> Spec:
         """The spec of the store.
 
@@ -137,11 +137,11 @@ class Atlas:
             raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
         shape = self.arrays[REGIME.name].get("shape")
         if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
-            damage = f"{REGIME.name} has shape {shown(shape)}, must be {spec.shape}"
+            damage = f"{REGIME.name} has shape {brief_repr(shape)}, must be {spec.shape}"
             raise InputError(f"{self.place}: its metadata are damaged: {damage}: {remedy(self.place)}")
         return spec
 
-    @MadeOnce
+    @SharedCachedProperty
     def values(self) -> Values:
         """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
         return read_values(self.place, self.outline, self.digest)
@@ -163,11 +163,13 @@ class Atlas:
         sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
         cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
         if not all(type(size) is int and 1 <= size <= max(1, count) for _, size, count in cells):
-            raise ValueError(f"{REGIME.name} has chunks of {shown(sizes)} in a shape of {shown(regime['shape'])}")
+            raise ValueError(
+                f"{REGIME.name} has chunks of {brief_repr(sizes)} in a shape of {brief_repr(regime['shape'])}"
+            )
         named = zip(regime["dimension_names"], sizes, strict=True)
         return tuple(size for name, size in named if name != ATTRACTOR)
 
-    @MadeOnce
+    @SharedCachedProperty
     def tiling(self) -> Tiling:
         """The tiles of the store."""
         return Tiling(self.spec.shape, self.tile)
@@ -177,26 +179,26 @@ class Atlas:
         """The result variables of the store, ``regime`` last."""
         return self.spec.variables
 
-    @MadeOnce
-    def allowances(self) -> tuple[Allowance, ...]:
+    @SharedCachedProperty
+    def allowances(self) -> tuple[BudgetVariable, ...]:
         """The allowances that a retry may have raised, if a retry made the store."""
-        return allowances_in(self.spec) if self.origin is not None and self.origin.retry is not None else ()
+        return budget_variables(self.spec) if self.origin is not None and self.origin.retry is not None else ()
 
     @property
     def regime(self) -> Variable:
         """The result that is written last; a tile is done once it exists."""
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
-    def leading(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    def dominant_arrays(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
         """Arrays with one result for each cell: the first of all attractors."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
-    @MadeOnce
+    @SharedCachedProperty
     def readable(self) -> Mapping[str, Any]:
         """The Zarr arrays of cells and coordinates by name, opened once; errors as for ``open_arrays``."""
         return open_arrays(self)
 
-    @MadeOnce
+    @SharedCachedProperty
     def declared(self) -> Mapping[str, Any]:
         """The same arrays by the root's copies of their metadata, without a request: for encoding chunks to write."""
         return arrays_by(self, self.nodes)
@@ -206,32 +208,32 @@ class Atlas:
         """The names of the arrays of its root that hold cells or coordinates."""
         return [*(variable.name for variable in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
 
-    @MadeOnce
+    @SharedCachedProperty
     def coordinates(self) -> dict[str, StoredArray]:
         """The coordinates, by name."""
         return coordinates(self.spec)
 
 
-def open_handle(store: "Given | Atlas", storage_options: Mapping[str, Any] | None = None) -> Atlas:
+def open_store(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None = None) -> AtlasStore:
     """The handle of a store, given or read; InputError without a store, or for one that is no atlas of a known format.
 
     If the disk or the server refused, its OSError is the cause of the InputError. NetworkError if the server does not
     answer.
     """
-    if isinstance(store, Atlas):
+    if isinstance(store, AtlasStore):
         return store
-    place = place_of(store, storage_options=storage_options)
-    with refused(place, "read"):
+    place = open_backend(store, storage_options=storage_options)
+    with os_errors_as_input_errors(place, "read"):
         return _open_handle(place)
 
 
-def _open_handle(place: Place) -> Atlas:
+def _open_handle(place: StoreBackend) -> AtlasStore:
     regime = f"{REGIME.name}/{ROOT}"
     objects = place.get_all([ROOT, regime, SPARE])
     if SPARE not in objects:
         objects |= place.get_all([f"{RECORD}/{ROOT}"])
     content = objects.get(ROOT)
-    spare = spare_by(place, content, objects.get(SPARE))
+    spare = decode_backup(place, content, objects.get(SPARE))
     if spare is not None and (fault := root_fault(content, spare)):
         raise InputError(f"{place}: {ROOT} {fault}: {remedy(place)}")
     try:
@@ -239,14 +241,14 @@ def _open_handle(place: Place) -> Atlas:
         attrs = root["attributes"]
         ours = attrs.get("format") == FORMAT
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
-        path = place.path if isinstance(place, ZipPlace) else place.local
+        path = place.path if isinstance(place, ZipBackend) else place.local
         if content is None and not (path is not None and path.exists()):
             raise InputError(f"{place}: no such store") from None
         ours = False
     if not ours:
         raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
     if attrs.get("format_version") != FORMAT_VERSION:
-        layout = shown(attrs.get("format_version"))
+        layout = brief_repr(attrs.get("format_version"))
         raise InputError(f"{place}: format version {layout}, this program reads version {FORMAT_VERSION}")
     version = attrs.get("solver_version")
     if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
@@ -268,33 +270,33 @@ def _state(content: bytes | None) -> str:
     return hashlib.sha256(content or b"").hexdigest()
 
 
-def handle_by(place: Place, root: Mapping[str, Any], regime: Mapping[str, Any]) -> Atlas:
+def handle_by(place: StoreBackend, root: Mapping[str, Any], regime: Mapping[str, Any]) -> AtlasStore:
     """The handle of a store by the metadata of its root and of its regimes."""
     attrs, nodes = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
-    if fault := unlike_copy(regime, nodes[REGIME.name]):
+    if fault := copy_difference(regime, nodes[REGIME.name]):
         raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
-    handle = Atlas(
+    handle = AtlasStore(
         place=place,
         outline=json.loads(attrs["spec"]),
         digest=attrs["digest"],
         run_id=attrs["run_id"],
         solver_version=attrs["solver_version"],
         nodes=nodes,
-        origin=Origin.of_attributes(attrs),
+        origin=Origin.from_attributes(attrs),
     )
     _ = handle.tile, handle.record
     return handle
 
 
-def find(store: Given) -> Atlas | None:
+def find_store(store: Given) -> AtlasStore | None:
     """The handle of a store, None if there is none yet; InputError if something else lies at its place."""
-    place = place_of(store)
-    with refused(place, "written"):
+    place = open_backend(store)
+    with os_errors_as_input_errors(place, "written"):
         free = is_free(place)
-    return None if free else open_handle(place)
+    return None if free else open_store(place)
 
 
-def is_free(place: Place) -> bool:
+def is_free(place: StoreBackend) -> bool:
     """Whether a place has no store, and on a disk nothing else either."""
     path = place.local
     if path is None:
@@ -302,7 +304,7 @@ def is_free(place: Place) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.iterdir()))
 
 
-def done_tiles(handle: Atlas, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
+def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
     """Indices of the finished tiles, whose regime chunk exists, from these keys or from one listing."""
     root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra)
     keys = handle.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
@@ -312,7 +314,7 @@ def done_tiles(handle: Atlas, listed: Iterable[str] | None = None) -> set[tuple[
     return {index for index in indices if index is not None}
 
 
-def is_done(handle: Atlas, index: tuple[int, ...]) -> bool:
+def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:
     """Whether one tile is finished; see ``done_tiles`` for all of them."""
     return handle.place.exists(chunk_key(handle.regime, index))
 
@@ -322,22 +324,22 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
 
 
-def open_arrays(handle: Atlas, names: Iterable[str] | None = None) -> dict[str, Any]:
+def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[str, Any]:
     """Zarr arrays of the store's root by name, results and coordinates, for reading: all, or those of these names.
 
     ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
     """
     asked = handle.array_names if names is None else [name for name in handle.array_names if name in {*names}]
-    own, faults = own_nodes(handle, asked), dict[str, str]()
+    own, faults = read_array_nodes(handle, asked), dict[str, str]()
     for name in asked:
-        if fault := unlike_copy(own.get(name), handle.nodes.get(name)):
+        if fault := copy_difference(own.get(name), handle.nodes.get(name)):
             faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
     if faults:
         raise ChunkError(handle.place, faults)
     return arrays_by(handle, own)
 
 
-def arrays_by(handle: Atlas, nodes: Mapping[str, Any]) -> dict[str, Any]:
+def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
     """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError for damaged metadata."""
     arrays = {}
     for name in handle.array_names:
@@ -349,17 +351,17 @@ def arrays_by(handle: Atlas, nodes: Mapping[str, Any]) -> dict[str, Any]:
     return arrays
 
 
-def array_by(place: Place, path: str, node: Any) -> Any:
+def array_by(place: StoreBackend, path: str, node: Any) -> Any:
     """A Zarr array of a store, for reading, as these metadata describe it; damaged metadata may raise anything."""
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
 
     return Array(AsyncArray(node, StorePath(zarr_store(place, read_only=True), path)))
 
 
-def own_nodes(handle: Atlas, names: Iterable[str]) -> dict[str, Any]:
+def read_array_nodes(handle: AtlasStore, names: Iterable[str]) -> dict[str, Any]:
     """The own metadata of arrays of the store's root, by name. ChunkError if they are damaged."""
     nodes = {}
     for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in names).items():
@@ -370,10 +372,10 @@ def own_nodes(handle: Atlas, names: Iterable[str]) -> dict[str, Any]:
     return nodes
 
 
-def open_group(place: Place, mode: Literal["r", "r+"]) -> "zarr.Group":
+def open_group(place: StoreBackend, mode: Literal["r", "r+"]) -> "zarr.Group":
     """The root group of a store, with the present metadata of each array instead of the root's copies."""
     import zarr
 
-    from atlas.store.remote import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
 
     return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=False, zarr_format=3)

@@ -8,25 +8,25 @@ import numpy as np
 
 from atlas.errors import ChunkError, message_of
 from atlas.spec.spec import Slices
-from atlas.store.machine import this_machine
-from atlas.store.machines import record_machine
-from atlas.store.origin import ALLOWANCES, Allowance
-from atlas.store.record import (
+from atlas.store.host import current_host
+from atlas.store.host_records import record_host
+from atlas.store.origin import ALLOWANCES, BudgetVariable
+from atlas.store.record_format import (
     COVERED,
     DIGEST,
     WIDTH,
     Rows,
-    counted_row,
+    count_row,
     digest_of,
+    encode_row,
     halves,
-    packed,
     record_key,
 )
-from atlas.store.store import Atlas, chunk_key, open_arrays
+from atlas.store.store import AtlasStore, chunk_key, open_arrays
 from workers.results import LABEL, REGIME, Variable
 
 
-def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Write a tile as whole objects and return its record. The record and then ``regime`` are last: the tile is done.
 
     Another attempt at the tile writes the same bits.
@@ -35,7 +35,7 @@ def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.nd
     objects, done = dict[str, bytes](), dict[str, bytes]()
     for variable in _written(handle):
         array, values = to[variable.name], whole[variable.name]
-        made = encoded(array, block(array, index), values, variable.sparse)
+        made = encode_chunks(array, block(array, index), values, variable.sparse)
         (done if variable.name == REGIME.name else objects).update(made)
     row = _begin_tile(handle, index, whole)
     handle.place.put_all(objects)
@@ -44,7 +44,7 @@ def write_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.nd
     return row
 
 
-def take_tile(handle: Atlas, origin: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Write a tile like ``write_tile``, but copy its objects from a store of the same cells and tiles.
 
     ``arrays`` are the values read from that store: its objects are whole.
@@ -57,9 +57,9 @@ def take_tile(handle: Atlas, origin: Atlas, index: tuple[int, ...], arrays: Mapp
     return row
 
 
-def _begin_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Record the machine that writes a tile, and remove old objects where the tile has none; returns its record."""
-    record_machine(handle, this_machine())
+    record_host(handle, current_host())
     sparse = (variable for variable in _written(handle) if variable.sparse)
     absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
     if absent:
@@ -67,28 +67,28 @@ def _begin_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.n
     return record_of(handle, index, arrays)
 
 
-def _with_allowances(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _with_allowances(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Arrays of a tile together with its allowances, by default the spec's settings."""
     return {allowance.name: _as_in_spec(handle, index, allowance) for allowance in ALLOWANCES} | dict(arrays)
 
 
-def _written(handle: Atlas) -> list[Variable]:
+def _written(handle: AtlasStore) -> list[Variable]:
     """The variables of cells in the store, ``regime`` last."""
     return [*handle.allowances, *handle.variables]
 
 
-def relabel_tile(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
+def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     """Write the labels in ``arrays`` into a tile of basins, once all tiles are known; all other arrays are as stored.
 
     Meanwhile its record is empty, so a kill leaves no record that contradicts the tile.
     """
     array = handle.declared[LABEL.name]
     put_record(handle, index, np.zeros(WIDTH))
-    handle.place.put_all(encoded(array, block(array, index), arrays[LABEL.name]))
+    handle.place.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
     put_record(handle, index, record_of(handle, index, arrays))
 
 
-def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
+def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
     """The objects, by key, of a Zarr array with these values in a block of whole objects.
 
     Objects of fill values alone are included unless ``sparse``, so that a missing object is a missing result.
@@ -102,20 +102,20 @@ def encoded(array: Any, block: Slices, values: Any, sparse: bool = False) -> dic
     return {key: data.to_bytes() for key, data in objects.items()}
 
 
-def record_of(handle: Atlas, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """The record of a tile with these arrays, ``ALLOWANCES`` among them."""
-    row = counted_row(handle.spec, handle.tiling.at(index).slices, handle.leading(arrays))
+    row = count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(arrays))
     covered = covered_variables(handle, handle.record["attributes"])
     row[DIGEST] = halves(digest_of(index, covered, arrays))
     return row
 
 
-def put_record(handle: Atlas, index: tuple[int, ...], row: Rows) -> None:
+def put_record(handle: AtlasStore, index: tuple[int, ...], row: Rows) -> None:
     """Write the record of a tile."""
-    handle.place.put(record_key(index), packed(row))
+    handle.place.put(record_key(index), encode_row(row))
 
 
-def drop_tile(handle: Atlas, index: tuple[int, ...]) -> None:
+def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
 
     Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
@@ -125,7 +125,10 @@ def drop_tile(handle: Atlas, index: tuple[int, ...]) -> None:
 
 
 def read_tile(
-    handle: Atlas, index: tuple[int, ...], names: Iterable[str] | None = None, arrays: Mapping[str, Any] | None = None
+    handle: AtlasStore,
+    index: tuple[int, ...],
+    names: Iterable[str] | None = None,
+    arrays: Mapping[str, Any] | None = None,
 ) -> dict[str, np.ndarray]:
     """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
 
@@ -140,7 +143,7 @@ def read_tile(
     for variable in (*handle.variables, *ALLOWANCES):
         if variable.name not in wanted:
             continue
-        if isinstance(variable, Allowance) and variable.name not in arrays:
+        if isinstance(variable, BudgetVariable) and variable.name not in arrays:
             values[variable.name] = _as_in_spec(handle, index, variable)
             continue
         key, array = chunk_key(variable, index), arrays[variable.name]
@@ -157,7 +160,7 @@ def read_tile(
     return values
 
 
-def covered_variables(handle: Atlas, attributes: Mapping[str, Any]) -> list[Variable]:
+def covered_variables(handle: AtlasStore, attributes: Mapping[str, Any]) -> list[Variable]:
     """The variables in digests, by the attributes of the records' array; KeyError for a variable the store lacks."""
     known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
@@ -174,8 +177,8 @@ def object_shape(array: Any) -> tuple[int, ...]:
     return tuple(array.shards or array.chunks)
 
 
-def _as_in_spec(handle: Atlas, index: tuple[int, ...], allowance: Allowance) -> np.ndarray:
-    return np.full(handle.tiling.at(index).shape, allowance.of_spec(handle.spec), allowance.dtype)
+def _as_in_spec(handle: AtlasStore, index: tuple[int, ...], allowance: BudgetVariable) -> np.ndarray:
+    return np.full(handle.tiling.at(index).shape, allowance.from_spec(handle.spec), allowance.dtype)
 
 
 def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
@@ -192,7 +195,7 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         return f"is damaged ({message_of(error)})"
 
 
-def _lost(handle: Atlas, array: Any, key: str) -> str:
+def _lost(handle: AtlasStore, array: Any, key: str) -> str:
     """The fault of an object that reads as fill values: missing, or an empty shard."""
     if not array.shards:
         return "" if handle.place.exists(key) else "is missing"

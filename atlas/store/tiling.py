@@ -13,13 +13,13 @@ from atlas.spec.spec import Slices
 
 Index = tuple[int, ...]
 
-PART = 64
+INNER_CHUNK = 64
 """Cells along a side of the parts in which a larger tile is solved and read."""
 
 
 def part_side(tile: int) -> int:
     """The side of the stored parts of a tile: the largest divisor of its side from PART / 2 to PART, else the side."""
-    return next((side for side in range(PART, PART // 2 - 1, -1) if tile % side == 0), tile)
+    return next((side for side in range(INNER_CHUNK, INNER_CHUNK // 2 - 1, -1) if tile % side == 0), tile)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from atlas.store.location import Place
-from atlas.store.store import ROOT, ZOOM, Atlas
+from atlas.store.object_backend import StoreBackend
+from atlas.store.store import ROOT, ZOOM, AtlasStore
 from workers.results import REGIME
 
 _SEEN = "seen"
@@ -20,19 +20,19 @@ FILE_BLOCK = 4096
 """Least bytes of an object, if its size is unknown."""
 
 
-def sheet_place(handle: Atlas, plane: str, sheet: str) -> Place:
+def metatile_backend(handle: AtlasStore, plane: str, sheet: str) -> StoreBackend:
     """The place of a sheet of a plane, made or not; ValueError for a store that cannot have sheets."""
     return handle.place.inner(f"{ZOOM}/{plane}/{sheet}")
 
 
-def make_plane(handle: Atlas, plane: str, described: Mapping[str, Any]) -> None:
+def make_plane(handle: AtlasStore, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, if they are missing."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         if not handle.place.exists(f"{key}/{ROOT}"):
             handle.place.put_new(f"{key}/{ROOT}", _group(attributes))
 
 
-def describe_planes(handle: Atlas) -> None:
+def describe_planes(handle: AtlasStore) -> None:
     """Write the metadata of the group of all planes again."""
     handle.place.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
 
@@ -41,7 +41,7 @@ def _group(attributes: Mapping[str, Any]) -> bytes:
     return json.dumps({"zarr_format": 3, "node_type": "group", "attributes": attributes}).encode()
 
 
-def sheets(handle: Atlas) -> list[tuple[str, str]]:
+def list_metatiles(handle: AtlasStore) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none for a read-only store."""
     if handle.place.only_read:
         return []
@@ -53,7 +53,7 @@ def sheets(handle: Atlas) -> list[tuple[str, str]]:
     return sorted((key.split("/")[1], key.split("/")[2]) for key in keys)
 
 
-def sheet_bytes(handle: Atlas, plane: str, sheet: str) -> int:
+def metatile_bytes(handle: AtlasStore, plane: str, sheet: str) -> int:
     """The bytes of a sheet on its disk, in whole blocks; at a URL, a lower bound."""
     total = 0
     for key in handle.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
@@ -65,16 +65,16 @@ def sheet_bytes(handle: Atlas, plane: str, sheet: str) -> int:
     return total
 
 
-def seen_sheets(handle: Atlas) -> dict[tuple[str, str], float]:
+def read_view_times(handle: AtlasStore) -> dict[tuple[str, str], float]:
     """The times when sheets were last viewed, in seconds since 1970, as far as they were noted."""
     times: dict[tuple[str, str], float] = {}
-    for plane in {plane for plane, _ in sheets(handle)}:
+    for plane in {plane for plane, _ in list_metatiles(handle)}:
         noted = _plane_group(handle, plane).get("attributes", {}).get(_SEEN, {})
         times |= {(plane, sheet): float(when) for sheet, when in noted.items()}
     return times
 
 
-def note_seen(handle: Atlas, seen: Mapping[tuple[str, str], float]) -> None:
+def write_view_times(handle: AtlasStore, seen: Mapping[tuple[str, str], float]) -> None:
     """Note the times when sheets were last viewed. For the claim's holder only."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
@@ -85,7 +85,7 @@ def note_seen(handle: Atlas, seen: Mapping[tuple[str, str], float]) -> None:
             handle.place.put(key, json.dumps(group).encode())
 
 
-def drop_sheet(handle: Atlas, plane: str, sheet: str) -> None:
+def drop_metatile(handle: AtlasStore, plane: str, sheet: str) -> None:
     """Remove a sheet, beginning with the regimes: a kill then leaves unfinished tiles, none that lacks an array."""
     root = f"{ZOOM}/{plane}/{sheet}/"
     keys = list(handle.place.list_keys(root))
@@ -94,11 +94,11 @@ def drop_sheet(handle: Atlas, plane: str, sheet: str) -> None:
     for some in (done, {*keys} - {*done, *last}, last):
         handle.place.remove_all(some)
     if handle.place.local is not None:
-        handle.place.confirm()
+        handle.place.check_fence()
         shutil.rmtree(handle.place.local / root, ignore_errors=True)
 
 
-def _plane_group(handle: Atlas, plane: str) -> dict[str, Any]:
+def _plane_group(handle: AtlasStore, plane: str) -> dict[str, Any]:
     """The metadata of a plane, empty if they are missing or damaged."""
     try:
         group = json.loads(handle.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")

@@ -6,34 +6,34 @@ from dataclasses import replace
 import numpy as np
 
 from atlas.errors import NetworkError
-from atlas.store.sidecar import notes_of, put_attempt
+from atlas.store.sidecar import sidecar_of, start_attempt
 from atlas.store.store import is_done
-from atlas.task.site import file_errors
-from atlas.task.task import (
+from atlas.task.store_ref import translate_file_errors
+from atlas.task.tile_job import (
     LABELS,
-    Job,
-    Made,
-    Receipt,
+    DerivedReport,
+    RunJob,
+    TileReport,
     label_basins,
     make_chunk,
-    receipt_of,
+    make_report,
     solve_and_write,
     stored_record,
     stored_tile,
 )
 
-DEATHS = 2
+MAX_DEATHS = 2
 """Attempts at a tile in one run that died with their process, after which the run gives the tile up."""
 
 
-def do_job(job: Job) -> Receipt | Made:
+def execute_job(job: RunJob) -> TileReport | DerivedReport:
     """Run any job of a run: a tile, a chunk of the overviews, or the labels of basins."""
     if job.level == LABELS:
         return label_basins(job)
-    return make_chunk(job) if job.level else run_job(job)
+    return make_chunk(job) if job.level else run_tile_job(job)
 
 
-def run_job(job: Job) -> Receipt:
+def run_tile_job(job: RunJob) -> TileReport:
     """Solve a tile and write it; RefusedError if this worker must not: another solver, or another store at the path.
 
     NetworkError if the store does not answer within the job's patience.
@@ -43,18 +43,18 @@ def run_job(job: Job) -> Receipt:
     them in one run the tile counts as one that kills its process. RunError then names the last attempt, and the note
     stays, so that only another run tries again.
     """
-    with file_errors(job.site.store):
+    with translate_file_errors(job.site.store):
         handle = job.handle()
-        notes = notes_of(handle.place)
+        notes = sidecar_of(handle.place)
         if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
-            receipt = receipt_of(handle, job.index, stored_tile(handle, job.index), solved)
+            receipt = make_report(handle, job.index, stored_tile(handle, job.index), solved)
             return replace(receipt, record=stored_record(handle, job.index))
-        attempt = put_attempt(notes, job.note, job.site.claim, DEATHS)
+        attempt = start_attempt(notes, job.note, job.site.claim, MAX_DEATHS)
     try:
         job = replace(job, attempt=attempt.token)
-        return solve_and_write(job, job.site.fenced(handle, job.note, job.attempt))
+        return solve_and_write(job, job.site.with_fences(handle, job.note, job.attempt))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
-            with file_errors(job.site.store):
+            with translate_file_errors(job.site.store):
                 attempt.remove(notes, job.note)

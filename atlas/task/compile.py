@@ -16,8 +16,8 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from atlas.platform import file_lock, processors
-from atlas.store.machine import compiled_for
-from atlas.task.child import watched_together
+from atlas.store.host import compiled_for
+from atlas.task.child_process import run_python_parallel
 from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
@@ -82,7 +82,7 @@ TICK = 1.0
 
 
 @dataclass(frozen=True)
-class Compilation:
+class CompileProgress:
     """Progress of a compilation: functions compiled, approximate number of all, and seconds since it began.
 
     The number is 0 while waiting for another process that compiles.
@@ -93,7 +93,7 @@ class Compilation:
     seconds: float
 
 
-Report = Callable[[Compilation], None]
+Report = Callable[[CompileProgress], None]
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
@@ -107,7 +107,7 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
     return (MEASURES, *more) if record.definition.measures else more
 
 
-def warming(*more: str) -> str:
+def compile_notice(*more: str) -> str:
     """Announcement of compile_once for the waiting user."""
     missing = _missing(more)
     if not missing:
@@ -157,9 +157,11 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
         def count(place: int, line: str, stage_parts: list[str] = stage_parts) -> None:
             done[stage_parts[place]] = int(line)
             if report is not None:
-                report(Compilation(min(done.total(), of - 1), of, time.monotonic() - begin))  # it ends with the last
+                report(
+                    CompileProgress(min(done.total(), of - 1), of, time.monotonic() - begin)
+                )  # it ends with the last
 
-        ended = watched_together("from atlas.task.compile import main; main()", stage_parts, count)
+        ended = run_python_parallel("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]
 
 
@@ -203,8 +205,8 @@ def main() -> None:
 
 def compile_piece(piece: str, part: str = CELLS) -> None:
     """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving cells."""
-    from workers.cell.stretch import run
-    from workers.kernel.apart import load
+    from workers.cell.interval import run
+    from workers.kernel.external import load
     from workers.orbit.newton import no_orbits, settle_cells
 
     load(modes=part == MODES)
@@ -222,7 +224,7 @@ def compile_piece(piece: str, part: str = CELLS) -> None:
 
 def _a_batch(record: System) -> tuple[Any, Any]:
     """A batch of the default cell of a system, of no periods, and rows of no cells."""
-    from workers.cell.stretch import batch_of
+    from workers.cell.interval import batch_of
     from workers.kernel.motion import motions_at
 
     oscillators, _ = record.build_many({p.name: np.array([p.default]) for p in record.parameters})
@@ -256,12 +258,12 @@ def warm_up(*parts: str) -> None:
 
 def _reach_attractors(record: System, values: dict[str, float]) -> None:
     """All attractors of a cell with one orbit, and the scale for comparing twins."""
-    from workers.attractors.starts import Starts
-    from workers.attractors.waves import solve_attractors
-    from workers.kernel.cells import scale_of
+    from workers.attractors.coexistence import solve_attractors
+    from workers.attractors.initial_states import AttractorSettings
+    from workers.kernel.cell_loops import scale_of
     from workers.model.oscillator import COLUMN
 
-    solve_attractors(record, values, Settings(exponents="none", survival=0), Starts(4))
+    solve_attractors(record, values, Settings(exponents="none", survival=0), AttractorSettings(4))
     scale_of(np.zeros((1, len(COLUMN))), np.zeros((1, 2)))
 
 
@@ -286,7 +288,7 @@ def _end_no_cells(record: System) -> None:
 
 def _observe_a_period() -> None:
     """Observe a period of a machine with modes: all other machines are observed as such."""
-    from workers.cell.observing import observe_orbits
+    from workers.cell.observables import observe_orbits
 
     record = System.from_mapping(WITH_MODES)
     values = {p.name: np.array([p.default]) for p in record.parameters}
@@ -307,7 +309,7 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
 
 def _move_within_a_period(record: System) -> None:
     """The motion of a portrait, from its initial state on."""
-    from atlas.cell.orbit import path_of
+    from atlas.cell.trajectory import path_of
 
     path_of(record, {p.name: p.default for p in record.parameters}, 1, None)
 
@@ -320,7 +322,7 @@ def _wait_for(lock: FileLock, report: Report | None) -> None:
             lock.acquire(timeout=TICK)
         except Timeout:
             if report is not None:
-                report(Compilation(0, 0, time.monotonic() - begin))
+                report(CompileProgress(0, 0, time.monotonic() - begin))
             continue
         except OSError:  # a file system without locks: each process compiles
             pass

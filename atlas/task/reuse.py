@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError, RunError
 from atlas.spec.spec import Slices, Spec
-from atlas.store.location import beside
-from atlas.store.machines import machines, record_machine
+from atlas.store.host_records import read_hosts, record_host
+from atlas.store.object_backend import sibling_backend
 from atlas.store.origin import ALLOWANCES
-from atlas.store.records import EXCHANGED, is_exchanged
-from atlas.store.store import Atlas, chunk_key, is_done
+from atlas.store.store import AtlasStore, chunk_key, is_done
+from atlas.store.tile_records import EXCHANGED, is_exchanged
 from atlas.store.tiles import read_tile, record_of
-from atlas.task.known import known_handle, known_records
+from atlas.task.handle_cache import cached_handle, cached_records
 from workers.results import PENDING, REGIME, empty_results
 
 
-class Shared(NamedTuple):
+class SharedPositions(NamedTuple):
     """Positions along an axis of the values common to two atlases, to the bit."""
 
     here: NDArray[np.intp]
@@ -38,10 +38,10 @@ class ReusedCells(NamedTuple):
     arrays: dict[str, np.ndarray]
     regime: NDArray[np.int8]
     due: NDArray[np.bool_]
-    source: Atlas | None = None
+    source: AtlasStore | None = None
 
 
-def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
+def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
     """The known results of a tile; RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, handle.spec.extra_sizes)
@@ -49,7 +49,7 @@ def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     origin = None if handle.origin is None else _origin_of(handle)
     if origin is not None:
         _copy_known(handle, origin, slices, arrays)
-    regime = handle.leading(arrays)[REGIME.name].copy()
+    regime = handle.dominant_arrays(arrays)[REGIME.name].copy()
     due = regime == PENDING
     if handle.origin is None or handle.origin.retry is None:
         return ReusedCells(arrays, regime, due)
@@ -59,16 +59,16 @@ def known_cells(handle: Atlas, slices: Slices) -> ReusedCells:
     return ReusedCells(arrays, regime, due | again, origin)
 
 
-def shared(old: Spec, new: Spec) -> tuple[Shared, ...]:
+def shared(old: Spec, new: Spec) -> tuple[SharedPositions, ...]:
     """The values common to two atlases of the same axes, by dimension: ``here`` in the new, ``there`` in the old."""
     pairs = zip(reversed(new.axes), reversed(old.axes), strict=True)
     return tuple(
-        Shared(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
+        SharedPositions(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
         for ours, theirs in pairs
     )
 
 
-def _copy_known(handle: Atlas, origin: Atlas, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
+def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Copy the origin's finished cells in a tile into its arrays."""
     first = True
     for index, here, there in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
@@ -76,20 +76,20 @@ def _copy_known(handle: Atlas, origin: Atlas, slices: Slices, arrays: dict[str, 
             continue
         if first:
             first = False
-            for machine in machines(origin):
-                record_machine(handle, machine)
+            for machine in read_hosts(origin):
+                record_host(handle, machine)
         known = read_tile(origin, index, arrays=origin.readable)
-        if is_exchanged(known_records(origin), index, record_of(origin, index, known)):
+        if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.place, {chunk_key(origin.regime, index): EXCHANGED})
         if not handle.allowances:  # a cell with an allowance above the spec's has other results here
             for allowance in ALLOWANCES:
-                known[REGIME.name][known.pop(allowance.name) != allowance.of_spec(origin.spec)] = PENDING
+                known[REGIME.name][known.pop(allowance.name) != allowance.from_spec(origin.spec)] = PENDING
         for name, values in known.items():
             arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
 
 
 def _meetings(
-    dimensions: tuple[Shared, ...], slices: Slices, tile: tuple[int, ...]
+    dimensions: tuple[SharedPositions, ...], slices: Slices, tile: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
     """The origin's tiles with cells of a tile here: the index of each, and the cells within both tiles."""
     parts = []
@@ -102,13 +102,13 @@ def _meetings(
         yield tuple(k for k, _, _ in met), [here for _, here, _ in met], [there for _, _, there in met]
 
 
-def _origin_of(handle: Atlas) -> Atlas:
+def _origin_of(handle: AtlasStore) -> AtlasStore:
     assert handle.origin is not None
     done, otherwise = "extended", f"extend {handle.place} into a new store"
     if handle.origin.retry is not None:
         done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
     try:
-        origin = known_handle(beside(handle.place, handle.origin.store))
+        origin = cached_handle(sibling_backend(handle.place, handle.origin.store))
     except InputError as error:
         trouble = str(error)
     else:
@@ -118,7 +118,7 @@ def _origin_of(handle: Atlas) -> Atlas:
     raise RunError(f"{trouble}; {handle.place} copies cells of it: put it back, or {otherwise}")
 
 
-def count_shared(origin: Atlas, spec: Spec, done: set[tuple[int, ...]]) -> int:
+def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> int:
     """Number of finished cells of the origin in a grown atlas; ``done`` are the origin's finished tiles."""
     counts = [
         np.bincount(there // length, minlength=tiles)

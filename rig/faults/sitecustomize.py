@@ -46,10 +46,10 @@ def _install(module: Any) -> None:
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Loads atlas.task.task as usual, then changes it."""
+    """Loads atlas.task.tile_job as usual, then changes it."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name != "atlas.task.task":
+        if name != "atlas.task.tile_job":
             return None
         sys.meta_path.remove(self)
         spec: Any = importlib.util.find_spec(name)

@@ -1,6 +1,6 @@
 """An independent simulator of linear machines with one gap: it shares no code and no method with the solver.
 
-``Machine``             matrices, stops and initial state of any such machine; ``two_mass`` makes one from parameters
+``OracleMachine``             matrices, stops and initial state of any such machine; ``two_mass`` makes one from parameters
 ``simulate``            any orbit, chatter and sticking included, in multiprecision arithmetic (mpmath)
 ``section_jacobian``    derivative of the stroboscopic map by differences of such orbits
 ``first_impact_dense``  first impacts of many flights in double precision, by dense sampling
@@ -16,16 +16,16 @@ two-mass oscillator are accepted in place of a machine.
 
 from rig.oracle.closed_form import ImpactOrbit, one_sided_orbit, symmetric_orbit
 from rig.oracle.dense import FirstImpacts, dense_violation, first_impact_dense
-from rig.oracle.model import Machine, two_mass
-from rig.oracle.simulate import Impact, Orbit, Stuck, section_jacobian, simulate
+from rig.oracle.model import OracleMachine, two_mass
+from rig.oracle.simulate import Impact, RestInterval, SimulatedMotion, section_jacobian, simulate
 
 __all__ = [
     "FirstImpacts",
     "Impact",
     "ImpactOrbit",
-    "Machine",
-    "Orbit",
-    "Stuck",
+    "OracleMachine",
+    "RestInterval",
+    "SimulatedMotion",
     "dense_violation",
     "first_impact_dense",
     "one_sided_orbit",

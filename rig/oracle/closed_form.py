@@ -6,7 +6,7 @@ from typing import Any
 from mpmath import mp
 
 from rig.oracle.linear import Number
-from rig.oracle.model import Cell, Model, Y, model
+from rig.oracle.model import Cell, OracleModel, Y, model
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def one_sided_orbit(cell: Cell, n: int = 1, side: int = 1, digits: int = 40) -> 
         return _orbits(model(cell), side, n, mirrored=False)
 
 
-def _orbits(machine: Model, side: int, n: int, mirrored: bool) -> list[ImpactOrbit]:
+def _orbits(machine: OracleModel, side: int, n: int, mirrored: bool) -> list[ImpactOrbit]:
     """Orbits with one impact, or one and its mirror image, in n periods.
 
     With E = exp(A t) over the flight, rho = diag(1, ..., -R, ...) and the forced response z_p(theta), the free flight

@@ -50,7 +50,7 @@ class LinearSystem:
         """Weighted maximum norm."""
         return max(weight * abs(value) for weight, value in zip(self.weights, z, strict=True))
 
-    def series(self, z: Sequence[Number], step: Number) -> "Series":
+    def series(self, z: Sequence[Number], step: Number) -> "TaylorSeries":
         """Taylor series of the flow over one step, as a polynomial in u = t/step in [0, 1]."""
         bits = self.bits
         unit = mp.ldexp(1, mp.frexp(self.norm(z))[1] - bits)
@@ -70,7 +70,9 @@ class LinearSystem:
             # Each later term is at most ratio times the previous one: a geometric series bounds the sum.
             if 2 * ratio < 1 << bits and size * ratio << (mp.prec - 1) <= rest * largest:
                 left_out = unit * size * ratio / rest
-                return Series(terms, bits, tuple(unit / weight for weight in self.weights), left_out, self.weights)
+                return TaylorSeries(
+                    terms, bits, tuple(unit / weight for weight in self.weights), left_out, self.weights
+                )
 
 
 def integer(value: Number, bits: int = 0) -> int:
@@ -79,7 +81,7 @@ def integer(value: Number, bits: int = 0) -> int:
 
 
 @dataclass(frozen=True)
-class Series:
+class TaylorSeries:
     """z(u), u in [0, 1]: terms as integers, ``units`` of their components.
 
     The truncation error is at most ``left_out`` in the norm of these ``weights``.

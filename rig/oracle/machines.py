@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.oracle.linear import Number
-from rig.oracle.model import Machine
+from rig.oracle.model import OracleMachine
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -17,9 +17,9 @@ def single_mass(
     *, damping: Number, stiffness: Number, force_sin: Number = 0, force_cos: Number = 0, load: Number = 0,
     omega: Number, R: Number, tau: Number = 0, upper: Number = math.inf, lower: Number = -math.inf,
     start: tuple[Number, ...] = (),
-) -> Machine:  # fmt: skip
+) -> OracleMachine:  # fmt: skip
     """x'' + damping x' + stiffness x = force_sin sin(phi) + force_cos cos(phi) + load with stops on x."""
-    return Machine(
+    return OracleMachine(
         mass=[[1]],
         damping=[[damping]],
         stiffness=[[stiffness]],
@@ -36,7 +36,7 @@ def single_mass(
     )
 
 
-def bouncing_ball(gamma: Number, R: Number, tau: Number = 0, start: tuple[Number, ...] = ()) -> Machine:
+def bouncing_ball(gamma: Number, R: Number, tau: Number = 0, start: tuple[Number, ...] = ()) -> OracleMachine:
     """Height y of a ball above a shaken table: y'' = -1 + gamma sin(t + tau), y >= 0.
 
     The table is at (A/g) sin(t + tau) in units of g / omega^2; gamma = A omega^2 / g.
@@ -44,7 +44,7 @@ def bouncing_ball(gamma: Number, R: Number, tau: Number = 0, start: tuple[Number
     return single_mass(damping=0, stiffness=0, force_sin=gamma, load=-1, omega=1, R=R, tau=tau, lower=0, start=start)
 
 
-def impact_pair(clearance: Number, R: Number, tau: Number = 0, start: tuple[Number, ...] = ()) -> Machine:
+def impact_pair(clearance: Number, R: Number, tau: Number = 0, start: tuple[Number, ...] = ()) -> OracleMachine:
     """A free mass in a box shaken by alpha sin(omega t + tau): y'' = sin(t + tau), |y| <= clearance / 2.
 
     Lengths in units of alpha: clearance = nu / alpha, nu the distance between the stops.
@@ -53,12 +53,14 @@ def impact_pair(clearance: Number, R: Number, tau: Number = 0, start: tuple[Numb
     return single_mass(damping=0, stiffness=0, force_sin=1, omega=1, R=R, tau=tau, upper=half, lower=-half, start=start)
 
 
-def chain(n: int, *, zeta: float = 0.05, omega: float = 1.0, upper: float = 0.3, R: float = 0.8) -> Machine:
+def chain(n: int, *, zeta: float = 0.05, omega: float = 1.0, upper: float = 0.3, R: float = 0.8) -> OracleMachine:
     """n unit masses in a row on unit springs between two walls; the first is shaken, the last hits a stop."""
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     force = np.eye(n)[:1]
     none = np.zeros((1, n))
-    return Machine(np.eye(n), 2 * zeta * K, K, np.eye(n)[-1], force, none, none[0], omega, 0.0, upper, -math.inf, R)
+    return OracleMachine(
+        np.eye(n), 2 * zeta * K, K, np.eye(n)[-1], force, none, none[0], omega, 0.0, upper, -math.inf, R
+    )
 
 
 DAMPINGS = ("none", "proportional", "general", "internal")
@@ -73,7 +75,7 @@ def random_machine(
     damping: str | None = None,
     one_sided: bool | None = None,
     R: float | None = None,
-) -> Machine:
+) -> OracleMachine:
     """A machine of n masses with a state inside its stops; unspecified properties are drawn too.
 
     Mass and stiffness are full matrices. A ``rigid`` machine has one rigid mode, which the gap sees: its stiffness is
@@ -95,20 +97,20 @@ def random_machine(
     raise ArithmeticError("no sound machine in 1000 draws")
 
 
-def rigid_mode(machine: Machine) -> Array:
+def rigid_mode(machine: OracleMachine) -> Array:
     """The displacement (n,) without effect on the springs, of unit length."""
     vector: Array = np.linalg.svd(np.asarray(machine.stiffness, dtype=float))[2][-1]
     return vector
 
 
-def _draw(rng: Generator, n: int, *, rigid: bool, damping: str, one_sided: bool, R: float) -> Machine | None:
+def _draw(rng: Generator, n: int, *, rigid: bool, damping: str, one_sided: bool, R: float) -> OracleMachine | None:
     shape = np.eye(n) + np.tril(rng.choice([-0.5, 0.0, 0.5], (n, n)), -1)
     M = _positive(rng, n, 0.4, 4.0)
     K = _springs(rng, shape) if rigid else _positive(rng, n, 0.2, 20.0)
     H = int(rng.integers(1, 5))
     force = rng.normal(size=(2, H, n)) / np.arange(1, H + 1)[:, None]
     force *= rng.random((2, H, 1)) < 0.7
-    machine = Machine(
+    machine = OracleMachine(
         mass=M,
         damping=_damping(rng, damping, shape, M, K),
         stiffness=K,
@@ -167,7 +169,7 @@ def _gap_row(rng: Generator, n: int) -> Array:
     return ends if kind == 1 else ends - np.eye(n)[rng.integers(n)] * (0.5 if n == 1 else 1.0)
 
 
-def _response(machine: Machine) -> NDArray[np.complex128]:
+def _response(machine: OracleMachine) -> NDArray[np.complex128]:
     """Complex amplitudes (H,) of the gap coordinate's forced motion without stops."""
     M, C, K, g = (np.asarray(part) for part in (machine.mass, machine.damping, machine.stiffness, machine.gap_row))
     amplitudes = []
@@ -182,7 +184,9 @@ def _response(machine: Machine) -> NDArray[np.complex128]:
     return np.array(amplitudes)
 
 
-def _with_stops(rng: Generator, machine: Machine, size: float, rigid: bool, one_sided: bool) -> Machine | None:
+def _with_stops(
+    rng: Generator, machine: OracleMachine, size: float, rigid: bool, one_sided: bool
+) -> OracleMachine | None:
     """Stops about the static position or about 0, and a state between them."""
     g, load = np.asarray(machine.gap_row), np.asarray(machine.load)
     side = int(rng.choice([1, -1]))
@@ -213,7 +217,7 @@ def _with_stops(rng: Generator, machine: Machine, size: float, rigid: bool, one_
     return replace(machine, load=load, lower=ends[0], upper=ends[1], start=np.concatenate([x, v]))
 
 
-def _resonates(machine: Machine) -> bool:
+def _resonates(machine: OracleMachine) -> bool:
     """Whether a root of the free or the held motion lies within a twentieth of a forcing harmonic."""
     M, C, K, g = (np.asarray(part) for part in (machine.mass, machine.damping, machine.stiffness, machine.gap_row))
     across = np.linalg.svd(g[None])[2][1:].T  # displacements that leave the gap unchanged

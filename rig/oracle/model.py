@@ -28,7 +28,7 @@ STATES = ("x1", "x2", "v1", "v2")
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class OracleMachine:
     """A machine and its state at t = 0; entries are doubles, taken as exact, or mpmath's numbers.
 
     ``mass``, ``damping``, ``stiffness`` (n, n), ``gap_row`` and ``load`` (n,); ``force_sin`` and ``force_cos`` (H, n),
@@ -51,11 +51,11 @@ class Machine:
     start: Vector = ()
 
 
-Cell = Machine | Mapping[str, Any]
+Cell = OracleMachine | Mapping[str, Any]
 """A machine, or the parameters of the two-mass oscillator with its initial state (x1, x2, v1, v2; default 0)."""
 
 
-def two_mass(params: Mapping[str, float | Number]) -> Machine:
+def two_mass(params: Mapping[str, float | Number]) -> OracleMachine:
     """The two-mass oscillator of Li & Tan (2011) with stops at +-b, in the working precision.
 
     x1'' = -(x1 - x2) - 2 zeta (x1' - x2') + (1 - f2) sin(omega t + tau)
@@ -63,7 +63,7 @@ def two_mass(params: Mapping[str, float | Number]) -> Machine:
     """
     omega, b, R, zeta, mu_m, mu_k, f2, tau = (mp.mpf(params[name]) for name in NAMES)
     K = [[mp.one, -mp.one], [-mp.one, 1 + mu_k]]
-    return Machine(
+    return OracleMachine(
         mass=[[1, 0], [0, mu_m]],
         damping=[[2 * zeta * entry for entry in row] for row in K],
         stiffness=K,
@@ -80,13 +80,13 @@ def two_mass(params: Mapping[str, float | Number]) -> Machine:
     )
 
 
-def machine_of(cell: Cell) -> Machine:
+def machine_of(cell: Cell) -> OracleMachine:
     """The machine of a cell."""
-    return cell if isinstance(cell, Machine) else two_mass(cell)
+    return cell if isinstance(cell, OracleMachine) else two_mass(cell)
 
 
 @dataclass(frozen=True)
-class Model:
+class OracleModel:
     """A machine in the working precision at its construction.
 
     A state of ``free`` is (q, q', drive), the drive (sin k phi, cos k phi for each of ``harmonics``, 1).
@@ -135,7 +135,7 @@ class Model:
         return LinearSystem.of(rows, self.free.weights)
 
 
-def model(cell: Cell) -> Model:
+def model(cell: Cell) -> OracleModel:
     """The machine of a cell, ready for simulation."""
     machine = machine_of(cell)
     n = len(machine.gap_row)
@@ -162,7 +162,7 @@ def model(cell: Cell) -> Model:
         rows += [{sine_at + 1: k * omega}, {sine_at: -k * omega}]
     rows.append({})
     sides = {1: mp.mpf(machine.upper), -1: mp.mpf(machine.lower)}
-    return Model(
+    return OracleModel(
         n=n,
         omega=omega,
         tau=mp.mpf(machine.tau),

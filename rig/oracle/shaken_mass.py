@@ -31,7 +31,7 @@ MOST_IMPACTS = 100_000
 
 
 @dataclass(frozen=True)
-class Run:
+class ShakenMassHistory:
     """History of a motion, one row per period.
 
     states    (N + 1, 2) y and y' at the sections; contact (N + 1,) the stop on which the mass rests there, 0 if free
@@ -53,7 +53,7 @@ class Run:
 def follow(
     *, load: float, force: float, omega: float, tau: float, lower: float, upper: float, R: float,
     start: tuple[float, float], periods: int,
-) -> Run:  # fmt: skip
+) -> ShakenMassHistory:  # fmt: skip
     """The motion over these forcing periods from (y, y') at t = 0, at rest on a stop if pressed there."""
     N = periods
     states, contact = np.full((N + 1, 2), np.nan), np.zeros(N + 1, dtype=np.int64)
@@ -64,7 +64,7 @@ def follow(
         contact[0] = side if side * (load + force * math.sin(tau)) > 0.0 else FREE
     jacobian = np.eye(2)
     done = _follow(load, force, omega, tau, lower, upper, R, states, contact, hits, rests, stretch, jacobian)
-    return Run(states, contact, hits, rests, stretch, jacobian, done < N)
+    return ShakenMassHistory(states, contact, hits, rests, stretch, jacobian, done < N)
 
 
 @njit(cache=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from mpmath import mp
 
 from rig.oracle.crossing import first_upward_zero
-from rig.oracle.linear import REACH, Number, Series
-from rig.oracle.model import Cell, Model, Y, machine_of, model
+from rig.oracle.linear import REACH, Number, TaylorSeries
+from rig.oracle.model import Cell, OracleModel, Y, machine_of, model
 
 MAX_IMPACTS = 50_000  # per period; far beyond any chatter that the rule for rest lets continue
 DOUBLE = 2.0**-52
@@ -23,7 +23,7 @@ class Impact:
 
 
 @dataclass(frozen=True)
-class Stuck:
+class RestInterval:
     """An interval of rest on one stop."""
 
     start: Number
@@ -32,16 +32,16 @@ class Stuck:
 
 
 @dataclass
-class Orbit:
+class SimulatedMotion:
     """Section states (displacements, velocities) at t = 0, T, 2T, ..., and the events between them."""
 
     sections: list[list[Number]] = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
-    stuck: list[Stuck] = field(default_factory=list)
+    stuck: list[RestInterval] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
-class Contact:
+class GapContact:
     """State of the gap coordinate at the start of a flight, on the stop of this side.
 
     ``order`` derivatives of its distance vanish there exactly: 1 with a velocity, 2 with an acceleration,
@@ -52,7 +52,7 @@ class Contact:
     order: int = 0
 
 
-def simulate(cell: Cell, periods: int, digits: int = 40, rest: float = 1e-10) -> Orbit:
+def simulate(cell: Cell, periods: int, digits: int = 40, rest: float = 1e-10) -> SimulatedMotion:
     """The orbit over this many forcing periods from the cell's initial state.
 
     A sequence of impacts that must end at rest is followed hop by hop until its remainder lasts less than ``rest``
@@ -66,7 +66,7 @@ def simulate(cell: Cell, periods: int, digits: int = 40, rest: float = 1e-10) ->
         )
     with mp.workdps(digits):
         machine = model(cell)
-        motion = _Motion(machine, machine.start, mp.mpf(rest))
+        motion = _OracleMotion(machine, machine.start, mp.mpf(rest))
         for _ in range(periods):
             motion.one_period()
         return motion.orbit
@@ -96,7 +96,7 @@ def first_hit(cell: Cell, state: Sequence[float], start: float, span: float) -> 
     A state that lies on a stop to within a double's rounding is a contact: the flight leaves it.
     """
     with mp.workdps(40):
-        motion = _Motion(model(cell), state, mp.mpf("1e-10"), start=mp.mpf(start), settle=False)
+        motion = _OracleMotion(model(cell), state, mp.mpf("1e-10"), start=mp.mpf(start), settle=False)
         contact = motion.contact_of_state(DOUBLE)
         motion.fly(motion.time + mp.mpf(span), contact)
         if motion.hit is None:
@@ -104,21 +104,21 @@ def first_hit(cell: Cell, state: Sequence[float], start: float, span: float) -> 
         return Impact(motion.time - mp.mpf(start), motion.hit, abs(motion.velocity))
 
 
-class _Motion:
+class _OracleMotion:
     """An orbit in progress: its present state, see Model, and its history."""
 
     def __init__(
-        self, machine: Model, state: Sequence[Number], rest: Number, start: Number = mp.zero, settle: bool = True
+        self, machine: OracleModel, state: Sequence[Number], rest: Number, start: Number = mp.zero, settle: bool = True
     ) -> None:
         self.model = machine
         self.state = machine.state(state, start)
         self.rest = rest
         self.time = start  # since the last section
         self.offset = mp.zero  # of that section
-        self.orbit = Orbit([list(state)])
+        self.orbit = SimulatedMotion([list(state)])
         self.hit: int | None = None
         self.held = 0  # side of rest of the gap coordinate, 0 if it moves
-        self.contact = Contact()
+        self.contact = GapContact()
         if settle:
             self.contact = self.contact_of_state(mp.eps)
             self._settle()
@@ -132,7 +132,7 @@ class _Motion:
     def velocity(self, value: Number) -> None:
         self.state[self.model.n + Y] = value
 
-    def contact_of_state(self, rounding: float | Number) -> Contact:
+    def contact_of_state(self, rounding: float | Number) -> GapContact:
         """The contact of a state of this relative rounding; ValueError beyond a stop."""
         terms = zip(self.model.gap_row, self.model.physical(self.state), strict=False)
         size = sum(abs(entry * x) for entry, x in terms)
@@ -140,10 +140,10 @@ class _Motion:
             beyond = side * (self.state[Y] - stop)
             if abs(beyond) <= 8 * rounding * (size + abs(stop)):
                 self.state[Y] = stop
-                return Contact(side, 1 if self.velocity != 0 else 2)
+                return GapContact(side, 1 if self.velocity != 0 else 2)
             if beyond > 0:
                 raise ValueError(f"y = {mp.nstr(self.state[Y], 8)} lies beyond the stop at {mp.nstr(stop, 8)}")
-        return Contact()
+        return GapContact()
 
     def _settle(self) -> None:
         """Turn the contact of an initial state into its consequence: impact, rest or flight."""
@@ -165,7 +165,7 @@ class _Motion:
                 self._stay(end)
                 continue
             self.fly(end, self.contact)
-            self.contact = Contact()
+            self.contact = GapContact()
             if self.hit is not None:
                 self._impact(self.hit)
             if len(self.orbit.impacts) - count > MAX_IMPACTS:
@@ -175,7 +175,7 @@ class _Motion:
         self.time = mp.zero
         self.state[2 * self.model.n :] = self.model.drive(mp.zero)
 
-    def fly(self, end: Number, contact: Contact) -> None:
+    def fly(self, end: Number, contact: GapContact) -> None:
         """Free flight until the first impact (self.hit is its side) or the end (self.hit is None)."""
         self.hit = None
         reach = REACH / self.model.free.rate
@@ -194,10 +194,10 @@ class _Motion:
                 self.hit = side
                 return
             self._move(series, mp.one, step, end)
-            contact = Contact()
+            contact = GapContact()
             reach = min(8 * reach, REACH / self.model.free.rate)
 
-    def _first_of_all(self, series: Series, contact: Contact) -> tuple[Number, int] | None:
+    def _first_of_all(self, series: TaylorSeries, contact: GapContact) -> tuple[Number, int] | None:
         """The earliest of the stops' first crossings within a step, as (u, side)."""
         found = []
         position, error = series.of({Y: mp.one})
@@ -210,7 +210,7 @@ class _Motion:
                 found.append((u, side))
         return min(found) if found else None
 
-    def _move(self, series: Series, u: Number, step: Number, end: Number) -> None:
+    def _move(self, series: TaylorSeries, u: Number, step: Number, end: Number) -> None:
         """Go to u within a step; a step to the end lands there exactly."""
         self.state = series.at(u)
         last = u == 1 and step == end - self.time
@@ -221,7 +221,7 @@ class _Motion:
         velocity = self.velocity
         self.orbit.impacts.append(Impact(self.offset + self.time, side, abs(velocity)))
         self.velocity = -self.model.R * velocity
-        self.contact = Contact(side, 1)
+        self.contact = GapContact(side, 1)
         rebound = abs(self.velocity)
         if rebound == 0:
             self._after_stop(side)
@@ -241,9 +241,9 @@ class _Motion:
         pressing = side * self._acceleration()
         if pressing > 0:
             self.held = side
-            self.orbit.stuck.append(Stuck(self.offset + self.time, self.offset + self.time, side))
+            self.orbit.stuck.append(RestInterval(self.offset + self.time, self.offset + self.time, side))
         else:
-            self.contact = Contact(side, 2 if pressing < 0 else 3)
+            self.contact = GapContact(side, 2 if pressing < 0 else 3)
 
     def _stay(self, end: Number) -> None:
         """Rest on the stop until the free acceleration turns away from it, or the end."""
@@ -258,7 +258,7 @@ class _Motion:
             released = u is not None
             self._move(series, u if released else mp.one, step, end)
         begun = self.orbit.stuck.pop()
-        self.orbit.stuck.append(Stuck(begun.start, self.offset + self.time, side))
+        self.orbit.stuck.append(RestInterval(begun.start, self.offset + self.time, side))
         if released:
             self.held = 0
-            self.contact = Contact(side, 3)
+            self.contact = GapContact(side, 3)

@@ -47,7 +47,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Entry:
+class PublishedEntry:
     """A published work and its reproduction.
 
     name        in the command, ``author-year`` and the figure if there are several

@@ -12,8 +12,8 @@ from cycler import cycler
 from matplotlib.figure import Figure
 
 import atlas
-from atlas.render.provenance import Provenance, computed_here, metadata, provenance_of
-from atlas.render.style import house
+from atlas.render.provenance import Provenance, metadata, provenance_of, provenance_of_values
+from atlas.render.style import rc_params
 
 DPI = 150
 Bounds = Mapping[str, tuple[str, Callable[[float], float]]]
@@ -26,7 +26,7 @@ def in_house_style(draw: Callable[[Path], None]) -> Callable[[Path], None]:
 
     @wraps(draw)
     def styled(path: Path) -> None:
-        settings: Any = house(1.0) | {"axes.prop_cycle": cycler(color=COLORS)}
+        settings: Any = rc_params(1.0) | {"axes.prop_cycle": cycler(color=COLORS)}
         with mpl.rc_context(settings):
             draw(path)
 
@@ -35,7 +35,7 @@ def in_house_style(draw: Callable[[Path], None]) -> Callable[[Path], None]:
 
 def save(figure: Figure, path: Path, title: str, spec: Mapping[str, Any]) -> None:
     """Write a figure of numbers computed by this process, with all that decides them."""
-    _write(figure, path, computed_here(title, spec))
+    _write(figure, path, provenance_of_values(title, spec))
 
 
 def plane_with_bounds(path: Path, example: str, bounds: Bounds) -> None:

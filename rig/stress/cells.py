@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig.stress.findings import Drawn, Params
+from rig.stress.findings import Params, RandomCell
 
 STATES = ("x1", "x2", "v1", "v2")
 
@@ -37,7 +37,7 @@ def response(p: Params) -> np.ndarray:
         return np.ones(2)
 
 
-def draw(seed: int, number: int) -> Drawn:
+def draw(seed: int, number: int) -> RandomCell:
     """Cell ``number`` of a seed; depends on these two alone.
 
     Log-uniform: omega, mu_m, mu_k in 1e-3..1e3, zeta in 1e-4..50, b in 1e-6..1e6 of the response, for half of the
@@ -78,4 +78,4 @@ def draw(seed: int, number: int) -> Drawn:
     elif start < 0.27:
         p["x1"] = math.copysign(p["b"] * (1.0 + log_uniform(rng, 1e-14, 10.0)), p["x1"])
     trace = 2.0 * p["zeta"] * (1.0 + (1.0 + p["mu_k"]) / p["mu_m"])
-    return Drawn(number, "two-mass", p, p, STATES, (1.0, 0.0), p["b"], -p["b"], trace)
+    return RandomCell(number, "two-mass", p, p, STATES, (1.0, 0.0), p["b"], -p["b"], trace)

@@ -15,7 +15,7 @@ LISTED = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class RandomCell:
     """A cell: its number among its kind, system and parameters as solve_tile takes them, and the same for the oracle.
 
     ``gap`` is the gap row, ``upper`` and ``lower`` the stops; ``trace`` that of M^-1 C.
@@ -69,7 +69,7 @@ class Drawn:
 
 
 @dataclass
-class Findings:
+class StressFindings:
     """Findings over a number of cells. Each listed cell is (what, cell)."""
 
     cells: int = 0
@@ -82,20 +82,20 @@ class Findings:
     invalid: Counter[str] = field(default_factory=Counter)
     uncertain: Counter[str] = field(default_factory=Counter)
     stopped: Counter[str] = field(default_factory=Counter)
-    listed: dict[str, list[tuple[str, Drawn]]] = field(default_factory=dict)
+    listed: dict[str, list[tuple[str, RandomCell]]] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
-    worst: dict[str, tuple[float, Drawn]] = field(default_factory=dict)
+    worst: dict[str, tuple[float, RandomCell]] = field(default_factory=dict)
     checked: Counter[str] = field(default_factory=Counter)
     samples: dict[str, list[float]] = field(default_factory=dict)
 
-    def note(self, kind: str, what: str, cell: Drawn) -> None:
+    def note(self, kind: str, what: str, cell: RandomCell) -> None:
         """Count a trouble and list its cell while there is room."""
         self.counts[kind] += 1
         cells = self.listed.setdefault(kind, [])
         if len(cells) < LISTED:
             cells.append((what, cell))
 
-    def record(self, kind: str, value: float, cell: Drawn) -> None:
+    def record(self, kind: str, value: float, cell: RandomCell) -> None:
         """Keep the largest value of a kind."""
         if kind not in self.worst or value > self.worst[kind][0]:
             self.worst[kind] = (value, cell)
@@ -104,7 +104,7 @@ class Findings:
         """Add a value to a distribution."""
         self.samples.setdefault(kind, []).append(value)
 
-    def add(self, other: "Findings") -> None:
+    def add(self, other: "StressFindings") -> None:
         """Add the findings over other cells."""
         for name in ("cells", "impacting", "sticking", "outside", "seconds"):
             setattr(self, name, getattr(self, name) + getattr(other, name))

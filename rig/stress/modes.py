@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from rig.hybrids import machines_of
-from rig.oracle.pieces import Machine, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
-from rig.stress.findings import Drawn, Findings
-from rig.stress.results import NAMES, NEUTRAL, POSITION, SUM_LAW
+from rig.oracle.piecewise import PiecewiseMachine, simulate
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import machines_of
+from rig.stress.findings import RandomCell, StressFindings
+from rig.stress.result_checks import NAMES, NEUTRAL, POSITION, SUM_LAW
 from workers import Settings
-from workers.cell.cells import Cells
+from workers.cell.cell_batch import CellBatch
 from workers.cell.solve import solve as solve_cells
-from workers.model.hybrid import build_hybrid
+from workers.model.mode_table import build_hybrid
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC, PERIODS_SPENT, QUASIPERIODIC, REASONS, result_variables
 from workers.tile import result_arrays
 
@@ -28,28 +28,28 @@ CLOSES = 1e-9
 """Largest distance at the end, as a share of the state."""
 
 
-def draw_of_modes(seed: int, number: int) -> Drawn:
-    """Cell ``number`` of a seed: its own machine and initial state, see rig.oracle.pieces.draw."""
+def draw_of_modes(seed: int, number: int) -> RandomCell:
+    """Cell ``number`` of a seed: its own machine and initial state, see rig.oracle.piecewise.random_machines."""
     own = 1_000_000 * seed + number
     machine = random_machine(own, switched_elements=number % 2 == 1)
     states = tuple(f"{name}{i + 1}" for name in "xv" for i in range(machine.n))
     params = dict(zip(states, random_state(machine, own), strict=True))
     nothing: Any = machine  # the simulator of these machines has its own type
-    return Drawn(number, KIND, params, nothing, states, (0.0,) * machine.n, math.inf, -math.inf, 0.0)
+    return RandomCell(number, KIND, params, nothing, states, (0.0,) * machine.n, math.inf, -math.inf, 0.0)
 
 
-def solved(cell: Drawn, settings: Settings) -> dict[str, Any]:
+def solved(cell: RandomCell, settings: Settings) -> dict[str, Any]:
     """The results of a cell."""
     machine: Any = cell.machine
     hybrids, reasons = build_hybrid(machines_of([machine]))
     arrays = result_arrays(result_variables(settings), settings, 1, len(cell.start))
-    solve_cells(Cells(hybrids, reasons, np.array([cell.start]), settings, arrays))
+    solve_cells(CellBatch(hybrids, reasons, np.array([cell.start]), settings, arrays))
     return {name: array[0] for name, array in arrays.items()}
 
 
-def solve(cells: Sequence[Drawn], settings: Settings) -> Findings:
+def solve(cells: Sequence[RandomCell], settings: Settings) -> StressFindings:
     """Solve cells one by one and check each result."""
-    findings = Findings()
+    findings = StressFindings()
     for cell in cells:
         begun = time.process_time()
         result = solved(cell, settings)
@@ -93,7 +93,7 @@ def contradictions(result: dict[str, Any]) -> list[str]:
     return [what for what, holds in wrong.items() if holds]
 
 
-def _check_state(findings: Findings, cell: Drawn, result: dict[str, Any]) -> None:
+def _check_state(findings: StressFindings, cell: RandomCell, result: dict[str, Any]) -> None:
     """Check that numbers exist and no rigid contact is passed."""
     for name in ("state", "error", "stuck_fraction"):
         if not np.all(np.isfinite(result[name])):
@@ -109,9 +109,9 @@ def _check_state(findings: Findings, cell: Drawn, result: dict[str, Any]) -> Non
                 findings.note("position beyond a stop", f"{side * (y - stop):.2e} beyond", cell)
 
 
-def recheck(cell: Drawn, settings: Settings) -> Findings:
+def recheck(cell: RandomCell, settings: Settings) -> StressFindings:
     """Check that the multiprecision simulator closes the orbit of a cell."""
-    findings, result = Findings(), solved(cell, settings)
+    findings, result = StressFindings(), solved(cell, settings)
     findings.checked[f"cells re-evaluated, {cell.kind}"] += 1
     period = int(result["period"])
     if int(result["regime"]) != PERIODIC or period > ORBIT_PERIODS:
@@ -126,7 +126,7 @@ def recheck(cell: Drawn, settings: Settings) -> Findings:
     return findings
 
 
-def _distance(machine: Machine, start: Any, period: int) -> float:
+def _distance(machine: PiecewiseMachine, start: Any, period: int) -> float:
     """Distance of a motion from its start after these periods, as a share of the state."""
     end = np.array(simulate(machine, start.tolist(), period, digits=DIGITS, rest=1e-8).sections[-1], dtype=float)
     return float(np.linalg.norm(end - start) / max(float(np.linalg.norm(start)), 1e-12))

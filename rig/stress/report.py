@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.stress.findings import LISTED, Findings
-from rig.stress.results import SUM_LAW
+from rig.stress.findings import LISTED, StressFindings
+from rig.stress.result_checks import SUM_LAW
 
 NEVER = (
     "NaN or infinity where none belongs",
@@ -23,7 +23,7 @@ FAILURES = 1e-4
 """Share of cells that may fail."""
 
 
-def summary(findings: Findings, seconds: float, arguments: dict[str, Any]) -> dict[str, Any]:
+def summary(findings: StressFindings, seconds: float, arguments: dict[str, Any]) -> dict[str, Any]:
     """All findings as plain values; NaN and infinity as None."""
 
     def listed(kind: str) -> list[dict[str, Any]]:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from mpmath import mp
 
-from rig.oracle import Machine
+from rig.oracle import OracleMachine
 from rig.oracle.machines import random_machine
 from rig.stress.cells import log_uniform
-from rig.stress.findings import Drawn, Params
+from rig.stress.findings import Params, RandomCell
 
 SIZES = (1, 2, 3, 8)
 """Numbers of masses."""
@@ -20,7 +20,7 @@ CELLS = 20
 
 
 @lru_cache(maxsize=64)
-def system(seed: int, index: int) -> tuple[dict[str, Any], Machine]:
+def system(seed: int, index: int) -> tuple[dict[str, Any], OracleMachine]:
     """System ``index`` of a seed, as a table of numbers, and as an equal machine for the oracle.
 
     Masses, springs and dashpots as ``random_machine`` draws them: full matrices; no damping, proportional, general or
@@ -57,7 +57,7 @@ def system(seed: int, index: int) -> tuple[dict[str, Any], Machine]:
     return table, _with_forces_of(machine, table["harmonics"])
 
 
-def draw_of_system(seed: int, number: int) -> Drawn:
+def draw_of_system(seed: int, number: int) -> RandomCell:
     """Cell ``number`` of the systems of a seed; depends on these two alone.
 
     omega within a factor 3 of the system's, R anywhere in [0, 1] with R = 0, R = 1 and next to it mixed in, gaps from
@@ -77,7 +77,7 @@ def draw_of_system(seed: int, number: int) -> Drawn:
     params |= {name: stop for name, stop in (("upper", upper), ("lower", lower)) if math.isfinite(stop)}
     params |= dict(zip(states, start, strict=True))
     trace = float(np.trace(np.linalg.solve(np.asarray(base.mass), np.asarray(base.damping))))
-    return Drawn(number, table, params, machine, states, tuple(_list(base.gap_row)), upper, lower, trace)
+    return RandomCell(number, table, params, machine, states, tuple(_list(base.gap_row)), upper, lower, trace)
 
 
 def _exponents(rng: np.random.Generator) -> tuple[int, ...]:
@@ -85,7 +85,7 @@ def _exponents(rng: np.random.Generator) -> tuple[int, ...]:
     return tuple(int(k) for k in rng.integers(-12, 13, 3)) if rng.random() < 0.5 else (0, 0, 0)
 
 
-def _in_units(machine: Machine, length: float, time: float, mass: float) -> Machine:
+def _in_units(machine: OracleMachine, length: float, time: float, mass: float) -> OracleMachine:
     """The machine in other units; powers of two change no digit."""
     force = mass * length / time**2
     x, v = np.split(np.asarray(machine.start), 2)
@@ -109,7 +109,7 @@ def _symmetric(matrix: Any) -> Any:
     return np.tril(matrix) + np.tril(matrix, -1).T
 
 
-def _with_forces_of(machine: Machine, harmonics: list[dict[str, Any]]) -> Machine:
+def _with_forces_of(machine: OracleMachine, harmonics: list[dict[str, Any]]) -> OracleMachine:
     """The machine with exactly the forces of a table's amplitudes and phases."""
     with mp.workdps(40):
         parts = [
@@ -133,7 +133,7 @@ def _restitution(rng: np.random.Generator, usual: float) -> float:
     return 1.0 - log_uniform(rng, 1e-8, 1e-1) if kind < 0.5 else float(rng.random())
 
 
-def _stops(rng: np.random.Generator, machine: Machine) -> tuple[float, float]:
+def _stops(rng: np.random.Generator, machine: OracleMachine) -> tuple[float, float]:
     """Stops about a common middle, each with its own gap; a single one shifted."""
     upper, lower = float(machine.upper), float(machine.lower)
     if math.isfinite(upper) and math.isfinite(lower):
@@ -146,7 +146,7 @@ def _stops(rng: np.random.Generator, machine: Machine) -> tuple[float, float]:
     return (at, lower) if math.isfinite(upper) else (upper, at)
 
 
-def _start(rng: np.random.Generator, machine: Machine, upper: float, lower: float) -> list[float]:
+def _start(rng: np.random.Generator, machine: OracleMachine, upper: float, lower: float) -> list[float]:
     """A state between the stops, at rest at zero, on a stop or beyond one; velocities of every size."""
     g, given = np.asarray(machine.gap_row, dtype=float), np.asarray(machine.start, dtype=float)
     n = len(g)

@@ -21,28 +21,28 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.overview.upkeep import Overviews
-from atlas.store import making
+from atlas.overview.builder import OverviewBuilder
+from atlas.store import create
 from atlas.store.groups import CURVES, STABILITY, write_group, write_table
-from atlas.store.machine import machine_of
-from atlas.store.machines import record_machine
+from atlas.store.host import host_from_facts
+from atlas.store.host_records import record_host
+from atlas.store.metadata_backup import SPARE
 from atlas.store.schema import StoredArray
-from atlas.store.spare import SPARE
 from tests.synthetic import spec_of
 
 SPEC = spec_of(8, 7)
-MACHINE = machine_of({"processor": "Z80", "software": "numpy 2"})
+MACHINE = host_from_facts({"processor": "Z80", "software": "numpy 2"})
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store without a tile, and with every kind of group."""
-    handle = making.create(tmp_path_factory.mktemp("made") / "plane.zarr", SPEC, (4, 4))
-    Overviews(handle, side=4, least=4)
+    handle = create.create_store(tmp_path_factory.mktemp("made") / "plane.zarr", SPEC, (4, 4))
+    OverviewBuilder(handle, side=4, least=4)
     column = {"w": StoredArray(np.arange(3.0), ("row",), {"units": "1"})}
     write_table(handle, STABILITY, column, {})
     write_group(handle, CURVES, column, {})
-    record_machine(handle, MACHINE)  # the root has no copy of it
+    record_host(handle, MACHINE)  # the root has no copy of it
     return handle.path
 
 

@@ -17,12 +17,12 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.query import queries as query
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from atlas.store.tiles import put_record, read_tile, record_of
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
 from workers import solve_tile
-from workers.cell import cells
+from workers.cell import cell_batch
 from workers.results import (
     BEYOND_STOP,
     CHAOTIC,
@@ -60,7 +60,7 @@ def store(solved: Path, tmp_path: Path) -> Path:
 
 def record(store: Path, cell: tuple[int, int]) -> None:
     """Write the record of a cell's tile anew."""
-    handle = open_handle(store)
+    handle = open_store(store)
     index = tuple(i // n for i, n in zip(cell, handle.tile, strict=True))
     put_record(handle, index, record_of(handle, index, read_tile(handle, index)))
 
@@ -92,8 +92,8 @@ def test_a_cell_says_by_its_code_why_it_is_invalid(params: dict[str, float], rea
 
 
 def test_a_cell_given_up_for_its_cost_is_undetermined_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells, "LEAST_WORK", 1)
-    monkeypatch.setattr(cells, "WORK_PER_PERIOD", 0)
+    monkeypatch.setattr(cell_batch, "LEAST_WORK", 1)
+    monkeypatch.setattr(cell_batch, "WORK_PER_PERIOD", 0)
     found = solve_tile("two-mass", {})
     assert (found["regime"], found["reason"]) == (UNDETERMINED, WORK_SPENT)
 

@@ -14,17 +14,17 @@ from distributed import Client
 
 import atlas
 from atlas.check import reproduce as recheck
-from atlas.check.find import draw_cells
-from atlas.check.report import Report, StoreFault
+from atlas.check.find_faults import draw_cells
+from atlas.check.report import StoreFault, VerifyReport
 from atlas.check.rules import broken_rules, law_of
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.progress import Progress
 from atlas.store import store
-from atlas.store.machine import machine_of, this_machine
-from atlas.store.machines import machines, record_machine
-from atlas.store.record import RECORD, RECORDS, TILES, record_key
+from atlas.store.host import current_host, host_from_facts
+from atlas.store.host_records import read_hosts, record_host
+from atlas.store.record_format import RECORD, RECORDS, TILES, record_key
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of
 from tests.harm import flip
 from tests.synthetic import set_attribute
@@ -78,12 +78,12 @@ def change(path: Path, name: str, where: Callable[[np.ndarray], np.ndarray], val
     values[cell] = value(values[cell]) if callable(value) else value
     group[name].with_config({"write_empty_chunks": True})[...] = values
     tile = (cell[0] // 2, cell[1] // 2)
-    handle = store.open_handle(path)
+    handle = store.open_store(path)
     put_record(handle, tile, record_of(handle, tile, read_tile(handle, tile)))
     return cell
 
 
-def message(report: Report) -> list[str]:
+def message(report: VerifyReport) -> list[str]:
     return [str(fault) for fault in report.faults]
 
 
@@ -168,7 +168,7 @@ def test_a_repair_of_a_store_without_a_fault_changes_nothing(whole: Path) -> Non
 
     for tile in ((), (0, 1)):
         if tile:
-            drop_tile(store.open_handle(whole), tile)
+            drop_tile(store.open_store(whole), tile)
         before = state()
         report = verify(whole, sample=2, repair=True)
         assert (report.faults, report.repaired, report.mended) == ((), (), ())
@@ -252,7 +252,7 @@ def test_results_that_contradict_each_other_are_found(
 
 def rules_broken_by_chaos(whole: Path, reason: int, errors: float) -> list[str]:
     """By a tile one of whose chaotic cells has this reason and an exponent of so many errors."""
-    handle = store.open_handle(whole)
+    handle = store.open_store(whole)
     for tile in handle.tiling.tiles():
         arrays = read_tile(handle, tile.index)
         if (arrays["regime"] == CHAOTIC).any():
@@ -317,7 +317,7 @@ def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[flo
 
 
 def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:
-    drop_tile(store.open_handle(whole), (0, 1))
+    drop_tile(store.open_store(whole), (0, 1))
     report = verify(whole, repair=True)
     assert (report.faults, report.tiles_done, report.fine, report.repaired) == ((), 3, False, ())
 
@@ -325,8 +325,8 @@ def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) 
 @pytest.fixture
 def elsewhere(whole: Path) -> None:
     """The store was solved by a machine of another kind."""
-    shutil.rmtree(whole / "machines" / this_machine().name)
-    record_machine(store.open_handle(whole), machine_of({"processor": "Z80"}))
+    shutil.rmtree(whole / "read_hosts" / current_host().name)
+    record_host(store.open_store(whole), host_from_facts({"processor": "Z80"}))
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -345,13 +345,13 @@ def test_on_another_machine_more_than_the_error_is_in_doubt_and_stays(whole: Pat
 
 
 def test_the_store_records_the_machines_that_solved_it(whole: Path) -> None:
-    (machine,) = machines(store.open_handle(whole))
+    (machine,) = read_hosts(store.open_store(whole))
     assert {"processor", "instructions", "software"} <= set(machine.facts)
     assert f"numpy {np.__version__}" in machine.facts["software"]
 
 
 def test_tiles_of_two_kinds_of_machine_are_compared_within_error(whole: Path) -> None:
-    record_machine(store.open_handle(whole), machine_of({"processor": "Z80"}))
+    record_host(store.open_store(whole), host_from_facts({"processor": "Z80"}))
     assert verify(whole).comparison == "error"
 
 
@@ -418,7 +418,7 @@ def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
 def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> None:
     chunk(whole, "regime").unlink()
     lay(whole, FOREIGN)
-    assert store.done_tiles(store.open_handle(whole)) == {(0, 0), (1, 0), (1, 1)}
+    assert store.done_tiles(store.open_store(whole)) == {(0, 0), (1, 0), (1, 1)}
     assert json.loads(CliRunner().invoke(main, ["status", "--json", str(whole)]).stdout)["tiles_done"] == 3
     (whole / "regime" / "c" / "0" / "1" / "0").unlink()
     (whole / "regime" / "c" / "0" / "1").rmdir()
@@ -469,7 +469,7 @@ def test_a_damaged_record_of_all_tiles_is_found_and_a_repair_makes_it_anew(whole
 def test_a_damaged_record_of_a_tile_is_found_and_a_repair_has_the_tile_solved_again(
     whole: Path, client: Client, byte: int
 ) -> None:
-    handle = store.open_handle(whole)
+    handle = store.open_store(whole)
     put_record(handle, (0, 1), record_of(handle, (0, 1), read_tile(handle, (0, 1))))
     assert message(verify(whole, sample=0)) == []
     flip(whole / record_key((0, 1)), byte)
@@ -497,7 +497,7 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
     def gone(*_: object) -> None:
         raise OSError("the network is gone")
 
-    handle = store.open_handle(whole)
+    handle = store.open_store(whole)
     arrays: dict[str, Any] = dict.fromkeys(
         VARIABLES, type("Array", (), {"__getitem__": gone, "shards": None, "chunks": (), "shape": ()})()
     )
@@ -508,11 +508,11 @@ def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pyte
 def test_reading_a_tile_reports_what_is_wrong_with_it(whole: Path) -> None:
     chunk(whole, "error").unlink()
     with pytest.raises(ChunkError, match=r"error/c/0/1 is missing: atlas verify --repair"):
-        read_tile(store.open_handle(whole), (0, 1))
+        read_tile(store.open_store(whole), (0, 1))
 
 
 def test_the_sample_is_that_of_its_seed(whole: Path) -> None:
-    handle = store.open_handle(whole)
+    handle = store.open_store(whole)
     done = sorted(store.done_tiles(handle))
     first, again, other = (draw_cells(handle.tiling, done, 4, seed) for seed in (1, 1, 2))
     assert sum(map(len, first.values())) == 4
@@ -521,7 +521,7 @@ def test_the_sample_is_that_of_its_seed(whole: Path) -> None:
 
 
 def test_a_sample_of_all_cells_has_each_of_them_once(whole: Path) -> None:
-    handle = store.open_handle(whole)
+    handle = store.open_store(whole)
     tiling = handle.tiling
     drawn = draw_cells(tiling, sorted(store.done_tiles(handle)), tiling.cells, 1)
     assert {index: sorted(cells) for index, cells in drawn.items()} == {
@@ -560,6 +560,6 @@ def test_the_command_reports_by_its_exit_code(whole: Path, tmp_path: Path) -> No
 
 def test_the_report_shows_so_many_faults_and_counts_the_rest() -> None:
     faults = tuple(StoreFault((i,), "is damaged") for i in range(60))
-    report = Report("x", 60, 60, 0, 0, 0, "none asked for", 0, faults=faults, doubts=())
+    report = VerifyReport("x", 60, 60, 0, 0, 0, "none asked for", 0, faults=faults, doubts=())
     assert "and 10 more found: --json lists them" in str(report)
     assert len(replace(report).as_dict()["faults"]) == 60

@@ -19,12 +19,12 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.platform import file_lock
-from atlas.query.attractors import one
-from atlas.service.lease import CLAIM, claimed
+from atlas.query.attractors import select_attractor
+from atlas.service.lease import LEASE_NAME, hold_lease
 from atlas.service.pack import pack
-from atlas.store import making
-from atlas.store.making import remove_half_made
-from atlas.store.sidecar import notes_of
+from atlas.store import create
+from atlas.store.create import remove_half_made
+from atlas.store.sidecar import sidecar_of
 from tests.synthetic import complete, spec_of
 
 pytestmark = pytest.mark.slow
@@ -177,9 +177,9 @@ def test_what_a_killed_pack_left_is_removed_by_the_next_and_a_living_ones_is_not
 
 def test_a_store_and_a_link_to_it_have_one_claim(plane: Path, tmp_path: Path) -> None:
     (tmp_path / "link.zarr").symlink_to(plane)
-    with claimed(notes_of(plane), "plane"):
-        assert notes_of(tmp_path / "link.zarr").read(CLAIM) is not None
-        link = claimed(notes_of(tmp_path / "link.zarr"), "link")
+    with hold_lease(sidecar_of(plane), "plane"):
+        assert sidecar_of(tmp_path / "link.zarr").read(LEASE_NAME) is not None
+        link = hold_lease(sidecar_of(tmp_path / "link.zarr"), "link")
         with pytest.raises(InputError, match="another run is at work on it"), link:
             pass
 
@@ -198,9 +198,9 @@ def test_what_is_half_made_of_another_store_stays(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", ["inf", "nan", "-1", "0.5"])
 def test_an_attractor_that_is_no_place_is_refused(tmp_path: Path, value: str) -> None:
     axes = {"omega": [1.0, 2.0, 3.0, 4.0], "b": [0.1, 0.2, 0.3, 0.4]}
-    handle = making.create(tmp_path / "all.zarr", atlas.Spec("two-mass", axes=axes, attractors={}), (4, 4))
+    handle = create.create_store(tmp_path / "all.zarr", atlas.Spec("two-mass", axes=axes, attractors={}), (4, 4))
     with pytest.raises(InputError, match=r"attractor: found .*, must be a whole number, 0 to"):
-        one(atlas.open(handle.path), float(value))
+        select_attractor(atlas.open(handle.path), float(value))
 
 
 @pytest.mark.parametrize("options", [["--dpi", "1.5"], ["--font-size", "0.01"]])

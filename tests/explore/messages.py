@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from atlas.explore.chosen import Chosen, look_query, place_query
-from atlas.explore.front.numbers import Packed, unpack
+from atlas.explore.front.numbers import PackedArray, unpack
 from atlas.explore.subject import Subject
+from atlas.explore.view_state import ViewState, place_query, style_query
 
 
-def to_address(home: Subject, subject: Subject, chosen: Chosen) -> str:
+def to_address(home: Subject, subject: Subject, chosen: ViewState) -> str:
     """The query of an address that asks for a choice."""
-    return f"{place_query(home, subject, chosen)}&{look_query(chosen)}"
+    return f"{place_query(home, subject, chosen)}&{style_query(chosen)}"
 
 
 def opened(message: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -24,5 +24,7 @@ def opened(message: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     arrays = {}
     for name, array in about["arrays"].items():
         begin = body + array["at"]
-        arrays[name] = unpack(Packed(array["type"], content[begin : begin + array["size"]]), about["axes"][0]["count"])
+        arrays[name] = unpack(
+            PackedArray(array["type"], content[begin : begin + array["size"]]), about["axes"][0]["count"]
+        )
     return about, arrays

@@ -9,7 +9,7 @@ import numpy as np
 import atlas
 from atlas.explore.front.numbers import pack
 from atlas.query.plane import Plane
-from atlas.render.coded import CodedMap
+from atlas.render.coded_maps import CodedMap
 
 FRONT = Path(atlas.__file__).parent / "explore/front"
 COLORS = """

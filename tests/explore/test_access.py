@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from atlas.explore.session import Exploration
+from atlas.explore.session import ExplorerSession
 from rig.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -26,7 +26,7 @@ const name = (each) => (each.ariaLabel || [...(each.labels ?? [])].map((label) =
 
 
 @pytest.fixture
-def phone(running: Exploration, browser: Any) -> Iterator[Tab]:
+def phone(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """The page on a phone."""
     with opened(browser, f"{running.url}&{WINDOW}", **PHONE) as made:
         made.until(made.image)
@@ -36,7 +36,7 @@ def phone(running: Exploration, browser: Any) -> Iterator[Tab]:
 
 
 @pytest.fixture
-def desk(running: Exploration, browser: Any) -> Iterator[Tab]:
+def desk(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """The page on a wide screen."""
     with opened(browser, f"{running.url}&{WINDOW}", 1440, 900) as made:
         made.until(made.image)
@@ -210,7 +210,7 @@ def test_enter_on_the_plane_chooses_the_cell_in_the_middle(desk: Tab) -> None:
     assert abs(mark[0] - 3.7) < 0.02 and abs(mark[1] - 0.4) < 0.01
 
 
-def test_the_focus_is_seen_on_the_plane_and_in_the_dark(running: Exploration, browser: Any) -> None:
+def test_the_focus_is_seen_on_the_plane_and_in_the_dark(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}", 1440, 900, color_scheme="dark") as tab:
         tab.until(tab.image)
         tab.page.wait_for_timeout(1500)
@@ -230,7 +230,7 @@ def test_everything_that_can_be_used_has_a_name(desk: Tab) -> None:
     assert unnamed == []
 
 
-def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Exploration, browser: Any) -> None:
+def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&omega=3.3:4.3&b=0.31:0.51", 1440, 900) as tab:
         bar = tab.page.get_by_role("progressbar")
         share = int(tab.until(lambda: bar.count() and bar.get_attribute("aria-valuenow")))
@@ -240,7 +240,9 @@ def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Explorat
         assert tab.complaints == []
 
 
-def test_in_dark_mode_the_key_has_a_dark_paper_and_the_colours_of_the_map(running: Exploration, browser: Any) -> None:
+def test_in_dark_mode_the_key_has_a_dark_paper_and_the_colours_of_the_map(
+    running: ExplorerSession, browser: Any
+) -> None:
     shots = {}
     for scheme in ("light", "dark"):
         with opened(browser, f"{running.url}&{WINDOW}", 1440, 900, color_scheme=scheme) as tab:

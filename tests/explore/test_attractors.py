@@ -12,33 +12,35 @@ from distributed import Client
 
 import atlas
 from atlas.explore.actions import new_atlas
-from atlas.explore.attractors import KeptAttractors, attractors_asked, attractors_table, known_attractors
-from atlas.explore.basinspanel import BasinsPanel
-from atlas.explore.chosen import beginning
+from atlas.explore.attractors import AttractorListing, attractor_computation, attractors_table, stored_attractors
+from atlas.explore.basins_panel import BasinsPanel
+from atlas.explore.cell_lookup import CellLookup, CellResult
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.known import Cell, KnownCells
-from atlas.explore.patches import Errand
+from atlas.explore.jobs import ComputationJob
+from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.tiles import TileStore
+from atlas.explore.tile_cache import TileCache
+from atlas.explore.view_state import initial_view
 from atlas.query.queries import at
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
-from atlas.store.zoom import sheet_place, sheets
+from atlas.store.zoom import list_metatiles, metatile_backend
 from tests.explore.test_solving import exploring, solved
 from tests.query.test_coexistence import spec_of
 from workers import Settings
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
 from workers.results import PENDING, REGIME
 
 CELL = {"omega": 4.1234567, "b": 0.1}
 """Between the cells of the plane: an orbit of period 1 there, with others beside it."""
 
 
-def asked(explorer: Explorer, cell: Cell) -> KeptAttractors:
+def asked(explorer: Explorer, cell: CellResult) -> AttractorListing:
     """The attractors that the explorer finds of a cell."""
-    answers: SimpleQueue[KeptAttractors] = SimpleQueue()
-    explorer.patches.want("test", [Errand(attractors_asked(explorer.subject, cell), answers.put, pytest.fail)])
+    answers: SimpleQueue[AttractorListing] = SimpleQueue()
+    explorer.patches.want(
+        "test", [ComputationJob(attractor_computation(explorer.subject, cell), answers.put, pytest.fail)]
+    )
     return answers.get(timeout=120.0)
 
 
@@ -56,7 +58,7 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
     with exploring(finished, client, keep=False) as explorer:
         subject = explorer.subject
         parameters = dict(subject.plane.parameters) | CELL
-        found = asked(explorer, Cell(parameters, CELL, of_atlas=False))
+        found = asked(explorer, CellResult(parameters, CELL, of_atlas=False))
     alone = solve_attractors(subject.system, parameters, subject.settings, subject.starts)
     assert found.count == int(alone["attractors"]) > 1
     assert [row["share"] for row in found.listed] == alone["share"][: found.count].tolist()
@@ -69,11 +71,11 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
     assert subject.every is not None
     point = {"omega": 4.0, "R": 0.7}
     found = at(subject.every, point)
-    cell = Cell(dict(subject.plane.parameters) | point, at(subject.part({}), point), of_atlas=True)
-    shown = known_attractors(subject, cell)
+    cell = CellResult(dict(subject.plane.parameters) | point, at(subject.part({}), point), of_atlas=True)
+    shown = stored_attractors(subject, cell)
     assert shown is not None and shown.stored
     assert str(list(shown.listed)) == str(found["coexisting"])  # NaN is not equal to itself
-    assert known_attractors(subject, Cell(cell.parameters, cell.results, of_atlas=False)) is None
+    assert stored_attractors(subject, CellResult(cell.parameters, cell.results, of_atlas=False)) is None
 
 
 def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
@@ -97,25 +99,25 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
         solved(explorer, sight)
         shown = explorer.known.seen(subject.plane, sight, ["largest"]).ds
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
-    handle = open_handle(coexistence)
-    assert all(open_handle(sheet_place(handle, *sheet)).spec.attractors is None for sheet in sheets(handle))
+    handle = open_store(coexistence)
+    assert all(open_store(metatile_backend(handle, *sheet)).spec.attractors is None for sheet in list_metatiles(handle))
     assert atlas.verify(coexistence, sample=1).fine
 
 
 def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finished: Path) -> None:
     subject = subject_of(str(finished))
     fixed = replace(subject, settings=Settings(method="fixed"))
-    found = known_attractors(fixed, Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+    found = stored_attractors(fixed, CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
     assert found is not None and "adaptive" in attractors_table(found, fixed)
     for shown, offered in ((subject, True), (fixed, False)):
         explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(want=lambda who, jobs: None))
         panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
-        panel.turn(Cell(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+        panel.turn(CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
         assert panel._button.visible == offered
 
 
 def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:
-    assert "none of 0 initial states is decided" in attractors_table(KeptAttractors(), subject_of(str(finished)))
+    assert "none of 0 initial states is decided" in attractors_table(AttractorListing(), subject_of(str(finished)))
 
 
 def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finished: Path) -> None:
@@ -123,7 +125,7 @@ def test_the_table_names_class_orbit_exponent_and_share_of_each_attractor(finish
     orbit = {"regime": "periodic", "period": 3, "impacts_upper": 2, "impacts_lower": 1, "largest": -0.25}
     chaos = {"regime": "chaotic", "period": 0, "impacts_upper": 0, "impacts_lower": 0, "largest": 0.5}
     shares = {"share": 0.75, "share_low": 0.58, "share_high": 0.87}, {"share": 0.2, "share_low": 0.1, "share_high": 0.4}
-    text = attractors_table(KeptAttractors((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
+    text = attractors_table(AttractorListing((orbit | shares[0], chaos | shares[1]), 3, 32, 1, 0.09, 1), subject)
     rows = text.split("<tr>")
     assert "<td></td><td>periodic</td><td>3-2-1</td><td>−0.25</td><td>75 % (58–87)</td>" in rows[2]
     assert "<td>►</td><td>chaotic</td><td></td><td>0.5</td><td>20 % (10–40)</td>" in rows[3]
@@ -162,7 +164,7 @@ def test_the_thousandth_new_spec_has_a_file_of_its_own(tmp_path: Path, monkeypat
     for number in range(1, 1000):
         (tmp_path / f"two-mass-{number}.toml").touch()
     subject = subject_of(str(tmp_path / "plane.toml"))
-    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    made = new_atlas(subject, initial_view(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
     assert made.file == tmp_path / "two-mass-1000.toml"
     assert made.file.read_text(encoding="utf-8") == made.text
     assert not (tmp_path / "two-mass-999.toml").read_text()
@@ -173,7 +175,7 @@ def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_doe
     path = tmp_path / "plane.toml"
     path.write_text(PLANE + table, encoding="utf-8")
     subject = subject_of(str(path))
-    made = new_atlas(subject, beginning(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
+    made = new_atlas(subject, initial_view(subject), (2.0, 2.5), (0.1, 0.2), 4, tmp_path)
     sought = atlas.Spec.from_toml(made.file).attractors
     assert sought == atlas.Spec.from_toml(path).attractors
     assert (sought is None) == (table == "")
@@ -182,14 +184,14 @@ def test_the_spec_of_a_new_atlas_seeks_all_attractors_where_the_explored_one_doe
 def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
     coexistence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("atlas.explore.tiles.LOOK", 0.0)
+    monkeypatch.setattr("atlas.explore.tile_cache.RELIST_SECONDS", 0.0)
     path = Path(shutil.copytree(coexistence, tmp_path / "out.zarr"))
-    handle = open_handle(path)
+    handle = open_store(path)
     tiles = {tile.index: read_tile(handle, tile.index) for tile in handle.tiling.tiles()}
     for index in tiles:
         drop_tile(handle, index)
     subject = subject_of(str(path))
-    known = KnownCells(TileStore(subject, Keeper(subject, wanted=False)))
+    known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
     sight = subject.sight((3.6, 4.4), (0.7, 0.9), (3, 4))
 
     def pending() -> int:

@@ -11,12 +11,12 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.chosen import carried, from_address, turned_to
-from atlas.explore.explorer import MOST_OTHERS, Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.state import State, Store
+from atlas.explore.explorer import MAX_OTHER_EXPLORERS, Explorer
+from atlas.explore.page_state import PageModel, PageState
+from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.view import TileKey
+from atlas.explore.view_state import carry_over, explorer_for_query, from_address
+from atlas.explore.viewport import TileKey
 from tests.explore.messages import to_address
 from tests.explore.test_solving import exploring, waited
 from workers.results import PENDING, REGIME
@@ -42,11 +42,11 @@ def arguments(query: str) -> dict[str, list[bytes]]:
 
 def test_an_address_restores_axes_parameters_window_cell_and_cut(explorer: Explorer) -> None:
     query = "axes=R,x2&R=0.5:0.75&x2=-0.25:0.25&kind=period&omega=2.5&b=0.25&cell=0.6,0.1&cut=0.5,0.0,0.75,0.1"
-    turned = turned_to(explorer, arguments(query))
+    turned = explorer_for_query(explorer, arguments(query))
     chosen = from_address(turned.subject, arguments(query))
     again = to_address(explorer.subject, turned.subject, chosen)
     assert turned.subject.axes == ("R", "x2")
-    assert from_address(turned_to(explorer, arguments(again)).subject, arguments(again)) == chosen
+    assert from_address(explorer_for_query(explorer, arguments(again)).subject, arguments(again)) == chosen
     assert chosen.cell == (chosen.plane, 0.6, 0.1) and chosen.cut == (0.5, 0.0, 0.75, 0.1)
     assert dict(chosen.plane.parameters)["omega"] == 2.5
 
@@ -56,7 +56,7 @@ def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
     chosen = from_address(home, arguments("omega=2.0:3.0&b=0.2:0.3&kind=scalar&variable=period&R=0.7"))
     turned = explorer.turned(("R", "zeta")).subject
     values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
-    there = carried(turned, chosen, values)
+    there = carry_over(turned, chosen, values)
     assert (there.kind, there.variable) == ("scalar", "period")
     assert dict(there.plane.parameters)["omega"] == 2.5 and "R" not in dict(there.plane.parameters)
 
@@ -80,14 +80,14 @@ def test_the_link_to_other_axes_is_admitted_also_from_a_view_whose_middle_is_out
     chosen = from_address(home, arguments("omega=2.0:3.0&b=-0.4:0.2"))  # a gap has to be positive
     turned = explorer.turned(("omega", "R")).subject
     values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
-    there = carried(turned, chosen, values)
+    there = carry_over(turned, chosen, values)
     assert from_address(turned, arguments(to_address(home, turned, there))) == there
     assert dict(there.plane.parameters)["b"] == dict(turned.plane.parameters)["b"] > 0
 
 
 def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
     subject = subject_of("omega-b")
-    store = Store(State(from_address(subject, {})))
+    store = PageModel(PageState(from_address(subject, {})))
     box = ((2.5, 2.75), (0.25, 0.375))
     for change, kept in (
         ({"kind": "period"}, box), ({"x": (2.0, 3.0)}, None), ({"plane": subject.plane.with_value("R", 0.7)}, None),
@@ -102,13 +102,13 @@ def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_w
 ) -> None:
     go_on, written = threading.Event(), []
 
-    def slow(keeper: Keeper, handle: object, batch: list[object]) -> None:
+    def slow(keeper: PersistentTileCache, handle: object, batch: list[object]) -> None:
         assert go_on.wait(30.0)
         written.extend(batch)
         keeper._waiting.clear()
 
-    monkeypatch.setattr(Keeper, "_turn", slow)
-    monkeypatch.setattr("atlas.explore.explorer.MOST_OTHERS", 1)
+    monkeypatch.setattr(PersistentTileCache, "_turn", slow)
+    monkeypatch.setattr("atlas.explore.explorer.MAX_OTHER_EXPLORERS", 1)
     with exploring(stack, client) as explorer:
         layer = explorer.turned(("omega", "b"), 0.05)
         layer.tiles.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
@@ -129,7 +129,7 @@ def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_w
 )
 def test_axes_and_layers_that_there_are_not_are_refused(explorer: Explorer, query: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        turned_to(explorer, arguments(query))
+        explorer_for_query(explorer, arguments(query))
 
 
 def test_another_layer_of_a_stack_has_its_own_cells_of_the_store(stack: Path) -> None:
@@ -152,10 +152,10 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     shown = explorer.turned(("R", "b"))
     shown.listen("page", lambda *_: None)
     names = [p.name for p in explorer.subject.system.parameters if p.name not in ("omega", "b", "R")]
-    names = names[: MOST_OTHERS + 1]
+    names = names[: MAX_OTHER_EXPLORERS + 1]
     others = [explorer.turned((name, "b")) for name in names]
     assert explorer.turned(("R", "b")) is shown
-    assert len(explorer._others) == MOST_OTHERS
+    assert len(explorer._others) == MAX_OTHER_EXPLORERS
     assert explorer.turned((names[-1], "b")) is others[-1]
     assert explorer.turned((names[0], "b")) is not others[0]
     assert waited(lambda: all(thread.ended for thread in explorer._ending))
@@ -177,7 +177,7 @@ def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they
 
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
     subject = subject_of("omega-b")
-    store, came = Store(State(from_address(subject, {}), trouble="old")), []
+    store, came = PageModel(PageState(from_address(subject, {}), trouble="old")), []
     store.listen(lambda old, new: came.append((old.chosen.kind, new.chosen.kind, new.trouble)))
     store.choose(kind="period")
     store.choose(kind="period")

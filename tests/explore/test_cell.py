@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.cell.orbit import cell_orbit
+from atlas.cell.trajectory import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, Grid, labels_asked
-from atlas.explore.basinspanel import BasinsPanel, painted
-from atlas.explore.known import Cell
+from atlas.explore.basins import BAND, SIDE, BasinGrid, label_computation
+from atlas.explore.basins_panel import BasinsPanel, label_colors
+from atlas.explore.cell_lookup import CellResult
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.static.about import meanings
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.words import cell_given, cell_line, cell_text
-from atlas.render.classes import BASINS
+from atlas.explore.text import cell_given, cell_line, cell_text
+from atlas.render.class_maps import BASINS
 from tests.explore.modules import run
 from workers.results import REASONS
 
@@ -32,10 +32,10 @@ def subject() -> Subject:
     return subject_of("omega-b")
 
 
-def cell_at(subject: Subject, omega: float, b: float) -> Cell:
+def cell_at(subject: Subject, omega: float, b: float) -> CellResult:
     found = atlas.point({"omega": omega, "b": b}, settings=subject.settings)
     values = {k: v for k, v in found.items() if isinstance(v, int | float | str) and k not in ("system", "source")}
-    return Cell(found["parameters"], values | {"omega": omega, "b": b}, of_atlas=False)
+    return CellResult(found["parameters"], values | {"omega": omega, "b": b}, of_atlas=False)
 
 
 def results_shown(browser: Any, given: dict[str, Any]) -> dict[str, str]:
@@ -61,7 +61,9 @@ def results_shown(browser: Any, given: dict[str, Any]) -> dict[str, str]:
     ],
 )
 def test_a_number_has_four_to_six_digits_and_its_error_two(browser: Any, value: float, error: float, text: str) -> None:
-    cell = Cell({}, {"omega": 2.0, "b": 0.1, "largest": value, "error": error, "regime": "chaotic"}, of_atlas=False)
+    cell = CellResult(
+        {}, {"omega": 2.0, "b": 0.1, "largest": value, "error": error, "regime": "chaotic"}, of_atlas=False
+    )
     assert results_shown(browser, cell_given(cell, subject_of("omega-b")))["largest exponent"] == text
 
 
@@ -74,10 +76,14 @@ def test_the_page_names_variables_in_words_and_gets_all_digits_for_the_pointer(b
 
 def test_the_page_shows_of_a_cell_the_results_of_its_regime_alone(browser: Any, subject: Subject) -> None:
     numbers = {"omega": 2.0, "b": 0.1, "largest": 0.5, "error": 0.01, "period": 0, "impacts_upper": 0}
-    chaotic = results_shown(browser, cell_given(Cell({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject))
+    chaotic = results_shown(
+        browser, cell_given(CellResult({}, numbers | {"regime": "chaotic"}, of_atlas=False), subject)
+    )
     assert chaotic == {"regime": "chaotic", "largest exponent": "0.5 ± 0.01"}
     resting = numbers | {"period": 1, "impacts_upper": -1, "largest": math.nan, "error": math.nan}
-    shown = results_shown(browser, cell_given(Cell({}, resting | {"regime": "periodic"}, of_atlas=False), subject))
+    shown = results_shown(
+        browser, cell_given(CellResult({}, resting | {"regime": "periodic"}, of_atlas=False), subject)
+    )
     assert shown["impacts above"] == "without end: at rest on a stop" and "largest exponent" not in shown
 
 
@@ -86,21 +92,24 @@ def test_the_page_says_of_a_contact_of_the_machine_itself_that_it_has_no_end(bro
     (tmp_path / "capsule.toml").write_text(f'system = "capsule"\n{axes}', encoding="utf-8")
     resting = {"omega": 1.0, "alpha": 1.0, "regime": "periodic", "stop_upper": -1}
     capsule = subject_of(str(tmp_path / "capsule.toml"))
-    cells = [Cell({}, resting | {"regime": name}, of_atlas=False) for name in ("periodic", "chaotic")]
+    cells = [CellResult({}, resting | {"regime": name}, of_atlas=False) for name in ("periodic", "chaotic")]
     shown = [[*results_shown(browser, cell_given(cell, capsule)).values()] for cell in cells]
     assert [texts.count("without end: at rest on a stop") for texts in shown] == [1, 0]
 
 
 def test_the_page_gives_the_reason_of_a_cell_without_a_result(browser: Any, subject: Subject) -> None:
     results = {"omega": 2.0, "b": 0.1, "regime": "failed", "reason": REASONS[1].text}
-    assert results_shown(browser, cell_given(Cell({}, results, of_atlas=False), subject))["reason"] == REASONS[1].text
+    assert (
+        results_shown(browser, cell_given(CellResult({}, results, of_atlas=False), subject))["reason"]
+        == REASONS[1].text
+    )
 
 
 def test_a_cell_of_another_plane_says_by_what_that_differs(subject: Subject) -> None:
     parameters = dict(subject.plane.parameters) | {"omega": 2.0, "b": 0.1}
-    line = cell_line(Cell(parameters, {"regime": "periodic"}, of_atlas=False), subject)
+    line = cell_line(CellResult(parameters, {"regime": "periodic"}, of_atlas=False), subject)
     assert "R</i>" not in line and "b</i> = 0.1</span> &ensp; periodic" in line
-    moved = cell_line(Cell(parameters | {"R": 0.75}, {"regime": "periodic"}, of_atlas=False), subject)
+    moved = cell_line(CellResult(parameters | {"R": 0.75}, {"regime": "periodic"}, of_atlas=False), subject)
     assert "<i>R</i> = 0.75</span> &ensp; periodic" in moved
 
 
@@ -142,9 +151,9 @@ def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(
 
 
 def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
-    grid = Grid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
+    grid = BasinGrid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
-    question = labels_asked(grid, slice(1, 3))
+    question = label_computation(grid, slice(1, 3))
     rows, found = question.read(question.function(question.value))
     assert (rows, question.cells) == (slice(1, 3), 10)
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
@@ -157,13 +166,13 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
 
 def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
     assert SIDE % BAND == 0
-    made = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    made = BasinGrid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     assert made.x[0] == "x1" and made.x[1].size == made.y[1].size == SIDE
     assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
 
 
 def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel(subject: Subject) -> None:
-    grid = Grid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    grid = BasinGrid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
     centres = (np.arange(SIDE) + 0.5) / SIDE
     assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
@@ -173,21 +182,21 @@ def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel
 def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_document(
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    works, made, of_cell = list[Any](), list[Grid](), Grid.of_cell
+    works, made, of_cell = list[Any](), list[BasinGrid](), BasinGrid.of_cell
     background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
     wanted = SimpleNamespace(want=lambda who, jobs, too=False: made.extend(job.question.value[0] for job in jobs))
     panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
     panel.turn(cell_at(subject, 4.0, 0.1))
-    monkeypatch.setattr(Grid, "of_cell", pytest.fail)
+    monkeypatch.setattr(BasinGrid, "of_cell", pytest.fail)
     panel._ask()
     assert not made
-    monkeypatch.setattr(Grid, "of_cell", of_cell)
+    monkeypatch.setattr(BasinGrid, "of_cell", of_cell)
     (work,) = works
     work()()
     assert len(made) == SIDE // BAND
 
 
 def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:
-    pixels = painted(np.array([[0, 1, -1, len(BASINS)]], dtype=np.int32)).view(np.uint8).reshape(4, 4)
+    pixels = label_colors(np.array([[0, 1, -1, len(BASINS)]], dtype=np.int32)).view(np.uint8).reshape(4, 4)
     assert pixels[0].tolist() == [0x44, 0x77, 0xAA, 255] == pixels[3].tolist()
     assert pixels[2].tolist() == [221, 221, 221, 255]

@@ -7,20 +7,20 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.explore.cut import (
-    LONGEST,
+    MAX_IMPACTS,
     SAMPLES,
     STEPS,
     CutCells,
-    Line,
-    cells_asked,
+    CutLine,
+    cut_computation,
     exponents,
-    follow,
+    follow_branches,
     shown_points,
     sweep_of,
     to_observe,
     too_long,
 )
-from atlas.explore.patches import Errand
+from atlas.explore.jobs import ComputationJob
 from atlas.explore.subject import Subject, subject_of
 from tests.explore.test_solving import exploring, waited
 from workers.results import CHAOTIC, PERIODIC
@@ -31,19 +31,19 @@ def subject() -> Subject:
     return subject_of("omega-b")
 
 
-def solved(line: Line, parts: list[tuple[int, ...]]) -> CutCells:
+def solved(line: CutLine, parts: list[tuple[int, ...]]) -> CutCells:
     """Cells of a line, solved here."""
     found = None
     for part in parts:
-        question = cells_asked(line, part)
+        question = cut_computation(line, part)
         assert question.cells == len(part)
-        found = question.read(question.function(question.value)).joined(found)
+        found = question.read(question.function(question.value)).merged_with(found)
     assert found is not None
     return found
 
 
 def test_each_point_of_a_line_is_solved_once_and_coarse_points_first(subject: Subject) -> None:
-    parts = Line(subject, subject.plane, (2.0, 0.2, 3.0, 0.3)).parts()
+    parts = CutLine(subject, subject.plane, (2.0, 0.2, 3.0, 0.3)).parts()
     assert sorted(k for part in parts for k in part) == list(range(STEPS + 1))
     assert parts[0] == tuple(range(0, STEPS + 1, 8))
     gaps = [min(np.diff(sorted(k for part in parts[: n + 1] for k in part))) for n in range(len(parts))]
@@ -52,12 +52,12 @@ def test_each_point_of_a_line_is_solved_once_and_coarse_points_first(subject: Su
 
 def test_a_line_begins_and_ends_where_it_was_drawn_to_the_bit(subject: Subject) -> None:
     ends = (2.0123456789, 0.2012345678, 3.3, 0.1)
-    x, y = Line(subject, subject.plane, ends).points(np.array([0, STEPS]))
+    x, y = CutLine(subject, subject.plane, ends).points(np.array([0, STEPS]))
     assert (x[0], y[0], x[1], y[1]) == ends
 
 
 def test_the_cells_of_a_slanted_line_are_those_of_the_point_command_to_the_bit(subject: Subject) -> None:
-    line = Line(subject, subject.plane.with_value("R", 0.7), (3.6, 0.45, 3.9, 0.5))
+    line = CutLine(subject, subject.plane.with_value("R", 0.7), (3.6, 0.45, 3.9, 0.5))
     cells = solved(line, [(0, 100, STEPS)])
     x, y = line.points(cells.index)
     for k in range(3):
@@ -67,7 +67,7 @@ def test_the_cells_of_a_slanted_line_are_those_of_the_point_command_to_the_bit(s
 
 
 def test_an_orbit_of_period_one_is_one_point_of_the_section(subject: Subject) -> None:
-    line = Line(subject, subject.plane, (3.9, 0.1, 4.0, 0.1))
+    line = CutLine(subject, subject.plane, (3.9, 0.1, 4.0, 0.1))
     cells = solved(line, [(0, 128)])
     assert cells.results["period"].tolist() == [1, 1]
     drawn = shown_points(line, cells)
@@ -79,13 +79,13 @@ def test_an_orbit_of_period_one_is_one_point_of_the_section(subject: Subject) ->
 def test_cells_that_come_twice_are_drawn_once(subject: Subject) -> None:
     index = np.array([0, 128, 256])
     cells = CutCells(index, {"shown": index[:, None] / 10.0})
-    both = CutCells(np.array([64, 128]), {"shown": np.array([[6.4], [12.8]])}).joined(cells)
+    both = CutCells(np.array([64, 128]), {"shown": np.array([[6.4], [12.8]])}).merged_with(cells)
     assert both.index.tolist() == [0, 64, 128, 256]
     assert both.results["shown"].ravel().tolist() == [0.0, 6.4, 12.8, 25.6]
 
 
 def test_chaos_fills_the_section_and_the_exponent_has_its_error_about_it(subject: Subject) -> None:
-    line = Line(subject, subject.plane, (1.5, 0.1, 1.6, 0.1))
+    line = CutLine(subject, subject.plane, (1.5, 0.1, 1.6, 0.1))
     cells = solved(line, [(0,)])
     assert shown_points(line, cells)["x"].size == SAMPLES
     found = exponents(line, cells)
@@ -94,7 +94,7 @@ def test_chaos_fills_the_section_and_the_exponent_has_its_error_about_it(subject
 
 def test_a_cut_shows_the_phases_of_impacts_of_its_cells(subject: Subject) -> None:
     """Of symmetric orbits: two a cell, half a turn apart."""
-    line = Line(subject, subject.plane, (3.9, 0.15, 4.0, 0.15), to_observe(subject)["phase of the force at impacts"])
+    line = CutLine(subject, subject.plane, (3.9, 0.15, 4.0, 0.15), to_observe(subject)["phase of the force at impacts"])
     cells = solved(line, [(0, 128, 256)])
     drawn = shown_points(line, cells)
     assert drawn["x"].tolist() == [3.9, 3.9, 3.95, 3.95, 4.0, 4.0]
@@ -104,9 +104,9 @@ def test_a_cut_shows_the_phases_of_impacts_of_its_cells(subject: Subject) -> Non
 
 def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subject) -> None:
     """The symmetry breaking at b = 0.087 of the example of ``atlas.branch``."""
-    line = Line(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
+    line = CutLine(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
     assert line.name == "b"
-    found = follow(sweep_of(line, solved(line, line.parts()[:1])))
+    found = follow_branches(sweep_of(line, solved(line, line.parts()[:1])))
     alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
     where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]
     expected = alone.events["b"][alone.events["kind"] == "symmetry_breaking"].to_list()
@@ -115,15 +115,15 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
 
 
 def test_branches_along_a_slanted_cut_are_refused(subject: Subject) -> None:
-    line = Line(subject, subject.plane, (3.9, 0.1, 4.0, 0.11))
+    line = CutLine(subject, subject.plane, (3.9, 0.1, 4.0, 0.11))
     with pytest.raises(InputError, match="branches follow one parameter: cut along omega or b alone"):
         sweep_of(line, solved(line, [(0,)]))
 
 
 def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject: Subject, client: Client) -> None:
     with exploring("omega-b", client) as explorer:
-        line, came = Line(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
-        jobs = [Errand(cells_asked(line, part), came.append, pytest.fail) for part in line.parts()]
+        line, came = CutLine(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
+        jobs = [ComputationJob(cut_computation(line, part), came.append, pytest.fail) for part in line.parts()]
         explorer.patches.want("page", jobs[:2])
         assert waited(lambda: explorer.patches.left("page") == 0)
         assert sum(cells.index.size for cells in came) == sum(map(len, line.parts()[:2]))
@@ -133,6 +133,9 @@ def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject
 
 
 def test_periodic_cells_whose_orbits_are_too_long_to_be_followed_are_counted() -> None:
-    regime, impacts = np.array([PERIODIC, PERIODIC, CHAOTIC]), np.array([LONGEST // 2, LONGEST // 2 + 1, LONGEST])
+    regime, impacts = (
+        np.array([PERIODIC, PERIODIC, CHAOTIC]),
+        np.array([MAX_IMPACTS // 2, MAX_IMPACTS // 2 + 1, MAX_IMPACTS]),
+    )
     results = {"regime": regime, "impacts_upper": impacts, "impacts_lower": impacts}
     assert too_long(CutCells(np.arange(3), results)) == 1

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.explore.chosen import Chosen, beginning, look_query, looking
-from atlas.explore.compose import InView, composed
-from atlas.explore.drawn import ends_of, maps_of, message
-from atlas.explore.subject import Subject, exploring, subject_of
-from atlas.explore.view import TILE, Sight
+from atlas.explore.compose import VisibleCells, compose_view
+from atlas.explore.plane_message import ends_of, maps_of, message
+from atlas.explore.subject import Subject, exploration_settings, subject_of
+from atlas.explore.view_state import ViewState, apply_style_query, initial_view, style_query
+from atlas.explore.viewport import TILE_CELLS, Viewport
 from atlas.orbits.curves.table import write_curves
 from atlas.query.plane import Plane
-from atlas.render.kinds import TABLE
-from atlas.render.layers import View, paint
-from atlas.render.page import STANDARD
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layers import MapView, paint
+from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from atlas.spec.spec import Spec
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from tests.explore.messages import opened
 from tests.explore.modules import run
 from tests.pictures import curves
@@ -40,17 +40,17 @@ return [...colorsOf(given.map, given.codes, given.values, given.ends)]
 
 @pytest.fixture
 def subject(finished: Path) -> Subject:
-    write_curves(open_handle(finished), curves())
+    write_curves(open_store(finished), curves())
     return subject_of(str(finished))
 
 
-def seen_of(subject: Subject, chosen: Chosen) -> InView:
+def seen_of(subject: Subject, chosen: ViewState) -> VisibleCells:
     """Made-up cells of several regimes in the window that is chosen."""
     sight = subject.sight(chosen.x, chosen.y, SIZE)
     rng, tiles = np.random.default_rng(7), []
     for key in sight.tiles(0):
-        arrays = subject.without_results(subject.variables, (TILE, TILE))
-        regime = rng.choice(REGIMES, (TILE, TILE), p=[0.4, 0.4, 0.1, 0.05, 0.05])
+        arrays = subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
+        regime = rng.choice(REGIMES, (TILE_CELLS, TILE_CELLS), p=[0.4, 0.4, 0.1, 0.05, 0.05])
         for values in arrays.values():
             if values.dtype.kind == "f":
                 values[...] = rng.random(values.shape)
@@ -59,18 +59,20 @@ def seen_of(subject: Subject, chosen: Chosen) -> InView:
         arrays[REGIME.name][...] = regime
         arrays["largest"] *= np.where(regime == CHAOTIC, 1.0, -1.0)
         tiles.append((key, arrays))
-    return replace(composed(subject, chosen.plane, sight, tiles, chosen.names), of="one")
+    return replace(compose_view(subject, chosen.plane, sight, tiles, chosen.names), of="one")
 
 
-def sent(subject: Subject, chosen: Chosen, others: bool = True, scales: Any = None) -> tuple[Any, Any, str, InView]:
+def sent(
+    subject: Subject, chosen: ViewState, others: bool = True, scales: Any = None
+) -> tuple[Any, Any, str, VisibleCells]:
     """A message, opened, what it lacks, and the cells that it is of."""
     seen = seen_of(subject, chosen)
     made, lacking = message(seen, subject, chosen, maps_of(seen, chosen, others), scales or {}, SIZE)
     return *opened(made), lacking, seen
 
 
-def view_of(subject: Subject, **fields: Any) -> Chosen:
-    return replace(beginning(subject), x=(2.3, 2.9), y=(0.2, 0.3), **fields)
+def view_of(subject: Subject, **fields: Any) -> ViewState:
+    return replace(initial_view(subject), x=(2.3, 2.9), y=(0.2, 0.3), **fields)
 
 
 def queries() -> Iterator[tuple[str, tuple[float, float] | None]]:
@@ -87,7 +89,7 @@ def queries() -> Iterator[tuple[str, tuple[float, float] | None]]:
 def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sent(
     subject: Subject, browser: Any, query: str, ends: tuple[float, float] | None
 ) -> None:
-    chosen = looking(subject, view_of(subject), query)
+    chosen = apply_style_query(subject, view_of(subject), query)
     about, arrays, _, seen = sent(subject, chosen, others=False)
     (made,) = about["maps"]
     own = {name: arrays[name].ravel().tolist() for name in made["needs"]}
@@ -97,12 +99,12 @@ def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sen
     found = np.array(run(browser, COLORS, given), "<u4").view(np.uint8).reshape(*seen.sight.shape, 4)
 
     rounded = seen.ds.assign({name: (seen.ds[name].dims, arrays[name]) for name in made["needs"]})
-    kind = TABLE[chosen.kind]
+    kind = KIND_TABLE[chosen.kind]
     wanted = ends or own_ends
     page = STANDARD if wanted is None else replace(STANDARD, vmin=wanted[0], vmax=wanted[1])
     variable = chosen.variable if chosen.kind == "scalar" else None
-    asked = Wanted(page, kind.name, variable=variable, log=chosen.log)
-    layers = PAINTERS[kind.name](View(kind, rounded, Plane.of(rounded, made["needs"]), asked))
+    asked = PictureRequest(page, kind.name, variable=variable, log=chosen.log)
+    layers = PAINTERS[kind.name](MapView(kind, rounded, Plane.of(rounded, made["needs"]), asked))
     expected = paint(layers)
     expected[expected[..., 3] == 0] = 255
     assert np.array_equal(found, expected)
@@ -118,10 +120,13 @@ def test_numbers_have_four_digits_on_the_page_and_the_regime_is_exact(subject: S
 
 
 def test_a_view_that_is_known_comes_with_every_map_of_its_variables(subject: Subject) -> None:
-    names = [entry["name"] for entry in sent(subject, looking(subject, view_of(subject), "kind=combined"))[0]["maps"]]
+    names = [
+        entry["name"]
+        for entry in sent(subject, apply_style_query(subject, view_of(subject), "kind=combined"))[0]["maps"]
+    ]
     assert names[0] == "combined"
     assert {*names} == {"combined", "exponent", "period", "number-largest", "number-period", "number-period-log"}
-    alone = sent(subject, looking(subject, view_of(subject), "kind=combined"), others=False)[0]
+    alone = sent(subject, apply_style_query(subject, view_of(subject), "kind=combined"), others=False)[0]
     assert [entry["name"] for entry in alone["maps"]] == ["combined"]
 
 
@@ -155,8 +160,8 @@ def test_a_name_fits_into_a_region_as_wide_as_it_is_drawn_on_a_logarithmic_axis_
         "b": {"start": 0.1, "stop": 0.5, "num": 30},
     }
     spec = Spec("two-mass", axes=axes)
-    subject = Subject(spec, exploring(spec.settings))
-    chosen = replace(beginning(subject), x=(1.0, 3.5), y=(0.1, 0.5), kind="impacts")
+    subject = Subject(spec, exploration_settings(spec.settings))
+    chosen = replace(initial_view(subject), x=(1.0, 3.5), y=(0.1, 0.5), kind="impacts")
     seen = seen_of(subject, chosen)
     ones = np.ones(seen.sight.shape, dtype=np.int32)
     upper = np.where(seen.ds.omega.values < 1.11, 2 * ones, ones)
@@ -170,15 +175,15 @@ def test_a_name_fits_into_a_region_as_wide_as_it_is_drawn_on_a_logarithmic_axis_
 def test_a_map_without_such_numbers_is_refused_as_a_whole(subject: Subject) -> None:
     from atlas.errors import InputError
 
-    chosen = looking(subject, view_of(subject), "kind=scalar&variable=largest&log=1")
+    chosen = apply_style_query(subject, view_of(subject), "kind=scalar&variable=largest&log=1")
     with pytest.raises(InputError, match="values below zero, which a logarithmic scale cannot show"):
         sent(subject, chosen)
 
 
 def test_a_look_comes_back_from_its_query(subject: Subject) -> None:
     given = "kind=scalar&variable=largest&log=1&overlay=grazing,curves&without=fold&vmin=0.25&vmax=2.0"
-    assert look_query(looking(subject, view_of(subject), given)) == given
-    assert looking(subject, looking(subject, view_of(subject), given), "kind=period").overlays == ()
+    assert style_query(apply_style_query(subject, view_of(subject), given)) == given
+    assert apply_style_query(subject, apply_style_query(subject, view_of(subject), given), "kind=period").overlays == ()
 
 
 def test_the_cells_of_a_view_say_where_they_are(subject: Subject) -> None:
@@ -186,4 +191,4 @@ def test_the_cells_of_a_view_say_where_they_are(subject: Subject) -> None:
     for axis, lattice, stretch in zip(about["axes"], (subject.x, subject.y), seen.sight, strict=True):
         assert tuple(axis["edges"]) == lattice.edges(stretch.level, stretch.first, stretch.last)
         assert (axis["count"], axis["first"], axis["level"]) == (stretch.count, stretch.first, stretch.level)
-    assert isinstance(seen.sight, Sight) and json.dumps(about)
+    assert isinstance(seen.sight, Viewport) and json.dumps(about)

@@ -16,9 +16,9 @@ import pytest
 
 from atlas.explore.explorer import Explorer
 from atlas.explore.subject import subject_of
-from atlas.explore.view import Sight
-from atlas.explore.words import progress
-from atlas.service.cluster import connected, local_cluster
+from atlas.explore.text import progress
+from atlas.explore.viewport import Viewport
+from atlas.service.cluster import connect_to_scheduler, local_cluster
 from tests.explore.test_solving import waited
 from workers.results import PENDING, REGIME
 
@@ -64,7 +64,7 @@ def line(explorer: Explorer) -> str:
     return progress(explorer.patches.state, explorer.patches.left("test"), [])
 
 
-def begun(explorer: Explorer, pixels: int) -> Sight:
+def begun(explorer: Explorer, pixels: int) -> Viewport:
     """Have a view solved, and wait for the first of its tiles."""
     sight = explorer.subject.sight(*WINDOW, (pixels, pixels))
     explorer.listen("test", lambda *_: None)
@@ -73,7 +73,7 @@ def begun(explorer: Explorer, pixels: int) -> Sight:
     return sight
 
 
-def all_solved(explorer: Explorer, sight: Sight) -> bool:
+def all_solved(explorer: Explorer, sight: Viewport) -> bool:
     """Whether the view is solved, once nothing of it is left."""
     assert waited(lambda: explorer.patches.left("test") == 0, 240.0), line(explorer)
     regime = explorer.known.seen(explorer.subject.plane, sight, []).ds[REGIME.name].values
@@ -84,7 +84,9 @@ def test_a_worker_that_is_killed_is_missed_and_another_goes_on(finished: Path) -
     port = free_port()
     with scheduler(port)(), worker(port)() as first:  # type: ignore[attr-defined]
         assert waited(lambda: reachable(port))
-        explorer = Explorer(subject_of(str(finished)), partial(connected, f"tcp://127.0.0.1:{port}"), keep=False)
+        explorer = Explorer(
+            subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"), keep=False
+        )
         try:
             sight = begun(explorer, 150)
             first.kill()
@@ -102,7 +104,9 @@ def test_a_scheduler_that_is_killed_is_missed_and_called_again(finished: Path) -
     try:
         with scheduler(port)(), worker(port)():  # type: ignore[attr-defined]
             assert waited(lambda: reachable(port))
-            explorer = Explorer(subject_of(str(finished)), partial(connected, f"tcp://127.0.0.1:{port}"), keep=False)
+            explorer = Explorer(
+                subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"), keep=False
+            )
             sight = begun(explorer, 150)
         assert waited(lambda: "trying again" in line(explorer))  # type: ignore[arg-type]
         with scheduler(port)(), worker(port)():  # type: ignore[attr-defined]

@@ -12,12 +12,21 @@ from bokeh.plotting import figure
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.branches import Arrow, FollowedBranch, Here, arrows, beginning, branch_asked, distance, follow_orbit
-from atlas.explore.chosen import Chosen, FollowedOrbit, Point, followable, from_address
-from atlas.explore.details import Details
-from atlas.explore.followpanel import FollowPanel, label_of
-from atlas.explore.state import State, Store
+from atlas.explore.branches import (
+    BranchPosition,
+    EventArrow,
+    FollowedBranch,
+    arrows,
+    branch_computation,
+    distance,
+    follow_orbit,
+    initial_follow,
+)
+from atlas.explore.details_panel import DetailsPanel
+from atlas.explore.follow_panel import FollowPanel, label_of
+from atlas.explore.page_state import PageModel, PageState
 from atlas.explore.subject import Subject, subject_of
+from atlas.explore.view_state import FollowedOrbit, Point, ViewState, followable, from_address
 from atlas.orbits.branches.table import orbit_name
 from tests.explore.messages import to_address
 
@@ -31,9 +40,9 @@ def subject() -> Subject:
     return subject_of("omega-b")
 
 
-def at_cell(subject: Subject, cell: dict[str, float] = CELL, **fields: Any) -> Chosen:
+def at_cell(subject: Subject, cell: dict[str, float] = CELL, **fields: Any) -> ViewState:
     """The cell chosen in a view around it."""
-    chosen = Chosen((1.2, 2.0), (0.05, 0.3), subject.plane, "period", cell=(subject.plane, cell["omega"], cell["b"]))
+    chosen = ViewState((1.2, 2.0), (0.05, 0.3), subject.plane, "period", cell=(subject.plane, cell["omega"], cell["b"]))
     return replace(chosen, **fields)
 
 
@@ -42,10 +51,10 @@ def cell_of(subject: Subject) -> Point:
     return subject.plane, CELL["omega"], CELL["b"]
 
 
-def followed(subject: Subject, chosen: Chosen, along: str) -> FollowedBranch:
+def followed(subject: Subject, chosen: ViewState, along: str) -> FollowedBranch:
     """The branch of the cell that is chosen, found here."""
     assert chosen.cell is not None
-    question = branch_asked(subject, chosen.cell, beginning(subject, chosen, chosen.cell, along)[:3])
+    question = branch_computation(subject, chosen.cell, initial_follow(subject, chosen, chosen.cell, along)[:3])
     return question.read(question.function(question.value))
 
 
@@ -55,7 +64,7 @@ def found(subject: Subject) -> FollowedBranch:
 
 
 @pytest.fixture(scope="module")
-def own(found: FollowedBranch) -> Here:
+def own(found: FollowedBranch) -> BranchPosition:
     return found.here(found.own, CELL["omega"])
 
 
@@ -66,7 +75,7 @@ def alone(subject: Subject) -> Any:
 
 
 def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
-    own: Here, found: FollowedBranch, alone: Any
+    own: BranchPosition, found: FollowedBranch, alone: Any
 ) -> None:
     events = alone.events.set_index("kind")["omega"]
     before, after = found.beside(own)
@@ -116,14 +125,16 @@ def test_a_closed_branch_has_the_events_beside_it_all_around(found: FollowedBran
     assert ring.beside(ring.here(0, ring.values[0]))[0] == ring.events[-1]
 
 
-def test_the_cells_own_orbit_is_a_point_of_the_branch(own: Here, found: FollowedBranch, subject: Subject) -> None:
+def test_the_cells_own_orbit_is_a_point_of_the_branch(
+    own: BranchPosition, found: FollowedBranch, subject: Subject
+) -> None:
     cell = atlas.point(CELL, settings=subject.spec.settings)
     assert own.value == CELL["omega"] and orbit_name(own.point.orbit.itinerary, found.table.system) == "1-2-2 symmetric"
     motion = found.motion(own)
     assert motion.moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
 
 
-def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: Here, subject: Subject) -> None:
+def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: BranchPosition, subject: Subject) -> None:
     value = 1.7312345
     place = found.passing(value, own)
     assert place is not None
@@ -135,7 +146,7 @@ def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: Her
     assert found.beside(here) == found.beside(own)
 
 
-def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: Here) -> None:
+def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: BranchPosition) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     there = found.here(fold.place + 5, found.values[fold.place + 5])
     value = 0.5 * (there.value + found.values[fold.place + 6])
@@ -161,7 +172,9 @@ def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
     assert motion.stops == [-CELL["b"], CELL["b"]] and motion.moving.shape == (4, 200)
 
 
-def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(found: FollowedBranch, own: Here) -> None:
+def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(
+    found: FollowedBranch, own: BranchPosition
+) -> None:
     motion = found.motion(own)
     at_stop = np.flatnonzero(np.isclose(motion.y, CELL["b"], rtol=0.0, atol=1e-8))
     assert motion.v[at_stop[1]] == pytest.approx(-found.table.parameters["R"] * motion.v[at_stop[0]], rel=1e-6)
@@ -190,7 +203,7 @@ def test_a_motion_closes_also_where_an_impact_has_moved_over_the_section(subject
 
 
 def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(
-    found: FollowedBranch, own: Here, subject: Subject
+    found: FollowedBranch, own: BranchPosition, subject: Subject
 ) -> None:
     back, on = arrows(found, own, subject, at_cell(subject, x=(1.7, 1.9)), cell_of(subject))
     before, after = found.beside(own)
@@ -210,7 +223,7 @@ def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(
 def test_the_label_of_an_arrow_lies_on_its_side_of_the_marker_where_there_is_room(
     place: float, end: float, text: str, align: str, right: int
 ) -> None:
-    said, aligned, _, offset, _ = label_of(Arrow(place, 0.1, end, 0.1, "fold"), 0, (0.0, 1.0))
+    said, aligned, _, offset, _ = label_of(EventArrow(place, 0.1, end, 0.1, "fold"), 0, (0.0, 1.0))
     assert (said, aligned, offset) == (text, align, right)
 
 
@@ -223,9 +236,9 @@ def test_a_parameter_that_is_no_axis_has_events_but_no_arrows(subject: Subject) 
 
 
 def test_a_view_beyond_the_range_of_a_parameter_is_followed_within_that(subject: Subject) -> None:
-    follow = beginning(subject, at_cell(subject, y=(-0.1, 0.3)), cell_of(subject), "b")
+    follow = initial_follow(subject, at_cell(subject, y=(-0.1, 0.3)), cell_of(subject), "b")
     assert 0.0 < follow.low <= CELL["b"] and follow.high == 0.3
-    assert beginning(subject, at_cell(subject, y=(0.2, 0.3)), cell_of(subject), "b").low == CELL["b"]
+    assert initial_follow(subject, at_cell(subject, y=(0.2, 0.3)), cell_of(subject), "b").low == CELL["b"]
 
 
 def test_orbits_are_followed_along_parameters_and_not_along_initial_states(subject: Subject) -> None:
@@ -248,7 +261,7 @@ def test_a_branch_of_one_point_is_refused_in_one_line(subject: Subject) -> None:
 def test_an_orbit_of_a_machine_with_modes_is_drawn_too() -> None:
     subject = subject_of("soft-impact")
     assert subject.axes == ("omega", "a")
-    chosen = Chosen((0.85, 0.95), (0.4, 0.6), subject.plane, "period", cell=(subject.plane, 0.9, 0.5))
+    chosen = ViewState((0.85, 0.95), (0.4, 0.6), subject.plane, "period", cell=(subject.plane, 0.9, 0.5))
     found = followed(subject, chosen, "omega")
     here = found.here(found.own, found.values[found.own])
     motion, gap = found.motion(here), next(found.table.gap_values(found.branch))[found.own]
@@ -282,7 +295,7 @@ def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: 
 
 def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Subject) -> None:
     follow = FollowedOrbit("omega", 1.2, 2.0, 0, 1.75)
-    store = Store(State(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
+    store = PageModel(PageState(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
     assert store.now.chosen.picture.follow is None
     store.choose(x=(1.3, 1.9))
     assert store.now.chosen.follow == follow
@@ -298,7 +311,7 @@ def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Su
 def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
     subject: Subject, found: FollowedBranch
 ) -> None:
-    store, jobs = Store(State(at_cell(subject))), list[Any]()
+    store, jobs = PageModel(PageState(at_cell(subject))), list[Any]()
     explorer: Any = SimpleNamespace(
         subject=subject, patches=SimpleNamespace(want=lambda _, wanted, too=False: jobs.append(wanted))
     )
@@ -327,8 +340,8 @@ def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subj
     patches = SimpleNamespace(want=lambda who, jobs, too=False: wanted.update({type(who): list(jobs)}))
     background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
     mark = ColumnDataSource({"x": [], "y": []})
-    made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, Store(State(chosen))]
-    details = Details(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]
+    made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, PageModel(PageState(chosen))]
+    details = DetailsPanel(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]
     details.show(chosen)
     assert details.about == chosen.cell and len(works) == 1
     assert [errand.question.function for errand in wanted[FollowPanel]] == [follow_orbit]

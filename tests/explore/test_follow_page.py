@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 import atlas
-from atlas.explore.session import Exploration
+from atlas.explore.session import ExplorerSession
 from rig.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -17,7 +17,7 @@ VIEW = "omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125"
 
 
 @pytest.fixture
-def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
+def tab(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """A page that shows the cell; afterwards nothing may have gone wrong in the browser."""
     with opened(browser, f"{running.url}&{VIEW}", 1440, 900) as made:
         made.page.locator("img.portrait").wait_for(timeout=120_000)
@@ -144,7 +144,7 @@ def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
     tab.until(lambda: "follow.orbit=" not in tab.address())
 
 
-def test_an_orbit_that_cannot_be_followed_says_so_in_one_line(running: Exploration, browser: Any) -> None:
+def test_an_orbit_that_cannot_be_followed_says_so_in_one_line(running: ExplorerSession, browser: Any) -> None:
     query = "omega=1.4:1.6&b=0.05:0.15&cell=1.5,0.1&follow.orbit=omega,1.4,1.6,0,1.5"
     with opened(browser, f"{running.url}&{query}", 1440, 900) as tab:
         tab.until(lambda: "this cell is chaotic: a branch starts from a periodic one" in tab.text(), 120.0)

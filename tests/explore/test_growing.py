@@ -14,9 +14,9 @@ from atlas.errors import InputError, RunError
 from atlas.explore.explorer import Explorer
 from atlas.explore.session import _connection
 from atlas.explore.subject import subject_of
-from atlas.service.batches import Labour
+from atlas.service.batches import JobType
 from atlas.service.cluster import count_threads
-from atlas.service.dispatch import Workers, workforce
+from atlas.service.dispatch import WorkerStatus, open_dispatcher
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from tests.explore.test_faults import begun
@@ -102,13 +102,13 @@ def test_a_cluster_grows_to_its_largest_for_many_short_jobs(growing: Client) -> 
     class GrownError(Exception):
         """It has."""
 
-    def tick(workers: Workers) -> None:
+    def tick(workers: WorkerStatus) -> None:
         seen.append(workers.threads)
         if workers.threads == 4:
             raise GrownError
 
-    labour, jobs = Labour("brief", brief, nothing, nothing), (Numbered((k,)) for k in range(400))
-    with workforce(growing, labour, Timing(tick=0.1)) as force, pytest.raises(GrownError):
+    labour, jobs = JobType("brief", brief, nothing, nothing), (Numbered((k,)) for k in range(400))
+    with open_dispatcher(growing, labour, Timing(tick=0.1)) as force, pytest.raises(GrownError):
         for _ in force.outcomes(jobs, tick):
             pass
     assert seen[0] == 0

@@ -14,7 +14,7 @@ import pytest
 from distributed import Client
 from PIL import Image
 
-from atlas.explore.session import HUB, Exploration, explore
+from atlas.explore.session import HUB, ExplorerSession, explore
 from rig.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
@@ -24,7 +24,7 @@ FOLDER = "/user/me/proxy/7"
 
 
 @pytest.fixture
-def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
+def tab(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     with opened(browser, f"{running.url}&{WINDOW}", 1440, 800) as made:
         made.until(made.image)
         yield made
@@ -110,7 +110,7 @@ def test_keys_move_and_zoom_the_view_and_escape_closes_a_cut(tab: Tab) -> None:
     tab.until(lambda: "cut=" not in tab.address())
 
 
-def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: Exploration, browser: Any) -> None:
+def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: ExplorerSession, browser: Any) -> None:
     def pixels(scheme: str) -> tuple[np.ndarray, np.ndarray]:
         context = browser.new_context(viewport={"width": 1440, "height": 800}, color_scheme=scheme)
         try:

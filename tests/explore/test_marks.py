@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from atlas.query.tidy import specks
-from atlas.render.coded import coded_maps
-from atlas.render.raster import MOST_MARKS, VISIBLE
+from atlas.query.outlines import small_regions
+from atlas.render.coded_maps import coded_maps
+from atlas.render.raster import MAX_MARKS, VISIBLE
 from tests import pictures
 from tests.explore.modules import FRONT, run
 
@@ -37,7 +37,7 @@ def test_the_browser_finds_the_small_regions_that_render_enlarges(browser: Any) 
     """
     found = run(browser, script, {"codes": regime.ravel().tolist(), "width": 60})
     for code, name in ((1, "one"), (2, "two")):
-        expected = specks(regime == code, np.arange(61.0), np.arange(41.0), np.ones(2), 2.5)
+        expected = small_regions(regime == code, np.arange(61.0), np.arange(41.0), np.ones(2), 2.5)
         boxes = np.array([box[:4] for box in found[name]])
         small = boxes[(np.diff(boxes[:, :2])[:, 0] < 2) & (np.diff(boxes[:, 2:])[:, 0] < 2)]
         middles = np.column_stack([small[:, :2].mean(axis=1), small[:, 2:].mean(axis=1)]) + 0.5
@@ -49,7 +49,7 @@ def test_the_browser_enlarges_what_is_smaller_than_in_files_and_at_most_as_many(
     text = (FRONT / "plane.mjs").read_text(encoding="utf-8")
     found = re.search(r"VISIBLE = ([\d.]+) \* POINT, MOST_MARKS = (\d+)", text)
     assert found is not None
-    assert (float(found[1]), int(found[2])) == (VISIBLE, MOST_MARKS)
+    assert (float(found[1]), int(found[2])) == (VISIBLE, MAX_MARKS)
 
 
 @pytest.mark.parametrize("ds", [pictures.plane(), pictures.every_regime()], ids=["plane", "regimes"])

@@ -11,10 +11,10 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.explore.chosen import from_address
-from atlas.explore.painter import Painter
-from atlas.explore.session import Exploration, explore
-from atlas.explore.view import STAGES, Sight, TileKey
+from atlas.explore.picture_renderer import PictureRenderer
+from atlas.explore.session import ExplorerSession, explore
+from atlas.explore.view_state import from_address
+from atlas.explore.viewport import STAGES, TileKey, Viewport
 from atlas.query.queries import at
 from rig.browser import Tab, opened
 from workers.results import PENDING, REGIME
@@ -30,7 +30,7 @@ WINDOW = "omega=3.2:4.2&b=0.3:0.5"
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory, client: Client, browser: Any) -> Iterator[Exploration]:
+def running(tmp_path_factory: pytest.TempPathFactory, client: Client, browser: Any) -> Iterator[ExplorerSession]:
     """An explorer of a small atlas of the packaged system."""
     folder = tmp_path_factory.mktemp("explore")
     spec = atlas.Spec(
@@ -45,7 +45,7 @@ def running(tmp_path_factory: pytest.TempPathFactory, client: Client, browser: A
 
 
 @pytest.fixture
-def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
+def tab(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """Its page, once there is a picture; afterwards nothing may have gone wrong in the browser."""
     with opened(browser, f"{running.url}&{WINDOW}") as made:
         made.until(made.image)
@@ -60,18 +60,18 @@ def arguments(tab: Tab) -> dict[str, list[bytes]]:
     return {name: [value.encode() for value in values] for name, values in found.items()}
 
 
-def painter_of(running: Exploration, tab: Tab) -> Painter:
+def painter_of(running: ExplorerSession, tab: Tab) -> PictureRenderer:
     """The painter of the only page there is, once others that were left are forgotten."""
 
-    def painters() -> list[Painter]:
-        return [who for who in running.explorer.listeners if isinstance(who, Painter)]
+    def painters() -> list[PictureRenderer]:
+        return [who for who in running.explorer.listeners if isinstance(who, PictureRenderer)]
 
     tab.until(lambda: len(painters()) == 1, 20.0)
     (painter,) = painters()
     return painter
 
 
-def settled(running: Exploration, tab: Tab, seconds: float = 300.0) -> Sight:
+def settled(running: ExplorerSession, tab: Tab, seconds: float = 300.0) -> Viewport:
     """Wait until all in view is solved and drawn, and return what is in view."""
     painter = painter_of(running, tab)
     tab.until(lambda: painter.sight is not None and not painter.busy, seconds)
@@ -115,7 +115,7 @@ def test_the_packaged_plane_is_seen_within_six_seconds_of_two_processors(client:
         running.stop()
 
 
-def test_a_zoom_by_the_wheel_is_looked_up_once_it_rests(running: Exploration, tab: Tab) -> None:
+def test_a_zoom_by_the_wheel_is_looked_up_once_it_rests(running: ExplorerSession, tab: Tab) -> None:
     settled(running, tab)
     painter = painter_of(running, tab)
     before = painter.looked
@@ -124,7 +124,7 @@ def test_a_zoom_by_the_wheel_is_looked_up_once_it_rests(running: Exploration, ta
     assert painter.looked == before + 1
 
 
-def test_tiles_appear_from_the_centre_out(running: Exploration, tab: Tab) -> None:
+def test_tiles_appear_from_the_centre_out(running: ExplorerSession, tab: Tab) -> None:
     came: list[TileKey] = []
     settled(running, tab)
     running.explorer.listen("test", lambda _, key: came.append(key))
@@ -137,7 +137,7 @@ def test_tiles_appear_from_the_centre_out(running: Exploration, tab: Tab) -> Non
     assert half > 2 and np.mean(places[:half]) < np.mean(places[half:])
 
 
-def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Exploration, tab: Tab) -> None:
+def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: ExplorerSession, tab: Tab) -> None:
     settled(running, tab)
     left, top, width, height = tab.plot()
     tab.page.mouse.move(left + 0.7 * width, top + 0.2 * height)
@@ -164,7 +164,7 @@ def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_
 
 
 def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_motion(
-    running: Exploration, browser: Any
+    running: ExplorerSession, browser: Any
 ) -> None:
     """At omega = 4, b = 0.0939 an orbit of period 1 coexists with two mirror images of period 3."""
     with opened(browser, f"{running.url}&omega=3.9:4.1&b=0.09:0.1", 1440, 900) as tab:
@@ -185,7 +185,7 @@ def test_a_click_shows_the_portraits_of_all_attractors_and_sets_the_machine_in_m
         assert tab.complaints == []
 
 
-def test_the_basins_of_a_cell_are_shown_on_a_click(running: Exploration, tab: Tab) -> None:
+def test_the_basins_of_a_cell_are_shown_on_a_click(running: ExplorerSession, tab: Tab) -> None:
     click(tab, 0.6, 0.4)
     tab.page.get_by_role("button", name="basins of this cell").click()
     tab.until(lambda: "initial states reach" in tab.text() and "not solved yet" not in tab.text(), 240.0)
@@ -201,7 +201,7 @@ def test_a_portrait_is_enlarged_by_a_click(tab: Tab) -> None:
     tab.until(lambda: portrait.bounding_box()["width"] > before["width"] + 50)
 
 
-def test_a_slider_solves_another_plane(running: Exploration, tab: Tab) -> None:
+def test_a_slider_solves_another_plane(running: ExplorerSession, tab: Tab) -> None:
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: "R=" in tab.address())
@@ -262,7 +262,7 @@ def test_branches_along_a_cut_are_drawn_on_demand(tab: Tab) -> None:
     assert colors and any(colors)
 
 
-def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab: Tab) -> None:
+def test_a_reload_restores_window_kind_and_parameters(running: ExplorerSession, tab: Tab) -> None:
     tab.page.goto(running.url + "&omega=2.0:3.0&b=0.1:0.3&kind=period&R=0.75")
     tab.until(tab.image)
     zoomed(tab, 2)
@@ -275,7 +275,7 @@ def test_a_reload_restores_window_kind_and_parameters(running: Exploration, tab:
 
 @pytest.mark.parametrize(("width", "share"), [(1440, 0.4), (1000, 0.7), (940, 0.7), (700, 0.6), (390, 0.7)])
 def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
-    running: Exploration, browser: Any, width: int, share: float
+    running: ExplorerSession, browser: Any, width: int, share: float
 ) -> None:
     """At 940 pixels, the width of a notebook, columns beside the plane left it 135; at 390 they covered it."""
     with opened(browser, f"{running.url}&{WINDOW}", width, 720) as tab:
@@ -290,7 +290,7 @@ def test_the_plane_has_most_of_the_width_of_a_notebook_and_of_a_phone(
         assert tab.complaints == []
 
 
-def test_a_phone_has_the_controls_folded_until_they_are_asked_for(running: Exploration, browser: Any) -> None:
+def test_a_phone_has_the_controls_folded_until_they_are_asked_for(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}", 390, 844) as tab:
         tab.until(tab.image)
         cut = tab.page.get_by_role("button", name="cut across")
@@ -301,7 +301,7 @@ def test_a_phone_has_the_controls_folded_until_they_are_asked_for(running: Explo
 
 @pytest.mark.parametrize("width", [1440, 940, 390])
 def test_a_reload_shows_the_map_also_where_a_line_over_it_cannot_be_drawn(
-    running: Exploration, browser: Any, width: int
+    running: ExplorerSession, browser: Any, width: int
 ) -> None:
     """The store has no curves: asking for them must not cost the map."""
     with opened(browser, f"{running.url}&{WINDOW}&overlay=curves,boundaries", width, 720) as tab:
@@ -325,21 +325,21 @@ def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
     tab.until(tab.mark)
 
 
-def test_curves_of_another_plane_are_said_to_be_lacking(running: Exploration, browser: Any) -> None:
+def test_curves_of_another_plane_are_said_to_be_lacking(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}&R=0.7&overlay=curves") as tab:
         said = "no curves at R = 0.7: a store has curves of its own plane alone, R = 0.8"
         tab.until(lambda: said in tab.text())
         assert tab.until(tab.image)
 
 
-def test_two_pages_at_once_show_different_windows(running: Exploration, tab: Tab) -> None:
+def test_two_pages_at_once_show_different_windows(running: ExplorerSession, tab: Tab) -> None:
     other = Tab(tab.page.context.new_page())
     other.page.goto(running.url + "&omega=2.0:3.0&b=0.1:0.3")
     window = other.until(other.image)
     assert 1.9 < window[0] < 2.1 and (tab.image() or [0.0])[0] > 3.1
 
 
-def test_pages_that_are_closed_free_their_work(running: Exploration, browser: Any) -> None:
+def test_pages_that_are_closed_free_their_work(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}") as tab:
         tab.until(tab.image)
         assert running.explorer.listeners
@@ -357,13 +357,15 @@ def test_the_picture_in_view_is_saved(tab: Tab, suffix: str, tmp_path: Path) -> 
     assert path.read_bytes().startswith(begins[suffix])
 
 
-def test_the_view_is_made_the_spec_of_an_atlas(running: Exploration, tab: Tab) -> None:
+def test_the_view_is_made_the_spec_of_an_atlas(running: ExplorerSession, tab: Tab) -> None:
     tab.page.get_by_role("button", name="make this an atlas").click()
     tab.until(lambda: "atlas run plane-1.toml -o plane-1.zarr" in tab.text())
     assert "probed on" in tab.text()
 
 
-def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(running: Exploration, tab: Tab) -> None:
+def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(
+    running: ExplorerSession, tab: Tab
+) -> None:
     centre, half = (3.7300123456789, 0.3000123456789), 1.75e-6
     (x, y) = (f"{value - half!r}:{value + half!r}" for value in centre)
     tab.page.goto(f"{running.url}&omega={x}&b={y}")
@@ -381,6 +383,6 @@ def test_a_million_times_deeper_cells_are_those_of_the_point_command_to_the_bit(
     assert all(alone[name] == value for name, value in cell.results.items() if name in ("largest", "error", "regime"))
 
 
-def test_an_address_that_is_wrong_is_said_and_the_whole_plane_shown(running: Exploration, browser: Any) -> None:
+def test_an_address_that_is_wrong_is_said_and_the_whole_plane_shown(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, running.url + "&kind=sweep") as tab:
         tab.until(lambda: "found 'sweep'" in tab.text())

@@ -13,18 +13,18 @@ import psutil
 import pytest
 from distributed import Client
 
-from atlas.explore import painter as painting
-from atlas.explore.chosen import Chosen, beginning
+from atlas.explore import picture_renderer as painting
+from atlas.explore.cell_lookup import CellLookup
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.known import KnownCells
-from atlas.explore.painter import Painted, Painter
+from atlas.explore.persistent_tiles import PersistentTileCache
+from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.subject import subject_of
-from atlas.explore.tiles import TileStore
-from atlas.explore.view import STAGES
-from atlas.platform import give_back_memory
-from atlas.query.reads import counted
-from atlas.store.store import open_handle
+from atlas.explore.tile_cache import TileCache
+from atlas.explore.view_state import ViewState, initial_view
+from atlas.explore.viewport import STAGES
+from atlas.platform import release_memory
+from atlas.query.read_counter import counted
+from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.explore.messages import opened
 from tests.explore.test_solving import exploring, waited
@@ -40,25 +40,25 @@ def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
 
 
 @pytest.fixture
-def came() -> list[Painted]:
+def came() -> list[RenderedPicture]:
     return []
 
 
 @pytest.fixture
-def painter(explorer: Explorer, came: list[Painted]) -> Iterator[Painter]:
-    made = Painter(explorer, came.append, pytest.fail)
+def painter(explorer: Explorer, came: list[RenderedPicture]) -> Iterator[PictureRenderer]:
+    made = PictureRenderer(explorer, came.append, pytest.fail)
     yield made
     made.close()
     made.wait()
 
 
 @pytest.fixture
-def view(explorer: Explorer) -> Chosen:
-    return replace(beginning(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
+def view(explorer: Explorer) -> ViewState:
+    return replace(initial_view(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
 
 
 def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
-    painter: Painter, came: list[Painted], view: Chosen
+    painter: PictureRenderer, came: list[RenderedPicture], view: ViewState
 ) -> None:
     for k in range(6):
         painter.show(replace(view, x=(2.5 + 0.01 * k, 3.5)), SIZE)
@@ -71,7 +71,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
 
 
 def test_while_a_slider_moves_the_first_stage_alone_is_solved(
-    explorer: Explorer, painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
+    explorer: Explorer, painter: PictureRenderer, view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(painting, "STAY", 3.0)
     plane = explorer.subject.plane.with_value("R", 0.71)
@@ -87,7 +87,7 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
 
 
 def test_pictures_follow_each_other_no_faster_than_they_may(
-    painter: Painter, came: list[Painted], view: Chosen, monkeypatch: pytest.MonkeyPatch
+    painter: PictureRenderer, came: list[RenderedPicture], view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(painting, "PAUSE", 1000.0)
     painter.show(view, SIZE)
@@ -100,7 +100,7 @@ def test_pictures_follow_each_other_no_faster_than_they_may(
 
 
 def test_a_painter_that_is_closed_ends_at_once(explorer: Explorer) -> None:
-    made = Painter(explorer, pytest.fail, pytest.fail)
+    made = PictureRenderer(explorer, pytest.fail, pytest.fail)
     thread = threading.Thread(target=made.wait)
     made.close()
     thread.start()
@@ -108,7 +108,9 @@ def test_a_painter_that_is_closed_ends_at_once(explorer: Explorer) -> None:
     assert not thread.is_alive() and made not in explorer.listeners
 
 
-def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Painted], view: Chosen) -> None:
+def test_a_picture_has_the_cells_of_its_window(
+    painter: PictureRenderer, came: list[RenderedPicture], view: ViewState
+) -> None:
     painter.show(view, SIZE)
     assert waited(lambda: bool(came))
     for axis, window, size in zip(opened(came[0].message)[0]["axes"], (view.x, view.y), SIZE, strict=True):
@@ -121,12 +123,12 @@ def test_a_picture_has_the_cells_of_its_window(painter: Painter, came: list[Pain
 def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_it_anew(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle, index = open_handle(finished), (0, 0)
+    handle, index = open_store(finished), (0, 0)
     arrays = read_tile(handle, index)
     drop_tile(handle, index)
-    monkeypatch.setattr("atlas.explore.tiles.LOOK", 0.0)
+    monkeypatch.setattr("atlas.explore.tile_cache.RELIST_SECONDS", 0.0)
     subject = subject_of(str(finished))
-    known = KnownCells(TileStore(subject, Keeper(subject, wanted=False)))
+    known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
     sight = subject.sight((2.0, 4.0), (0.1, 0.5), (7, 5))
 
     def pending() -> int:
@@ -145,11 +147,11 @@ def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_i
 
 
 def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
-    painter: Painter, came: list[Painted], view: Chosen, monkeypatch: pytest.MonkeyPatch
+    painter: PictureRenderer, came: list[RenderedPicture], view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[int] = []
     monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
-    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(len(came)))
+    monkeypatch.setattr(painting, "release_memory", lambda: given.append(len(came)))
     painter.show(view, SIZE)
     assert waited(lambda: not painter.busy and bool(given) and given[-1] == len(came))
     count = len(given)
@@ -157,14 +159,14 @@ def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
 
 
 def test_memory_goes_back_though_there_is_always_more_to_be_drawn(
-    painter: Painter, view: Chosen, monkeypatch: pytest.MonkeyPatch
+    painter: PictureRenderer, view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A visitor who never rests: each view is replaced before it is looked up."""
     given: list[bool] = []
     painter.show(view, SIZE)
     assert waited(lambda: not painter.busy)
     monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
-    monkeypatch.setattr(painting, "give_back_memory", lambda: given.append(painter.busy))
+    monkeypatch.setattr(painting, "release_memory", lambda: given.append(painter.busy))
     moves = itertools.count(1)
 
     def moved() -> bool:
@@ -192,5 +194,5 @@ def test_what_threads_have_freed_goes_back_to_the_system() -> None:
     thread.join()
     process = psutil.Process()
     before = process.memory_info().rss
-    give_back_memory()
+    release_memory()
     assert process.memory_info().rss < before - 50_000_000

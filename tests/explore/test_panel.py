@@ -7,17 +7,21 @@ from typing import Any
 import pytest
 
 from atlas.explore.background import Show
+from atlas.explore.jobs import Computation, ComputationJob
 from atlas.explore.panel import Panel
-from atlas.explore.patches import Errand, Question
 
 
 class Letters(Panel[str]):
     """A panel on a letter, which notes what it shows."""
 
     def __init__(self) -> None:
-        self.shown, self.wanted, self.works = list[str](), list[Errand](), list[tuple[Callable[[], Show], Any]]()
+        self.shown, self.wanted, self.works = (
+            list[str](),
+            list[ComputationJob](),
+            list[tuple[Callable[[], Show], Any]](),
+        )
 
-        def want(who: object, jobs: list[Errand], too: bool = False) -> None:
+        def want(who: object, jobs: list[ComputationJob], too: bool = False) -> None:
             self.wanted = [*jobs, *(self.wanted if too else ())]
 
         explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(want=want))
@@ -26,7 +30,7 @@ class Letters(Panel[str]):
 
     def begin(self, about: str) -> None:
         self.shown.append(f"begin {about}")
-        self.ask([Question(str.upper, about)], self.shown.append)
+        self.submit([Computation(str.upper, about)], self.shown.append)
 
     def clear(self) -> None:
         self.shown.append("clear")
@@ -34,7 +38,7 @@ class Letters(Panel[str]):
     def refuse(self, why: str) -> None:
         self.shown.append(why)
 
-    def answer(self, errand: Errand) -> None:
+    def answer(self, errand: ComputationJob) -> None:
         """Have the crew answer."""
         (function, value), take = errand.make()
         take(function(value))
@@ -78,12 +82,12 @@ def test_what_was_asked_about_something_else_is_wanted_no_more(panel: Letters) -
 
 
 def test_what_is_asked_later_comes_before_what_was_asked_already(panel: Letters) -> None:
-    panel.ask([Question(str.upper, "later")], panel.shown.append)
+    panel.submit([Computation(str.upper, "later")], panel.shown.append)
     assert [errand.question.value for errand in panel.wanted] == ["later", "a"]
 
 
 def test_work_on_something_else_is_neither_begun_nor_shown(panel: Letters) -> None:
-    begun, soon = list[str](), panel.soon()
+    begun, soon = list[str](), panel.progress_callback()
 
     def work() -> Show:
         begun.append("work")

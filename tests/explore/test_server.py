@@ -13,7 +13,7 @@ from bokeh.document import Document
 from bokeh.models import Div
 
 from atlas.errors import InputError
-from atlas.explore.background import Background
+from atlas.explore.background import BackgroundTasks
 from atlas.explore.server import PageServer, own_hosts, refusal
 
 UPGRADE = {
@@ -185,7 +185,7 @@ def test_an_address_that_is_no_text_gets_400(server: PageServer, query: str) -> 
 
 async def _shown_after_its_end() -> None:
     document = Document()
-    background = Background(document, pytest.fail)
+    background = BackgroundTasks(document, pytest.fail)
     session = object()
     document.callbacks.on_change_dispatch_to(session)
     document.destroy(session)

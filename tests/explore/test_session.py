@@ -19,8 +19,8 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.explore.session import explore
-from atlas.store.store import open_handle
-from atlas.store.zoom import sheets
+from atlas.store.store import open_store
+from atlas.store.zoom import list_metatiles
 from rig.browser import opened, started
 from tests.explore.test_solving import waited
 from tests.paths import ROOT
@@ -121,7 +121,7 @@ def test_ctrl_c_keeps_what_is_solved_leaves_no_process_and_gives_the_store_back(
     assert said.splitlines()[-1] == "ended" and "Traceback" not in said
     assert waited(lambda: not in_session(running.pid), 10.0)
     assert not (finished.parent / f".{finished.name}.run" / "claim").exists()
-    assert sheets(open_handle(finished))
+    assert list_metatiles(open_store(finished))
     assert atlas.verify(finished).fine
 
 

@@ -18,22 +18,22 @@ from distributed import CancelledError, Client, LocalCluster, get_worker
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore import kept
+from atlas.explore import persistent_tiles
+from atlas.explore.cell_lookup import CellLookup
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.known import KnownCells
-from atlas.explore.patch import solve_patch
-from atlas.explore.patches import Errand, Patches, PatchJob, Question, Take, Task
-from atlas.explore.sheets import SheetKey
-from atlas.explore.subject import Subject, SubjectPlane, subject_of
-from atlas.explore.tiles import Memory
-from atlas.explore.view import STAGES, TILE, Sight, TileKey
-from atlas.service.dispatch import SPARE
-from atlas.service.fitness import FAILURES
-from atlas.service.lease import claimed
-from atlas.store.sidecar import notes_of
-from atlas.store.store import open_handle
-from atlas.store.zoom import sheet_place, sheets
+from atlas.explore.grid_patch import solve_patch
+from atlas.explore.jobs import Computation, ComputationJob, JobService, ServiceJob, Take, Task
+from atlas.explore.metatiles import MetatileKey
+from atlas.explore.persistent_tiles import PersistentTileCache
+from atlas.explore.subject import PlaneParameters, Subject, subject_of
+from atlas.explore.tile_cache import MemoryTileCache
+from atlas.explore.viewport import STAGES, TILE_CELLS, TileKey, Viewport
+from atlas.service.dispatch import EXTRA_IN_FLIGHT
+from atlas.service.lease import hold_lease
+from atlas.service.worker_health import MAX_FAILURES
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import open_store
+from atlas.store.zoom import list_metatiles, metatile_backend
 from workers.results import INVALID, PENDING, REGIME
 
 
@@ -47,7 +47,7 @@ def waited(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
     return False
 
 
-def view_of(subject: Subject, pixels: int = 40) -> Sight:
+def view_of(subject: Subject, pixels: int = 40) -> Viewport:
     """A window within the plane, a few tiles of it."""
     (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
     window = (float(x[1]), float(x[3])), (float(y[1]), float(y[3]))
@@ -69,7 +69,7 @@ def exploring(store: Path | str, client: Client, **options: object) -> Iterator[
         made.stop()
 
 
-def solved(explorer: Explorer, sight: Sight, plane: SubjectPlane | None = None) -> list[TileKey]:
+def solved(explorer: Explorer, sight: Viewport, plane: PlaneParameters | None = None) -> list[TileKey]:
     """Have a view solved, and return the tiles in the order in which they came."""
     came: list[TileKey] = []
     plane = plane or explorer.subject.plane
@@ -97,7 +97,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     assert all(value == alone[name] or (value != value and alone[name] != alone[name]) for name, value in same.items())
 
 
-def shares(known: KnownCells, plane: SubjectPlane, sight: Sight) -> tuple[float, ...]:
+def shares(known: CellLookup, plane: PlaneParameters, sight: Viewport) -> tuple[float, ...]:
     """The shares of the cells in view that are known at each stage or a finer one, the coarsest stage first."""
     stages = known.seen(plane, sight, []).stages
     return tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
@@ -112,7 +112,7 @@ def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: C
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, 0.0)
         first, *_ = sight.tiles(0)
         rows, columns = sight.place(first)
-        tiles.memory.put(tiles, plane, first, tiles.whole(plane, first.above) or {})
+        tiles.memory.put(tiles, plane, first, tiles.full_tile(plane, first.above) or {})
         share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))
 
@@ -121,7 +121,9 @@ def test_a_tile_that_is_known_in_full_counts_for_all_coarser_stages(finished: Pa
     with exploring(finished, client) as explorer:
         known, tiles, plane, sight = explorer.known, explorer.tiles, explorer.subject.plane, view_of(explorer.subject)
         for key in sight.tiles(0):
-            tiles.memory.put(tiles, plane, key, known.subject.without_results(known.subject.variables, (TILE, TILE)))
+            tiles.memory.put(
+                tiles, plane, key, known.subject.without_results(known.subject.variables, (TILE_CELLS, TILE_CELLS))
+            )
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, 1.0)
 
 
@@ -192,7 +194,7 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
 def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "MOST_WAITING", 1)
+    monkeypatch.setattr(persistent_tiles, "MOST_WAITING", 1)
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3
@@ -203,12 +205,12 @@ def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
 def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight, plane = view_of(explorer.subject), explorer.subject.plane
-        with claimed(notes_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
+        with hold_lease(sidecar_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
             tiles = solved(explorer, sight)
-            explorer.tiles.memory = Memory(1)
+            explorer.tiles.memory = MemoryTileCache(1)
             assert len(tiles) > 3 and explorer.tiles.keeper.waiting == len(tiles)
             assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
-            arrays = [explorer.tiles.whole(plane, key) for key in tiles]
+            arrays = [explorer.tiles.full_tile(plane, key) for key in tiles]
         assert all(array is not None and (array[REGIME.name] != PENDING).all() for array in arrays)
 
 
@@ -243,12 +245,12 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
 def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         solved(explorer, view_of(explorer.subject))
-    handle = open_handle(finished)
-    for plane, sheet in sheets(handle):
+    handle = open_store(finished)
+    for plane, sheet in list_metatiles(handle):
         ds = xr.open_zarr(finished / "zoom" / plane / sheet)
         done = ds[REGIME.name].values != PENDING
         assert done.any() and np.isfinite(ds.periods_used.values[done]).all()
-        assert open_handle(sheet_place(handle, plane, sheet)).spec.settings == explorer.subject.settings
+        assert open_store(metatile_backend(handle, plane, sheet)).spec.settings == explorer.subject.settings
 
 
 @pytest.mark.slow
@@ -258,24 +260,24 @@ def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, clie
         plane = subject.plane_with(subject.plane, "R", 0.71)
         solved(explorer, sight, plane)
         assert not (finished / "zoom").exists()
-        explorer.tiles.keep_plane(plane)
-    assert {name for name, _ in sheets(open_handle(finished))} == {subject.digest(plane)[:16]}
+        explorer.tiles.set_kept(plane)
+    assert {name for name, _ in list_metatiles(open_store(finished))} == {subject.digest(plane)[:16]}
 
 
 def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         plane = explorer.subject.plane_with(explorer.subject.plane, "R", 0.71)
-        kept = [explorer.tiles.keeps(plane)]
+        persistent_tiles = [explorer.tiles.is_kept(plane)]
         for on in (True, True, False):
-            explorer.tiles.keep_plane(plane, on)
-            kept.append(explorer.tiles.keeps(plane))
-        assert kept == [False, True, True, False] and explorer.tiles.keeps(explorer.subject.plane)
+            explorer.tiles.set_kept(plane, on)
+            persistent_tiles.append(explorer.tiles.is_kept(plane))
+        assert persistent_tiles == [False, True, True, False] and explorer.tiles.is_kept(explorer.subject.plane)
 
 
 @pytest.mark.slow
 def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
-        with claimed(notes_of(finished), str(finished)):
+        with hold_lease(sidecar_of(finished), str(finished)):
             solved(explorer, view_of(explorer.subject))
             assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
             assert not (finished / "zoom").exists()
@@ -310,7 +312,7 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(30, "Read-only file system")
 
-    monkeypatch.setattr("atlas.store.sidecar.Folder.put", refuse)
+    monkeypatch.setattr("atlas.store.sidecar.LocalSidecar.put", refuse)
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         assert solved(explorer, sight)
@@ -322,21 +324,23 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
 @pytest.mark.slow
 def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
     subject = subject_of(str(finished))
-    arrays = solve_patch(subject.patch(subject.plane, TileKey(0, 0, 0, 0), np.ones((TILE, TILE), dtype=bool)))
-    tile = {name: array.reshape((TILE, TILE, *array.shape[1:])) for name, array in arrays.items()}
+    arrays = solve_patch(
+        subject.patch(subject.plane, TileKey(0, 0, 0, 0), np.ones((TILE_CELLS, TILE_CELLS), dtype=bool))
+    )
+    tile = {name: array.reshape((TILE_CELLS, TILE_CELLS, *array.shape[1:])) for name, array in arrays.items()}
     keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
     for k, key in enumerate(keys):
-        keeper = Keeper(subject, most_bytes=1)
+        keeper = PersistentTileCache(subject, most_bytes=1)
         keeper.offer(subject.plane, key, tile)
         keeper.stop()
         assert keeper.trouble == ""
         if k == 0:
-            assert len(sheets(open_handle(finished))) == 1  # what was just looked at is never dropped
-    keeper = Keeper(subject, most_bytes=1, recent=0.0)
+            assert len(list_metatiles(open_store(finished))) == 1  # what was just looked at is never dropped
+    keeper = PersistentTileCache(subject, most_bytes=1, recent=0.0)
     keeper.offer(subject.plane, TileKey(5, 5, 0, 0), tile)
     keeper.stop()
-    kept = [sheet for _, sheet in sheets(open_handle(finished))]
-    assert kept in ([], [SheetKey(5, 5, 0, 0).name])
+    persistent_tiles = [sheet for _, sheet in list_metatiles(open_store(finished))]
+    assert persistent_tiles in ([], [MetatileKey(5, 5, 0, 0).name])
 
 
 def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
@@ -372,7 +376,7 @@ def _shouted(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Mistaken(PatchJob):
+class Mistaken(ServiceJob):
     """A job with a mistake in one of its methods, or in none."""
 
     wrong: str
@@ -418,15 +422,15 @@ def test_a_worker_at_which_patches_fail_gets_no_more_of_them_and_another_does_th
             yield client
 
         good, came, refused = max(client.scheduler_info()["workers"]), list[str](), list[str]()
-        patches = Patches(connect)
+        patches = JobService(connect)
         try:
-            question = partial(Question[str], _at_one_worker_only, good)
-            patches.want("test", [Errand(question(), came.append, refused.append) for _ in range(40)])
+            question = partial(Computation[str], _at_one_worker_only, good)
+            patches.want("test", [ComputationJob(question(), came.append, refused.append) for _ in range(40)])
             assert waited(lambda: patches.left("test") == 0)
         finally:
             patches.stop()
     assert came == [good] * 40 and not refused
-    assert len(_FAILED_AT) <= FAILURES + SPARE + 1
+    assert len(_FAILED_AT) <= MAX_FAILURES + EXTRA_IN_FLIGHT + 1
 
 
 def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: Client) -> None:
@@ -434,7 +438,7 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
     def connect() -> Iterator[Client]:
         yield client
 
-    patches, came = Patches(connect), list[str]()
+    patches, came = JobService(connect), list[str]()
     try:
         patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "take", "none", "input")])
         assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
@@ -457,7 +461,7 @@ def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
             tiles = count()
             assert tiles > 3 and waited(lambda: explorer.patches.left("test") == 0)
         assert len(explorer.failures) == tiles and count() == 0
-        monkeypatch.setattr("atlas.explore.explorer.AGAIN", 0.0)
+        monkeypatch.setattr("atlas.explore.explorer.RETRY_SECONDS", 0.0)
         assert solved(explorer, sight) and not explorer.failures
         assert not np.any(explorer.known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
 
@@ -480,10 +484,10 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
         subject, known = explorer.subject, explorer.tiles
         outside, partly = TileKey(0, 0, 0, -40), TileKey(2, 2, 0, -1)
         assert known.has(subject.plane, outside) and not known.outside(partly)
-        found = known.whole(subject.plane, outside)
+        found = known.full_tile(subject.plane, outside)
         assert found is not None
         for name, solved_so in solve_patch(
-            subject.patch(subject.plane, outside, np.ones((TILE, TILE), dtype=bool))
+            subject.patch(subject.plane, outside, np.ones((TILE_CELLS, TILE_CELLS), dtype=bool))
         ).items():
             assert np.array_equal(
                 found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"

@@ -20,18 +20,18 @@ from click.testing import CliRunner
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.explore.front.numbers import DIGITS, MANTISSA, Packed, fit, pack, rounded, unpack
+from atlas.explore.front.numbers import DIGITS, MANTISSA, PackedArray, pack, pack_within, round_mantissa, unpack
 from atlas.explore.static.page import LIMIT, lines_of, page_of, write_page
 from atlas.query.plane import Plane
 from atlas.query.window import select
-from atlas.render.coded import coded_maps, text_of
-from atlas.render.kinds import BASINS, LABELS, MAPS, SCALAR, TABLE
-from atlas.render.layers import View, paint
-from atlas.render.page import STANDARD
+from atlas.render.coded_maps import coded_maps, text_of
+from atlas.render.kinds import BASINS, KIND_TABLE, LABELS, MAPS, SCALAR
+from atlas.render.layers import MapView, paint
+from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from atlas.spec.spec import Spec
-from atlas.store import making
+from atlas.store import create
 from tests import pictures, synthetic
 from tests.explore.modules import colored
 
@@ -61,7 +61,8 @@ def numbers(page: str) -> dict[str, np.ndarray]:
     width = len(known["axes"][0]["values"])
     texts = dict(re.findall(r'<script type="text/plain" id="([\w-]+)">(.*?)</script>', page))
     return {
-        name: unpack(Packed(about["type"], b64decode(texts[name])), width) for name, about in known["arrays"].items()
+        name: unpack(PackedArray(about["type"], b64decode(texts[name])), width)
+        for name, about in known["arrays"].items()
     }
 
 
@@ -82,22 +83,22 @@ def test_rounding_changes_a_value_by_at_most_half_a_unit_of_the_last_digit_state
     rng = np.random.default_rng(2)
     exact = rng.choice([-1.0, 1.0], 20000) * 10.0 ** rng.uniform(-300, 300, 20000)
     unit = 10.0 ** (np.floor(np.log10(np.abs(exact))) - digits + 1)
-    assert np.all(np.abs(rounded(exact, bits) - exact) <= 0.5 * unit)
+    assert np.all(np.abs(round_mantissa(exact, bits) - exact) <= 0.5 * unit)
 
 
 def test_rounding_leaves_alone_what_is_not_finite_or_would_not_stay_so() -> None:
     exact = np.array([np.nan, np.inf, -np.inf, np.finfo(float).max, 0.0, -0.0, 1.0])
-    assert rounded(exact, 10).tobytes() == exact.tobytes()
+    assert round_mantissa(exact, 10).tobytes() == exact.tobytes()
 
 
 def test_what_does_not_fit_loses_digits_one_after_the_other_and_then_is_left_out() -> None:
     rng = np.random.default_rng(3)
     every = {name: rng.random((30, 30)) for name in ("error", "largest", "speed")} | {"period": np.ones((3, 3), int)}
     arrays = {name: partial(np.copy, values) for name, values in every.items()}
-    whole = sum(len(file.text) for file in fit(arrays, 10**9, "largest", "error")[0].values())
+    whole = sum(len(file.text) for file in pack_within(arrays, 10**9, "largest", "error")[0].values())
     seen = []
     for limit in range(whole, 0, -100):
-        found, left_out = fit(arrays, limit, "largest", "error")
+        found, left_out = pack_within(arrays, limit, "largest", "error")
         assert sum(len(file.text) for file in found.values()) <= limit or found.keys() == {"period"}
         assert {*left_out, *found} == {*arrays}
         seen.append(tuple(found[name].bits if name in found else 0 for name in ("error", "speed", "largest")))
@@ -123,7 +124,7 @@ def test_a_page_has_every_number_of_the_store_to_the_bit(opened: xr.Dataset) -> 
 @pytest.mark.parametrize("start", [0.5, 2.0])
 def test_a_plane_with_a_logarithmic_axis_has_a_page_that_draws_it_as_pictures_do(start: float, tmp_path: Path) -> None:
     """On a log scale from a ratio of 4 of its ends on; below, evenly."""
-    making.create(tmp_path / "log.zarr", synthetic.spec_of(8, 6, start=start, stop=4.0, scale="log"), (6, 8))
+    create.create_store(tmp_path / "log.zarr", synthetic.spec_of(8, 6, start=start, stop=4.0, scale="log"), (6, 8))
     page = tmp_path / "log.html"
     assert atlas.open(tmp_path / "log.zarr").atlas.page(page) == page
     x, y = described(page.read_text("utf-8"))["axes"]
@@ -178,7 +179,7 @@ def test_the_same_atlas_gives_the_same_bytes(opened: xr.Dataset, tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_million_cells_take_at_most_twenty_megabytes_even_where_no_two_numbers_are_alike(tmp_path: Path) -> None:
-    handle = making.create(tmp_path / "large.zarr", synthetic.spec_of(1000, 1000), (250, 250))
+    handle = create.create_store(tmp_path / "large.zarr", synthetic.spec_of(1000, 1000), (250, 250))
     synthetic.fill(handle)
     rng = np.random.default_rng(4)
     group = zarr.open_group(handle.path, mode="r+", use_consolidated=False)
@@ -213,17 +214,17 @@ def test_javascript_has_the_colours_of_paint_to_the_bit_with_any_ends_of_the_sca
     name: str, ds: xr.Dataset, table: xr.Dataset | None, browser: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("atlas.query.basins.table", lambda _: table)
-    monkeypatch.setattr("atlas.render.classes.branches", lambda _: table)
+    monkeypatch.setattr("atlas.render.class_maps.branches", lambda _: table)
     maps = [(coded, Plane.of(ds, coded.needs)) for coded in coded_maps(ds, ds)]
     seen = {coded.name for coded, _ in maps}
     planes_of = {coded.name: plane for coded, plane in maps}
     for coded, ends, found in colored(browser, maps, [None, *OTHER_ENDS]):
         scalar = coded.name.removeprefix("number-")
-        kind = TABLE[SCALAR if scalar != coded.name else coded.name]
+        kind = KIND_TABLE[SCALAR if scalar != coded.name else coded.name]
         page = STANDARD if ends is None else replace(STANDARD, vmin=ends[0], vmax=ends[1])
-        wanted = Wanted(page, kind.name, variable=scalar if kind.name == SCALAR else None)
+        wanted = PictureRequest(page, kind.name, variable=scalar if kind.name == SCALAR else None)
         try:
-            layers = PAINTERS[kind.name](View(kind, ds, planes_of[coded.name], wanted))
+            layers = PAINTERS[kind.name](MapView(kind, ds, planes_of[coded.name], wanted))
         except InputError:
             continue  # a scale that takes no such ends
         expected = paint(layers)
@@ -394,7 +395,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("stack") / "stack.zarr"
     axes = {"omega": np.linspace(1, 4, 9), "b": np.linspace(0.1, 0.5, 6), "R": [0.5, 0.6]}
-    handle = making.create(path, atlas.Spec("two-mass", axes=axes), (1, 6, 9))
+    handle = create.create_store(path, atlas.Spec("two-mass", axes=axes), (1, 6, 9))
     synthetic.fill(handle)
     return path
 
@@ -428,7 +429,7 @@ def several(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An atlas of all attractors, two kept in a cell, whose second ones are pending in the lower half."""
     path = tmp_path_factory.mktemp("several") / "several.zarr"
     axes = {"omega": np.linspace(1, 4, 6), "b": np.linspace(0.1, 0.5, 4)}
-    handle = making.create(path, atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 2}), (4, 6))
+    handle = create.create_store(path, atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 2}), (4, 6))
     group = zarr.open_group(handle.path, mode="r+", use_consolidated=False)
     regime, largest = np.full((4, 6, 2), 1, np.int8), np.zeros((4, 6, 2))
     regime[:2, :, 1], largest[..., 1] = -1, -1.0
@@ -461,7 +462,7 @@ def test_a_page_gives_no_command_where_a_cell_starts_from_a_state_that_it_does_n
     several: Path, opened: xr.Dataset, tmp_path: Path
 ) -> None:
     axes = {"omega": {"start": 1.0, "stop": 4.0, "num": 6, "continuation": "forward"}, "b": [0.1, 0.2, 0.3]}
-    handle = making.create(tmp_path / "swept.zarr", atlas.Spec("two-mass", axes), (3, 6))
+    handle = create.create_store(tmp_path / "swept.zarr", atlas.Spec("two-mass", axes), (3, 6))
     synthetic.fill(handle)
     for ds in (atlas.open(several), select(atlas.open(several), {"attractor": 1}), atlas.open(handle.path)):
         assert described(page_of(ds))["command"] == ""

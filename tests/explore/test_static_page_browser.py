@@ -41,7 +41,7 @@ def tab(browser: Any, page: Path) -> Iterator[Tab]:
     """The page as it opens; nothing may go wrong in it, and it may ask for nothing but itself."""
     with look_at(browser, page) as made:
         said: list[str] = []
-        made.page.on("console", lambda message: said.append(message.text))
+        made.page.on_color("console", lambda message: said.append(message.text))
         ready(made)
         yield made
         assert said == made.complaints == []
@@ -98,13 +98,13 @@ def test_the_map_has_the_colours_that_a_file_has(browser: Any, page: Path, ds: A
 def period_colors(ds: Any) -> np.ndarray:
     """The colours (y, x, 3) that files give the cells by their period."""
     from atlas.query.plane import Plane
-    from atlas.render.kinds import TABLE
-    from atlas.render.layers import View, paint
-    from atlas.render.page import STANDARD
+    from atlas.render.kinds import KIND_TABLE
+    from atlas.render.layers import MapView, paint
+    from atlas.render.layout import STANDARD
     from atlas.render.painters import PAINTERS
-    from atlas.render.wanted import Wanted
+    from atlas.render.request import PictureRequest
 
-    view = View(TABLE["period"], ds, Plane.of(ds, ["period"]), Wanted(STANDARD))
+    view = MapView(KIND_TABLE["period"], ds, Plane.of(ds, ["period"]), PictureRequest(STANDARD))
     return np.asarray(paint(PAINTERS["period"](view))[..., :3])
 
 

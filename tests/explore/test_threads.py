@@ -16,15 +16,15 @@ from bokeh.document import Document
 from distributed import Client
 from tornado.ioloop import IOLoop
 
-from atlas.explore import kept, threads
-from atlas.explore.chosen import beginning
+from atlas.explore import persistent_tiles, threads
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.painter import Painted, Painter
-from atlas.explore.patches import Errand, Patches, Question
+from atlas.explore.jobs import Computation, ComputationJob, JobService
+from atlas.explore.persistent_tiles import PersistentTileCache
+from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.server import PageServer
 from atlas.explore.subject import subject_of
-from atlas.explore.view import TILE, TileKey
+from atlas.explore.view_state import initial_view
+from atlas.explore.viewport import TILE_CELLS, TileKey
 from tests.explore.test_solving import exploring, solved, view_of, waited
 
 CANCELLED, FROM_DASK = asyncio.CancelledError("gone"), UnboundLocalError("cannot access local variable 'result'")
@@ -51,24 +51,24 @@ def raise_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: B
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     """Work begins again, and tiles are kept, after moments: 30 tests would wait for a second or two each."""
     monkeypatch.setattr(threads, "PAUSE", 0.01)
-    monkeypatch.setattr(kept, "PAUSE", 0.05)
+    monkeypatch.setattr(persistent_tiles, "PAUSE", 0.05)
 
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """All that patches and keepers have said of trouble."""
-    said, patched, keeper = list[str](), Patches._say, Keeper._say
+    said, patched, keeper = list[str](), JobService._say, PersistentTileCache._say
 
-    def patches_say(self: Patches, trouble: str, workers: int = 0) -> None:
+    def patches_say(self: JobService, trouble: str, workers: int = 0) -> None:
         said.append(trouble)
         patched(self, trouble, workers)
 
-    def keeper_says(self: Keeper, trouble: str) -> None:
+    def keeper_says(self: PersistentTileCache, trouble: str) -> None:
         said.append(trouble)
         keeper(self, trouble)
 
-    monkeypatch.setattr(Patches, "_say", patches_say)
-    monkeypatch.setattr(Keeper, "_say", keeper_says)
+    monkeypatch.setattr(JobService, "_say", patches_say)
+    monkeypatch.setattr(PersistentTileCache, "_say", keeper_says)
     return said
 
 
@@ -84,10 +84,10 @@ def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_excep
         connected.append(1)
         yield client
 
-    raise_once(monkeypatch, Patches, step, error)
-    patches = Patches(connect)
+    raise_once(monkeypatch, JobService, step, error)
+    patches = JobService(connect)
     try:
-        patches.want("test", [Errand(Question(abs, -3), found.append, pytest.fail)])
+        patches.want("test", [ComputationJob(Computation(abs, -3), found.append, pytest.fail)])
         assert waited(lambda: patches.left("test") == 0)
         assert patches.state.trouble == ""
     finally:
@@ -101,7 +101,7 @@ def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_excep
 def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch, shown: list[str], step: str, error: BaseException
 ) -> None:
-    raise_once(monkeypatch, Keeper, step, error)
+    raise_once(monkeypatch, PersistentTileCache, step, error)
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3 and waited(
@@ -116,10 +116,12 @@ def test_a_keeper_that_always_fails_ends_when_it_is_asked_to(finished: Path, mon
     def broken(*_: object) -> None:
         raise UnboundLocalError("always")
 
-    monkeypatch.setattr(Keeper, "_turn", broken)
+    monkeypatch.setattr(PersistentTileCache, "_turn", broken)
     subject = subject_of(str(finished))
-    keeper = Keeper(subject)
-    keeper.offer(subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE, TILE)))
+    keeper = PersistentTileCache(subject)
+    keeper.offer(
+        subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
+    )
     thread = threading.Thread(target=keeper.stop)
     thread.start()
     thread.join(20.0)
@@ -137,10 +139,10 @@ def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
 def test_the_thread_that_paints_says_what_went_wrong_and_paints_on(
     explorer: Explorer, monkeypatch: pytest.MonkeyPatch, step: str, error: BaseException
 ) -> None:
-    raise_once(monkeypatch, Painter, step, error)
-    came, refused = list[Painted](), list[str]()
-    painter = Painter(explorer, came.append, refused.append)
-    view = replace(beginning(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
+    raise_once(monkeypatch, PictureRenderer, step, error)
+    came, refused = list[RenderedPicture](), list[str]()
+    painter = PictureRenderer(explorer, came.append, refused.append)
+    view = replace(initial_view(explorer.subject), x=(2.5, 3.5), y=(0.15, 0.25))
     try:
         painter.show(view, (48, 40))
         assert waited(lambda: len(refused) == 1)

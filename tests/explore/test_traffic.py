@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.explore.chosen import from_address
-from atlas.explore.drawn import BITS
-from atlas.explore.front.numbers import rounded
-from atlas.explore.session import Exploration
+from atlas.explore.front.numbers import round_mantissa
+from atlas.explore.plane_message import BITS
+from atlas.explore.session import ExplorerSession
+from atlas.explore.view_state import from_address
 from atlas.query.plane import Plane
-from atlas.render.kinds import TABLE
-from atlas.render.layers import View, paint
-from atlas.render.page import STANDARD
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layers import MapView, paint
+from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from rig.browser import Tab, opened
 from tests.explore.test_page import arguments, painter_of, settled
 
@@ -26,7 +26,7 @@ IMAGE = "[...Bokeh.documents[0]._all_models.values()].find((model) => model.data
 
 
 @pytest.fixture
-def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
+def tab(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """Its page, once all in view is solved and drawn."""
     with opened(browser, f"{running.url}&{WINDOW}") as made:
         made.until(made.image)
@@ -35,7 +35,7 @@ def tab(running: Exploration, browser: Any) -> Iterator[Tab]:
         assert made.complaints == []
 
 
-def rested(running: Exploration, tab: Tab) -> None:
+def rested(running: ExplorerSession, tab: Tab) -> None:
     """Wait until nothing more is to come."""
     settled(running, tab)
     tab.page.wait_for_timeout(1500)
@@ -77,7 +77,7 @@ def test_another_scale_needs_no_message(tab: Tab) -> None:
     alone(tab, fit.click, lambda: "vmax=" in tab.address() and "vmax=0.9" not in tab.address())
 
 
-def test_another_map_of_variables_that_the_page_holds_needs_no_message(running: Exploration, tab: Tab) -> None:
+def test_another_map_of_variables_that_the_page_holds_needs_no_message(running: ExplorerSession, tab: Tab) -> None:
     select = tab.page.locator("select").first
     select.select_option("combined")
     tab.until(lambda: "period 1" in tab.text())
@@ -86,7 +86,7 @@ def test_another_map_of_variables_that_the_page_holds_needs_no_message(running: 
         alone(tab, lambda name=name: select.select_option(name), lambda words=words: words in tab.address())
 
 
-def test_lines_that_were_drawn_once_are_switched_without_a_message(running: Exploration, tab: Tab) -> None:
+def test_lines_that_were_drawn_once_are_switched_without_a_message(running: ExplorerSession, tab: Tab) -> None:
     box = tab.page.get_by_label("boundaries", exact=True)
     box.check()
     tab.until(lambda: "regime boundary" in tab.text())
@@ -108,7 +108,7 @@ def test_the_cell_under_the_pointer_is_read_without_a_message(tab: Tab) -> None:
 
 
 def test_the_server_learns_how_the_plane_looks_before_it_draws_a_file_or_another_view(
-    running: Exploration, tab: Tab
+    running: ExplorerSession, tab: Tab
 ) -> None:
     tab.page.get_by_label("logarithmic").check()
     ends(tab, 0.3, 0.9)
@@ -121,7 +121,7 @@ def test_the_server_learns_how_the_plane_looks_before_it_draws_a_file_or_another
     assert asked is not None and asked[0].map == "number-peak_to_peak-log"
 
 
-def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) -> None:
+def test_the_browser_has_the_colours_of_paint(running: ExplorerSession, tab: Tab) -> None:
     for low, high in ((None, None), (0.3, 0.9)):
         if low is not None:
             ends(tab, low, high)
@@ -130,10 +130,10 @@ def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) ->
         chosen = from_address(running.explorer.subject, arguments(tab))
         assert painter.sight is not None
         ds = running.explorer.known.seen(chosen.plane, painter.sight, chosen.names).ds
-        ds = ds.assign(peak_to_peak=(ds.peak_to_peak.dims, rounded(ds.peak_to_peak.values, BITS)))
+        ds = ds.assign(peak_to_peak=(ds.peak_to_peak.dims, round_mantissa(ds.peak_to_peak.values, BITS)))
         own = painter.ends(chosen)
-        asked = Wanted(STANDARD.__class__(vmin=own[0], vmax=own[1]), "scalar", variable="peak_to_peak")
-        expected = paint(PAINTERS["scalar"](View(TABLE["scalar"], ds, Plane.of(ds, ["peak_to_peak"]), asked)))
+        asked = PictureRequest(STANDARD.__class__(vmin=own[0], vmax=own[1]), "scalar", variable="peak_to_peak")
+        expected = paint(PAINTERS["scalar"](MapView(KIND_TABLE["scalar"], ds, Plane.of(ds, ["peak_to_peak"]), asked)))
         places = []
         for name, (first, last), size in (("b", chosen.y, shown.shape[0]), ("omega", chosen.x, shown.shape[1])):
             share = (ds[name].values - first) / (last - first)
@@ -146,7 +146,7 @@ def test_the_browser_has_the_colours_of_paint(running: Exploration, tab: Tab) ->
 
 
 def test_the_first_view_of_known_cells_is_one_picture_and_few_messages(
-    running: Exploration, browser: Any, tab: Tab
+    running: ExplorerSession, browser: Any, tab: Tab
 ) -> None:
     with opened(browser, f"{running.url}&{WINDOW}") as other:
         other.until(other.image)
@@ -156,7 +156,7 @@ def test_the_first_view_of_known_cells_is_one_picture_and_few_messages(
         assert 5 < other.messages <= 40 and size <= 400_000
 
 
-def test_a_wheel_to_known_cells_is_one_picture_and_few_messages(running: Exploration, tab: Tab) -> None:
+def test_a_wheel_to_known_cells_is_one_picture_and_few_messages(running: ExplorerSession, tab: Tab) -> None:
     def turned(key: str) -> tuple[int, int, int]:
         received, sent, window = len(tab.received), len(tab.sent), tab.image()
         tab.page.keyboard.press(key)

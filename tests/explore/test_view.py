@@ -11,27 +11,27 @@ from bokeh.document import Document
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore.chosen import beginning, from_address, kinds, overlays
-from atlas.explore.compose import composed, seen_atlas
-from atlas.explore.drawn import maps_of
+from atlas.explore.cell_lookup import child_tiles
+from atlas.explore.compose import compose_view, seen_atlas
 from atlas.explore.explorer import Explorer
-from atlas.explore.kept import Keeper
-from atlas.explore.known import below
+from atlas.explore.jobs import ServiceState as Work
 from atlas.explore.lattice import Lattice
-from atlas.explore.page import Page
-from atlas.explore.painter import Painted, Painter
-from atlas.explore.patches import WorkState as Work
-from atlas.explore.state import State, Store
-from atlas.explore.subject import Subject, SubjectPlane, exploring, subject_of
-from atlas.explore.tiles import Memory, TileStore
-from atlas.explore.view import STAGES, TILE, TileKey
-from atlas.explore.words import compiled_first, plain, progress, refinement, ticks
-from atlas.orbits.curves.asking import curves_of
+from atlas.explore.page import ExplorerPage
+from atlas.explore.page_state import PageModel, PageState
+from atlas.explore.persistent_tiles import PersistentTileCache
+from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
+from atlas.explore.plane_message import maps_of
+from atlas.explore.subject import PlaneParameters, Subject, exploration_settings, subject_of
+from atlas.explore.text import first_compile_notice, mathtext_to_unicode, progress, refinement, ticks
+from atlas.explore.tile_cache import MemoryTileCache, TileCache
+from atlas.explore.view_state import from_address, initial_view, kinds, overlays
+from atlas.explore.viewport import STAGES, TILE_CELLS, TileKey
+from atlas.orbits.curves.queries import curves_of
 from atlas.orbits.curves.table import write_curves
 from atlas.spec.axis import Axis
 from atlas.spec.cells import edges_of, nearest
 from atlas.spec.toml_text import spec_toml
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from atlas.task.compile import ATTRACTORS
 from tests.explore.messages import to_address
 from tests.pictures import curves
@@ -48,7 +48,7 @@ def subject() -> Subject:
     spec = atlas.Spec(
         "two-mass", {"omega": {"start": 2, "stop": 4, "num": 101}, "b": {"start": 0.1, "stop": 0.5, "num": 81}}
     )
-    return Subject(spec, exploring(spec.settings))
+    return Subject(spec, exploration_settings(spec.settings))
 
 
 @each_lattice
@@ -108,7 +108,8 @@ def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(s
     middle = 0.5 * (sight.x.first + sight.x.last), 0.5 * (sight.y.first + sight.y.last)
     height, width = sight.shape
     away = [
-        np.hypot(((k.x + 0.5) * TILE - middle[0]) / width, ((k.y + 0.5) * TILE - middle[1]) / height) for k in finest
+        np.hypot(((k.x + 0.5) * TILE_CELLS - middle[0]) / width, ((k.y + 0.5) * TILE_CELLS - middle[1]) / height)
+        for k in finest
     ]
     assert away == sorted(away)
 
@@ -127,22 +128,22 @@ def test_the_tile_above_has_every_fourth_cell_of_a_tile() -> None:
         rows, columns = key.quarter
         assert np.array_equal(2 * key.above.columns.index[columns], key.columns.index[::2])
         assert np.array_equal(2 * key.above.rows.index[rows], key.rows.index[::2])
-        assert key in below(key.above)
+        assert key in child_tiles(key.above)
 
 
 def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray]:
     sizes = {"exponent": 4, "state": 4, "sample": 0}
-    arrays = empty_results(result_variables(subject.settings), (TILE, TILE), sizes)
+    arrays = empty_results(result_variables(subject.settings), (TILE_CELLS, TILE_CELLS), sizes)
     arrays["largest"][:] = value
     arrays[REGIME.name][:] = 3
     return arrays
 
 
-def memory_alone(subject: Subject) -> TileStore:
+def memory_alone(subject: Subject) -> TileCache:
     """Tiles that are kept nowhere."""
-    keeper = Keeper(subject, wanted=False)
+    keeper = PersistentTileCache(subject, wanted=False)
     keeper.stop()
-    return TileStore(subject, keeper)
+    return TileCache(subject, keeper)
 
 
 def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
@@ -151,7 +152,7 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
     tiles = memory_alone(subject)
     for key, value in ((fine, 1.0), (coarse, 4.0)):
         tiles.put(subject.plane, key, filled(subject, key, value))
-    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
+    ds = compose_view(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
     expected = np.full(sight.shape, np.nan)
     expected[sight.place(coarse)] = 4.0
     expected[sight.place(fine)] = 1.0
@@ -166,7 +167,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
     arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
     tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
-    ds = composed(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
+    ds = compose_view(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
     off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
     assert off.max() <= 1.0 + 1e-6
 
@@ -174,7 +175,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
 def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject) -> None:
     keys = [TileKey(0, 0, i, 0) for i in range(4)]
     arrays = filled(subject, keys[0], 0.0)
-    memory = Memory(3 * sum(array.nbytes for array in arrays.values()))
+    memory = MemoryTileCache(3 * sum(array.nbytes for array in arrays.values()))
     for key in keys[:3]:
         memory.put(None, subject.plane, key, arrays)
     memory.get(None, subject.plane, keys[0])
@@ -185,7 +186,7 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
 def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subject) -> None:
     keys = [TileKey(0, 0, i, 0) for i in range(4)]
     arrays = filled(subject, keys[0], 0.0)
-    memory = Memory(2 * sum(array.nbytes for array in arrays.values()))
+    memory = MemoryTileCache(2 * sum(array.nbytes for array in arrays.values()))
     for key, only_here in zip(keys, (True, False, True, True), strict=True):
         memory.put(None, subject.plane, key, arrays, only_here)
         if key == keys[2]:
@@ -194,23 +195,23 @@ def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subj
 
 
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
-    write_curves(open_handle(finished), curves())
+    write_curves(open_store(finished), curves())
     stored = subject_of(str(finished))
     sight = stored.sight((2.3, 2.9), (0.2, 0.3), (30, 20))
-    assert len(curves_of(composed(stored, stored.plane, sight, [], ["largest"]).ds).curves) == len(curves().curves)
+    assert len(curves_of(compose_view(stored, stored.plane, sight, [], ["largest"]).ds).curves) == len(curves().curves)
     chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
     assert chosen.drawn(stored) == ("grazing", "curves")
     assert replace(chosen, plane=stored.plane.with_value("R", 0.7)).drawn(stored) == ("grazing",)
 
 
 def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
-    write_curves(open_handle(finished), curves())
+    write_curves(open_store(finished), curves())
     stored = subject_of(str(finished))
     sight = stored.sight((2.3, 2.9), (0.2, 0.3), (60, 40))
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
     for kind in kinds(stored):
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
-        (made,) = maps_of(composed(stored, stored.plane, sight, tiles, chosen.names), chosen, others=False)
+        (made,) = maps_of(compose_view(stored, stored.plane, sight, tiles, chosen.names), chosen, others=False)
         assert made.codes.shape == sight.shape and {*made.needs} <= {*chosen.names}, kind
 
 
@@ -290,7 +291,7 @@ LOG_AXES = {
 def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path: Path) -> None:
     """Truth: impossible cuts and windows ended in a blank page, since its server could not make it."""
     spec = atlas.Spec("two-mass", LOG_AXES)
-    subject = Subject(spec, exploring(spec.settings))
+    subject = Subject(spec, exploration_settings(spec.settings))
     given = {name: [value.encode()] for name, _, value in (part.partition("=") for part in query.split("&"))}
     if message:
         with pytest.raises(InputError, match=message):
@@ -298,11 +299,14 @@ def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path:
         return
     chosen = from_address(subject, given)
     explorer = Explorer(subject, unreachable, keep=False)
-    page, came = Page(Document(), explorer, Store(State(chosen)), tmp_path, explorer), SimpleQueue[Painted | str]()
-    painter = Painter(explorer, came.put, came.put)
+    page, came = (
+        ExplorerPage(Document(), explorer, PageModel(PageState(chosen)), tmp_path, explorer),
+        SimpleQueue[RenderedPicture | str](),
+    )
+    painter = PictureRenderer(explorer, came.put, came.put)
     try:
         painter.show(chosen, (300, 200))
-        assert isinstance(came.get(timeout=60.0), Painted)
+        assert isinstance(came.get(timeout=60.0), RenderedPicture)
     finally:
         page.close()
         painter.close()
@@ -311,8 +315,8 @@ def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path:
 
 def test_without_exponents_the_kinds_that_need_them_are_not_offered() -> None:
     spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, solve={"exponents": "none"})
-    offered = kinds(Subject(spec, exploring(spec.settings)))
-    assert "exponent" not in offered and beginning(Subject(spec, spec.settings)).kind == "period"
+    offered = kinds(Subject(spec, exploration_settings(spec.settings)))
+    assert "exponent" not in offered and initial_view(Subject(spec, spec.settings)).kind == "period"
 
 
 @pytest.mark.parametrize(
@@ -327,7 +331,7 @@ def test_what_is_no_plane_is_refused(name: str, message: str) -> None:
 def test_planes_that_differ_in_a_parameter_or_in_how_they_are_solved_have_digests_of_their_own(
     subject: Subject,
 ) -> None:
-    finer = Subject(subject.spec, exploring(subject.spec.settings, tolerance=0.1))
+    finer = Subject(subject.spec, exploration_settings(subject.spec.settings, tolerance=0.1))
     planes = [
         subject.digest(subject.plane),
         subject.digest(subject.plane.with_value("R", 0.7)),
@@ -353,7 +357,7 @@ def test_a_page_that_has_no_picture_yet_does_not_claim_that_all_is_solved() -> N
 
 
 def test_symbols_of_mathtext_are_written_in_unicode() -> None:
-    assert [plain(text) for text in (r"\mu_m", r"\dot x_1(0)", "f_2", r"x_{12}", "R")] == [
+    assert [mathtext_to_unicode(text) for text in (r"\mu_m", r"\dot x_1(0)", "f_2", r"x_{12}", "R")] == [
         "μₘ",
         "ẋ₁(0)",
         "f₂",
@@ -411,7 +415,7 @@ def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
 
 
 def test_a_plane_is_told_by_its_parameters_alone() -> None:
-    assert SubjectPlane.of({"R": 0.8, "tau": 1.0}) == SubjectPlane((("R", 0.8), ("tau", 1.0)))
+    assert PlaneParameters.of({"R": 0.8, "tau": 1.0}) == PlaneParameters((("R", 0.8), ("tau", 1.0)))
 
 
 @pytest.mark.parametrize(
@@ -450,8 +454,8 @@ def test_who_waits_for_kernels_reads_that_they_are_compiled_first(monkeypatch: p
         ("loading the kernels", ""),
         ("compiling the kernels, about 40 s", "; workers on this machine begin by compiling the kernels, about 40 s"),
     ):
-        monkeypatch.setattr("atlas.explore.words.warming", lambda *parts, said=said: said)
-        assert compiled_first(system, ATTRACTORS) == told
+        monkeypatch.setattr("atlas.explore.text.compile_notice", lambda *parts, said=said: said)
+        assert first_compile_notice(system, ATTRACTORS) == told
 
 
 def test_tiles_that_are_finer_than_the_atlas_along_one_axis_lie_over_it(finished: Path) -> None:
@@ -461,11 +465,11 @@ def test_tiles_that_are_finer_than_the_atlas_along_one_axis_lie_over_it(finished
     assert sight.x.level < 0 < sight.y.level
     base = seen_atlas(stored, sight, ["largest"])
     assert base is not None
-    alone = composed(stored, stored.plane, sight, [], ["largest"], base)
+    alone = compose_view(stored, stored.plane, sight, [], ["largest"], base)
     assert {*alone.stages.ravel()} == {min(sight.y.level, STAGES + 1)}
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
-    seen = composed(stored, stored.plane, sight, tiles, ["largest"], base)
+    seen = compose_view(stored, stored.plane, sight, tiles, ["largest"], base)
     assert (seen.ds.largest == 1.0).all() and not seen.stages.any()
     coarse = [(key, filled(stored, key, 1.0)) for key in sight.tiles(sight.y.level)]
-    covered = composed(stored, stored.plane, sight, coarse, ["largest"], base)
+    covered = compose_view(stored, stored.plane, sight, coarse, ["largest"], base)
     assert np.array_equal(covered.ds.largest, alone.ds.largest, equal_nan=True)

@@ -17,8 +17,8 @@ from PIL import Image
 
 import atlas
 import atlas.accessor
-from atlas.accessor import AtlasAccessor, DrawnBranches, DrawnComparison
-from atlas.cell.orbit import cell_orbit
+from atlas.accessor import AtlasAccessor, PlottableBranches, PlottableComparison
+from atlas.cell.trajectory import cell_orbit
 from atlas.cli.compare import compare
 from atlas.cli.main import main
 from atlas.cli.pictures import plot
@@ -183,8 +183,8 @@ def options_of(command: click.Command, *without: str) -> set[str]:
         (AtlasAccessor.plot, options_of(plot, "stores", "select")),  # of which xarray picks the plane
         (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
         (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
-        (DrawnComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
-        (DrawnBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
+        (PlottableComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
+        (PlottableBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
     ],
     ids=lambda value: getattr(value, "__qualname__", ""),
 )

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas.service.options import RunFields
+from atlas.service.options import RunOptionFields
 from atlas.service.progress import Progress
 from tests.paths import ROOT
 from tests.synthetic import complete
@@ -100,4 +100,4 @@ def test_an_atlas_opened_in_chunks_has_dask_arrays_of_the_same_values(
 
 
 def test_every_option_of_a_run_is_a_keyword_of_a_run() -> None:
-    assert list(RunFields.__annotations__) == [field.name for field in fields(atlas.RunOptions)]
+    assert list(RunOptionFields.__annotations__) == [field.name for field in fields(atlas.RunOptions)]

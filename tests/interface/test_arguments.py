@@ -13,7 +13,7 @@ import xarray as xr
 
 import atlas
 from atlas import render
-from atlas.arguments import checked_pixels
+from atlas.argument_checks import validate_pixels
 from atlas.errors import InputError
 from tests.synthetic import complete, spec_of
 
@@ -162,7 +162,7 @@ def test_a_store_is_a_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize("given", [(0, 4), (4, 0), (4,), (4, 4, 4), (4, 2.5), "x", 4, True])
 def test_a_size_in_pixels_is_two_whole_numbers_from_1_on(given: object) -> None:
     with pytest.raises(InputError, match=r"pixels: found .*, must be two whole numbers, \(x, y\), 1 or more"):
-        checked_pixels(given)
+        validate_pixels(given)
 
 
 def test_a_run_refuses_arguments_of_a_wrong_kind(tmp_path: Path) -> None:

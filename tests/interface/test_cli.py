@@ -14,11 +14,11 @@ from click.testing import CliRunner, Result
 from distributed import Client
 
 import atlas
-from atlas.cell.command import point_words
+from atlas.cell.point_command import point_words
 from atlas.cli import run as cli_run
 from atlas.cli.main import main
 from atlas.cli.output import to_json
-from atlas.service.summary import Summary
+from atlas.service.summary import RunSummary
 from atlas.service.timing import TIMING, Timing
 from rig.faults import ATLAS
 from tests.paths import ROOT
@@ -125,7 +125,7 @@ def test_query_and_run_say_what_their_shares_are_of(folder: Path, tmp_path: Path
     assert call("query", folder / "out.zarr").stdout.split("\n")[0].split() == ["regime", "share", "of", "the", "area"]
     assert "share of the length" in call("query", folder / "out.zarr", "--select", "b=.2").stdout
     counts = {"periodic": 3, "chaotic": 1}
-    done = Summary("a.zarr", 2, 2, 2, 4, counts, {}, 1.0, 1.0, 0.0, 10, 1, 1, (), {})
+    done = RunSummary("a.zarr", 2, 2, 2, 4, counts, {}, 1.0, 1.0, 0.0, 10, 1, 1, (), {})
     assert "shares of these cells: periodic 75.0 %, chaotic 25.0 %" in str(done).splitlines()
 
 

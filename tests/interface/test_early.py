@@ -9,7 +9,7 @@ from click.testing import CliRunner
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.render.wanted import Wanted
+from atlas.render.request import PictureRequest
 from atlas.service.cluster import Tls
 from atlas.service.plan import MANY_OBJECTS, make_plan
 from tests import synthetic
@@ -74,7 +74,7 @@ def test_a_port_that_is_taken_is_found_before_kernels_are_compiled(at_work: list
 
 def test_a_kind_of_picture_is_checked_without_an_atlas() -> None:
     with pytest.raises(InputError, match="did you mean 'period'"):
-        Wanted.of("perod")
+        PictureRequest.of("perod")
 
 
 def test_files_of_a_connection_are_refused_without_a_scheduler(tmp_path: Path) -> None:

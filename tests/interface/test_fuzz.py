@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from atlas import Spec
 from atlas.cli.main import main
-from atlas.errors import LONGEST_LINE, InputError
-from atlas.spec.grown import refined
-from atlas.store.location import place_of
-from atlas.store.making import create
+from atlas.errors import MAX_MESSAGE_LENGTH, InputError
+from atlas.spec.extension import refine_spec
+from atlas.store.create import create_store
+from atlas.store.object_backend import open_backend
 from tests.fuzzing import fuzz
 from tests.synthetic import fill, spec_of
 from workers.model.system import find_system
@@ -98,7 +98,7 @@ def check(args: list[str], folder: Path) -> int:
         assert shown.stdout == ""
         assert len(shown.stderr.splitlines()) == 1, shown.stderr
         assert shown.stderr.startswith("Error: ")
-        assert len(shown.stderr) < LONGEST_LINE + 20
+        assert len(shown.stderr) < MAX_MESSAGE_LENGTH + 20
     assert sorted(folder.rglob("*")) == before
     return shown.exit_code
 
@@ -107,7 +107,7 @@ def check(args: list[str], folder: Path) -> int:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store of made-up results."""
     made = tmp_path_factory.mktemp("fuzz")
-    fill(create(place_of(made / "out.zarr"), spec_of(5, 4), (4, 5)))
+    fill(create_store(open_backend(made / "out.zarr"), spec_of(5, 4), (4, 5)))
     return made
 
 
@@ -173,7 +173,7 @@ def test_a_mapping_is_a_spec_or_refused_in_one_line(mapping: Mapping[str, Any]) 
         Spec.from_mapping(mapping)
     except InputError as error:
         assert len(str(error).splitlines()) == 1
-        assert len(str(error)) <= LONGEST_LINE
+        assert len(str(error)) <= MAX_MESSAGE_LENGTH
 
 
 numbers = st.sampled_from(NUMBERS) | st.floats().map(repr) | st.text(max_size=8)
@@ -234,6 +234,6 @@ factors = (
 @given(factors | st.dictionaries(st.sampled_from(["omega", "b", "R"]), factors))
 def test_any_factor_refines_or_is_refused_in_one_line(factor: Any) -> None:
     try:
-        assert math.prod(refined(spec_of(5, 4), factor).shape) > 20
+        assert math.prod(refine_spec(spec_of(5, 4), factor).shape) > 20
     except InputError as error:
-        assert len(str(error)) <= LONGEST_LINE
+        assert len(str(error)) <= MAX_MESSAGE_LENGTH

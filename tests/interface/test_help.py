@@ -18,7 +18,7 @@ from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
-from atlas.store.making import create
+from atlas.store.create import create_store
 from tests.project.test_docs import parse
 from tests.synthetic import spec_of
 from workers import Settings
@@ -136,7 +136,7 @@ def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
 
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return create(tmp_path_factory.mktemp("completed") / "a.zarr", spec_of(), (19, 45)).path
+    return create_store(tmp_path_factory.mktemp("completed") / "a.zarr", spec_of(), (19, 45)).path
 
 
 @pytest.mark.parametrize(

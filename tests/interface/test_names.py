@@ -14,22 +14,22 @@ import pytest
 import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.errors import InputError
-from atlas.explore.chosen import ARGUMENTS
+from atlas.explore.view_state import ARGUMENTS
 from atlas.orbits.curves.export import columns
 from atlas.orbits.curves.table import Curves, as_arrays
 from atlas.orbits.labels.table import BRANCH, OF_BRANCHES
 from atlas.overview.coarsen import SHARE, level_variables
 from atlas.overview.coordinates import bounds_name, coarse_name
-from atlas.render import figure, words
+from atlas.render import figure, text
 from atlas.robustness.table import MEASURES
 from atlas.spec.points import POINT
-from atlas.spec.system import checked_system
-from atlas.store import making, store
+from atlas.spec.system import parse_system
+from atlas.store import create, store
 from atlas.store.groups import CURVES, TABLES
-from atlas.store.machine import MACHINES
+from atlas.store.host import MACHINES
 from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
-from atlas.store.record import TILES
+from atlas.store.record_format import TILES
 from atlas.store.schema import OVERVIEWS
 from tests.workers.model.test_systems import table
 from workers import Settings, System
@@ -83,27 +83,29 @@ def test_no_packaged_system_has_such_a_name() -> None:
 def test_a_store_from_before_its_parameters_name_was_taken_opens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("workers.model.reading.is_taken", lambda name: False)
+    monkeypatch.setattr("workers.model.parse_definition.is_taken", lambda name: False)
     spec = atlas.Spec(with_parameter("distance"), {"omega": [1.0, 2.0]})
-    making.create(tmp_path / "old.zarr", spec, (2,))
+    create.create_store(tmp_path / "old.zarr", spec, (2,))
     monkeypatch.undo()
     assert atlas.open(tmp_path / "old.zarr").coords["distance"] == 1.0
     with pytest.raises(InputError, match="'distance' has another meaning"):
-        checked_system(json.loads(json.dumps(spec.resolved()))["system"])
+        parse_system(json.loads(json.dumps(spec.resolved()))["system"])
 
 
 @pytest.mark.parametrize("symbol", ["\\frac{", "a_b_c", "\\nosuch", ""])
 def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbol: str) -> None:
     given = with_parameter("stiff_2")
     given["parameters"] |= {name: {"default": 1.0, "symbol": symbol} for name in ("stiff_2", "p")}
-    handle = making.create(tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2))
+    handle = create.create_store(
+        tmp_path / "a.zarr", atlas.Spec(given, {"stiff_2": [1.0, 2.0], "r": [0.5, 0.6]}), (2, 2)
+    )
     drawn = figure(atlas.open(handle.path))
     drawn.canvas.draw()
     assert drawn.axes[0].get_xlabel() == r"$\mathit{stiff\_2}$"
-    assert words.state_symbol(handle.spec.record, "p") == r"\mathit{p}"
+    assert text.state_symbol(handle.spec.record, "p") == r"\mathit{p}"
 
 
 @pytest.mark.filterwarnings("error")
 def test_a_mass_beyond_double_precision_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match=r"^system.mass: found .*double precision"):
-        checked_system(table() | {"mass": [[1e-320, 0.0], [0.0, 1e-320]]})
+        parse_system(table() | {"mass": [[1e-320, 0.0], [0.0, 1e-320]]})

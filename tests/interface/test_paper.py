@@ -9,8 +9,8 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from atlas.cell.orbit import cell_orbit, describe
-from atlas.cli import paper
+from atlas.cell.trajectory import cell_orbit, describe
+from atlas.cli import paper_figures
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.options import RunOptions
@@ -21,13 +21,13 @@ from workers import Settings
 
 def test_the_cells_are_those_of_the_paper() -> None:
     for number in (3, 4, 5):
-        assert naive.FIGURES[number].items() <= paper.CELLS[f"fig{number}"].items() | {("R", 0.8)}
+        assert naive.FIGURES[number].items() <= paper_figures.CELLS[f"fig{number}"].items() | {("R", 0.8)}
 
 
 @pytest.mark.slow
 def test_fig_5_is_solved_to_the_digits_of_the_paper() -> None:
     """Truth: 1.123, -1.577, -1.582, -4.38 within .002, and 2.637 impacts a period."""
-    orbit = cell_orbit(paper.CELLS["fig5"], settings=paper.SETTINGS)
+    orbit = cell_orbit(paper_figures.CELLS["fig5"], settings=paper_figures.SETTINGS)
     assert orbit.cell["largest"] == pytest.approx(1.123, abs=0.007)
     assert orbit.cell["error"] <= 0.002
     assert orbit.cell["impacts_per_period"] == pytest.approx(2.637, abs=0.01)
@@ -37,17 +37,17 @@ def test_fig_5_is_solved_to_the_digits_of_the_paper() -> None:
     ("name", "words"), [("fig3", "impacts 1 above and 1 below"), ("fig4", "impacts 2 above and 2 below")]
 )
 def test_figs_3_and_4_show_the_motions_that_the_paper_describes(name: str, words: str) -> None:
-    assert words in describe(cell_orbit(paper.CELLS[name]))
+    assert words in describe(cell_orbit(paper_figures.CELLS[name]))
 
 
 @pytest.mark.slow
 def test_all_figures_are_drawn_into_a_folder(tmp_path: Path, client: Client) -> None:
     """Fig. 6 on six cells of its own spec, in this process: the cluster has tests of its own."""
-    whole = Spec.from_toml(paper.SWEEP)
+    whole = Spec.from_toml(paper_figures.SWEEP)
     axis = list(whole.axes[0].values[::200])
     short = Spec(whole.system, {"omega": axis}, whole.parameters, whole.settings)
     stages: list[str] = []
-    written = paper.figures(
+    written = paper_figures.figures(
         tmp_path / "paper",
         ("png", "pdf"),
         client,
@@ -66,12 +66,12 @@ def test_all_figures_are_drawn_into_a_folder(tmp_path: Path, client: Client) -> 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file: cannot be written"):
-        paper.figures(tmp_path / "file")
+        paper_figures.figures(tmp_path / "file")
 
 
 def test_an_unknown_format_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown format 'gif'; possible: png, svg, pdf"):
-        paper.figures(tmp_path / "new", ("gif",))
+        paper_figures.figures(tmp_path / "new", ("gif",))
     assert not (tmp_path / "new").exists()
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from atlas.text import byte_size, duration, motion_name, plural
+from atlas.formatting import byte_size, duration, motion_name, plural
 
 
 @pytest.mark.parametrize(

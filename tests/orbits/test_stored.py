@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.orbits.stored import NEEDED, orbits_of
+from atlas.orbits.stored_orbits import NEEDED, orbits_of
 from tests import naive
 from workers import Settings, solve_tile
 from workers.continuation import Orbit, family_of, orbit_from_state, section_state

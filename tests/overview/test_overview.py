@@ -18,20 +18,20 @@ from distributed import Client
 import atlas
 from atlas.check.overviews import check_overviews
 from atlas.errors import ChunkError, RunError
+from atlas.overview.builder import OverviewBuilder
 from atlas.overview.coarsen import POSITIVE, coarsen, from_cells
-from atlas.overview.levels import Levels
+from atlas.overview.levels import OverviewLevels
 from atlas.overview.pyramid import Pyramid
-from atlas.overview.upkeep import Overviews
 from atlas.query.queries import fractions
 from atlas.query.resample import view
 from atlas.service.progress import Progress
-from atlas.store import making, store
-from atlas.store.location import LocalPlace
+from atlas.store import create, store
+from atlas.store.object_backend import LocalBackend
 from atlas.store.tiles import drop_tile, write_tile
 from atlas.task import attempt
-from atlas.task.attempt import do_job
-from atlas.task.site import RefusedError, Site
-from atlas.task.task import Job, commit, make_chunk
+from atlas.task.attempt import execute_job
+from atlas.task.store_ref import StoreRef, WorkerRefusedError
+from atlas.task.tile_job import RunJob, commit, make_chunk
 from tests.planes import plane_of
 from tests.synthetic import (
     arrays_of,
@@ -55,40 +55,42 @@ from workers.results import APERIODIC, CHAOTIC, FAILED, NO_IMPACT, PENDING, PERI
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two stores of all tiles, to be copied: one without overviews, one with."""
     folder = tmp_path_factory.mktemp("made")
-    fill(making.create(folder / "filled.zarr", spec_of(), (8, 8)))
+    fill(create.create_store(folder / "filled.zarr", spec_of(), (8, 8)))
     shutil.copytree(folder / "filled.zarr", folder / "whole.zarr")
-    keep(store.open_handle(folder / "whole.zarr"))
+    keep(store.open_store(folder / "whole.zarr"))
     return folder
 
 
 @pytest.fixture
-def shared(made: Path) -> store.Atlas:
+def shared(made: Path) -> store.AtlasStore:
     """A whole store with overviews, only to be read."""
-    return store.open_handle(made / "whole.zarr")
+    return store.open_store(made / "whole.zarr")
 
 
 @pytest.fixture
-def filled(made: Path, tmp_path: Path) -> store.Atlas:
+def filled(made: Path, tmp_path: Path) -> store.AtlasStore:
     """A whole store without overviews."""
-    return store.open_handle(shutil.copytree(made / "filled.zarr", tmp_path / "filled.zarr"))
+    return store.open_store(shutil.copytree(made / "filled.zarr", tmp_path / "filled.zarr"))
 
 
 @pytest.fixture
-def whole(made: Path, tmp_path: Path) -> store.Atlas:
+def whole(made: Path, tmp_path: Path) -> store.AtlasStore:
     """A whole store with overviews."""
-    return store.open_handle(shutil.copytree(made / "whole.zarr", tmp_path / "whole.zarr"))
+    return store.open_store(shutil.copytree(made / "whole.zarr", tmp_path / "whole.zarr"))
 
 
 @pytest.fixture
-def handle(tmp_path: Path) -> store.Atlas:
-    return making.create(tmp_path / "a.zarr", spec_of(), (8, 8))
+def handle(tmp_path: Path) -> store.AtlasStore:
+    return create.create_store(tmp_path / "a.zarr", spec_of(), (8, 8))
 
 
 # What a coarse cell says
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(shared: store.Atlas, level: int) -> None:
+def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(
+    shared: store.AtlasStore, level: int
+) -> None:
     largest = atlas.open(shared.path).largest.values
     coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
     finite = each_block(largest, level, lambda block: np.isfinite(block).sum())
@@ -99,14 +101,14 @@ def test_exponents_have_mean_count_and_positive_share_of_the_finite_values(share
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_the_regime_is_the_most_frequent_one_and_a_tie_goes_to_the_later(shared: store.Atlas, level: int) -> None:
+def test_the_regime_is_the_most_frequent_one_and_a_tie_goes_to_the_later(shared: store.AtlasStore, level: int) -> None:
     codes = atlas.open(shared.path).regime.values
     coarse = xr.open_zarr(shared.path, group=f"overviews/{level}")
     np.testing.assert_array_equal(coarse.regime.values, each_block(codes, level, mode))
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_period_and_impacts_are_those_of_a_periodic_cell_below(shared: store.Atlas, level: int) -> None:
+def test_period_and_impacts_are_those_of_a_periodic_cell_below(shared: store.AtlasStore, level: int) -> None:
     base = atlas.open(shared.path).load()
     names = ["period", "impacts_upper", "impacts_lower"]
     triples = np.stack([base[name].values for name in names], axis=-1)
@@ -134,7 +136,7 @@ def test_at_the_first_level_the_triple_is_the_most_frequent_and_a_tie_goes_to_th
     assert made["period_count"].tolist() == [[2, 2]]
 
 
-def test_flags_and_costs_are_means_over_the_solved_cells(shared: store.Atlas) -> None:
+def test_flags_and_costs_are_means_over_the_solved_cells(shared: store.AtlasStore) -> None:
     base = atlas.open(shared.path)
     coarse = xr.open_zarr(shared.path, group="overviews/2")
     for name in ("sticks", "periods_used"):
@@ -156,7 +158,7 @@ def test_shares_weigh_cells_by_their_widths_on_a_log_axis(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", [1, 2, 3])
-def test_one_failed_cell_is_shown_at_every_level(handle: store.Atlas, level: int) -> None:
+def test_one_failed_cell_is_shown_at_every_level(handle: store.AtlasStore, level: int) -> None:
     for index in indices(handle):
         made = results(handle, index)
         made["regime"][made["regime"] == UNDETERMINED] = PERIODIC
@@ -199,15 +201,15 @@ def test_an_exponent_of_zero_is_not_positive_in_levels() -> None:
     np.testing.assert_array_equal(positive, [[0.0, 1.0, 0.0, np.nan]])
 
 
-def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.Atlas) -> None:
+def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(shared: store.AtlasStore) -> None:
     assert Pyramid(shared).levels.count == 3
     assert Pyramid(shared).levels.shape_of(3) == (5, 6)
     for side, count in ((8, 0), (9, 1), (16, 1), (17, 2)):
-        assert Levels((3, side), (4, 4), side=8, least=8).count == count
+        assert OverviewLevels((3, side), (4, 4), side=8, least=8).count == count
 
 
 def test_the_blocks_of_the_chunks_of_a_level_cover_its_cells_once() -> None:
-    levels = Levels((38, 45), (8, 8), side=16, least=8)
+    levels = OverviewLevels((38, 45), (8, 8), side=16, least=8)
     for level in range(1, levels.count + 1):
         covered = [
             cell
@@ -220,7 +222,7 @@ def test_the_blocks_of_the_chunks_of_a_level_cover_its_cells_once() -> None:
 # In the store
 
 
-def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: store.Atlas) -> None:
+def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: store.AtlasStore) -> None:
     assert xr.open_zarr(shared.path).regime.shape == (38, 45)
     coarse = xr.open_zarr(shared.path, group="overviews/1")
     assert coarse.regime.dims == ("b_coarse", "omega_coarse")
@@ -229,7 +231,7 @@ def test_plain_xarray_opens_the_store_and_each_level_without_a_warning(shared: s
     assert coarse["class"].values.tolist()[0] == "pending"
 
 
-def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Atlas) -> None:
+def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.AtlasStore) -> None:
     coarse = xr.open_zarr(shared.path, group="overviews/2")
     step = 3.0 / 44
     edges = 1.0 - step / 2 + step * np.minimum(np.arange(13) * 4, 45)
@@ -237,12 +239,12 @@ def test_coarse_cells_have_the_edges_of_the_cells_below(shared: store.Atlas) -> 
     np.testing.assert_allclose(coarse.omega_coarse.values, (edges[:-1] + edges[1:]) / 2, rtol=1e-12)
 
 
-def test_making_overviews_again_makes_nothing(filled: store.Atlas) -> None:
+def test_making_overviews_again_makes_nothing(filled: store.AtlasStore) -> None:
     assert keep(filled) == sum(len(list(Pyramid(filled).levels.chunks(level))) for level in (1, 2, 3))
     assert keep(filled) == 0
 
 
-def test_a_chunk_above_an_unfinished_tile_is_not_made(handle: store.Atlas) -> None:
+def test_a_chunk_above_an_unfinished_tile_is_not_made(handle: store.AtlasStore) -> None:
     fill(handle, skip=((0, 0),))
     keep(handle)
     for level in range(1, 4):
@@ -252,20 +254,20 @@ def test_a_chunk_above_an_unfinished_tile_is_not_made(handle: store.Atlas) -> No
 
 
 @pytest.mark.slow
-def test_views_and_shares_of_a_half_done_atlas_are_true(handle: store.Atlas) -> None:
+def test_views_and_shares_of_a_half_done_atlas_are_true(handle: store.AtlasStore) -> None:
     pending = ((0, 0), (2, 3), (4, 5))
     fill(handle, skip=pending)
     keep(handle)
     assert_view_is_true(handle)
 
 
-def test_an_atlas_without_overviews_is_seen_alike(handle: store.Atlas) -> None:
+def test_an_atlas_without_overviews_is_seen_alike(handle: store.AtlasStore) -> None:
     fill(handle, skip=((2, 2),))
     assert_view_is_true(handle)
 
 
-def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Atlas) -> None:
-    overviews = Overviews(whole)
+def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.AtlasStore) -> None:
+    overviews = OverviewBuilder(whole)
     assert overviews.finish() == 0
     assert Pyramid(whole).levels.count == 3
 
@@ -275,7 +277,7 @@ def test_a_run_goes_by_the_sizes_that_the_store_has(whole: store.Atlas) -> None:
     "attributes", [{"side": 0}, {"least": "many"}, {"classes": 99}, {"classes": 8}, {"complete": False}]
 )
 def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
-    whole: store.Atlas, attributes: dict[str, object]
+    whole: store.AtlasStore, attributes: dict[str, object]
 ) -> None:
     zarr.open_group(whole.path / "overviews", mode="r+", use_consolidated=False).update_attributes(attributes)
     assert_view_is_true(whole)
@@ -283,7 +285,7 @@ def test_overviews_of_a_form_unknown_are_not_read_and_made_anew(
     assert_view_is_true(whole)
 
 
-def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Atlas) -> None:
+def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.AtlasStore) -> None:
     with xr.open_datatree(shared.path, engine="zarr") as tree:
         assert [*tree["overviews"].children] == ["1", "2", "3"]
         assert tree["overviews/2/largest"].sizes == {"b_coarse": 10, "omega_coarse": 12}
@@ -303,7 +305,7 @@ def test_a_store_with_overviews_opens_as_a_tree_of_datasets(shared: store.Atlas)
 @pytest.fixture
 def begun(tmp_path: Path) -> Path:
     """A store without a tile whose overviews are to go down to 4 cells."""
-    handle = making.create(tmp_path / "a.zarr", plane_of(), (2, 3))
+    handle = create.create_store(tmp_path / "a.zarr", plane_of(), (2, 3))
     keep(handle, least=4)
     return handle.path
 
@@ -313,12 +315,12 @@ def test_a_run_leaves_overviews_of_all_levels(begun: Path, tmp_path: Path, clien
     coarse = xr.open_zarr(tmp_path / "a.zarr", group="overviews/1")
     assert (coarse.regime.values != PENDING).all()
     assert int(coarse.cells.sum()) == 35
-    assert_view_is_true(store.open_handle(tmp_path / "a.zarr"))
+    assert_view_is_true(store.open_store(tmp_path / "a.zarr"))
 
 
-def test_finished_parts_of_an_unfinished_atlas_get_overviews(handle: store.Atlas) -> None:
+def test_finished_parts_of_an_unfinished_atlas_get_overviews(handle: store.AtlasStore) -> None:
     keep(handle)
-    first = [tile for tile in indices(handle) if Pyramid(handle).levels.over(tile) == (0, 0)]
+    first = [tile for tile in indices(handle) if Pyramid(handle).levels.chunk_over(tile) == (0, 0)]
     for tile in first:
         write_tile(handle, tile, results(handle, tile))
     keep(handle)
@@ -334,15 +336,15 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on(begun: Path, tmp
 
     with pytest.raises(KeyboardInterrupt):
         atlas.run(plane_of(), tmp_path / "a.zarr", client=client, options=atlas.RunOptions(on_progress=interrupt))
-    assert_overviews_are_of(store.open_handle(tmp_path / "a.zarr"))
+    assert_overviews_are_of(store.open_store(tmp_path / "a.zarr"))
     atlas.run(plane_of(), tmp_path / "a.zarr", client=client)
     assert (xr.open_zarr(tmp_path / "a.zarr", group="overviews/1").regime.values != PENDING).all()
 
 
-def test_a_lost_tile_that_is_solved_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.Atlas) -> None:
+def test_a_lost_tile_that_is_solved_refreshes_all_that_lies_over_it_and_nothing_else(whole: store.AtlasStore) -> None:
     before = {path: path.stat().st_mtime_ns for path in (whole.path / "overviews").rglob("c/*/*") if path.is_file()}
     drop_tile(whole, (4, 5))
-    overviews = Overviews(whole)
+    overviews = OverviewBuilder(whole)
     write_tile(whole, (4, 5), results(whole, (4, 5), seed=1))
     assert overviews.finish() == 3
     changed = {path for path, time in before.items() if path.stat().st_mtime_ns != time}
@@ -354,7 +356,7 @@ def test_a_lost_tile_that_is_solved_refreshes_all_that_lies_over_it_and_nothing_
     assert_view_is_true(whole)
 
 
-def test_overviews_that_cannot_be_written_are_told(filled: store.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_overviews_that_cannot_be_written_are_told(filled: store.AtlasStore, monkeypatch: pytest.MonkeyPatch) -> None:
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -367,17 +369,17 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.Atlas, monkeypa
 # By workers
 
 
-def job_of(handle: store.Atlas, index: tuple[int, ...], level: int = 0) -> Job:
-    return Job(index, Site(str(handle.path), handle.run_id, handle.solver_version), level=level)
+def job_of(handle: store.AtlasStore, index: tuple[int, ...], level: int = 0) -> RunJob:
+    return RunJob(index, StoreRef(str(handle.path), handle.run_id, handle.solver_version), level=level)
 
 
-def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Atlas, whole: store.Atlas) -> None:
+def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.AtlasStore, whole: store.AtlasStore) -> None:
     due = overviews_of(filled)
     made = [
         (level, index)
         for level in due.levels
         for index in due.missing(level)
-        if not do_job(job_of(filled, index, level)).fault
+        if not execute_job(job_of(filled, index, level)).fault
     ]
     assert len(made) == 14
     assert not due
@@ -386,7 +388,9 @@ def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.Atlas,
         assert arrays_of(filled.path, group) == arrays_of(whole.path, group)
 
 
-def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_is_done(handle: store.Atlas) -> None:
+def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_is_done(
+    handle: store.AtlasStore,
+) -> None:
     fill(handle, skip=((0, 0), (4, 5)))
     overviews = overviews_of(handle)
     assert overviews.missing(1) == [
@@ -395,21 +399,21 @@ def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_i
     write_tile(handle, (0, 0), results(handle, (0, 0)))
     assert (0, 0) in overviews.missing(1)
     for index in ((0, 0), (0, 1), (1, 0)):
-        do_job(job_of(handle, index, 1))
+        execute_job(job_of(handle, index, 1))
     assert not {(0, 0), (0, 1), (1, 0)} & {*overviews.missing(1)}
     assert overviews.missing(2) == []
-    do_job(job_of(handle, (1, 1), 1))
+    execute_job(job_of(handle, (1, 1), 1))
     assert overviews.missing(2) == [(0, 0)]
 
 
-def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.Atlas:
+def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.AtlasStore:
     """A store without a tile, of tiles larger than a chunk, each with a chunk of level 1 of its own."""
-    handle = making.create(path, spec_of(), tile)
+    handle = create.create_store(path, spec_of(), tile)
     overviews_of(handle)
     return handle
 
 
-def made_of_level_1(handle: store.Atlas) -> set[tuple[int, ...]]:
+def made_of_level_1(handle: store.AtlasStore) -> set[tuple[int, ...]]:
     return Pyramid(handle).stored(1, REGIME)
 
 
@@ -420,7 +424,7 @@ def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_array
         made = results(handle, index)
         write_tile(other, index, made)
         commit(handle, job_of(handle, index), made)
-        assert Pyramid(handle).levels.over(index) in made_of_level_1(handle)
+        assert Pyramid(handle).levels.chunk_over(index) in made_of_level_1(handle)
     assert [len(overviews_of(handle).missing(level)) for level in (1, 2, 3)] == [0, 4, 0]
     assert keep(other) == 9 + 4 + 1
     assert keep(handle) == 4 + 1
@@ -446,11 +450,11 @@ def test_a_run_has_its_workers_make_the_overviews(begun: Path, client: Client, m
     made: list[tuple[int, tuple[int, ...]]] = []
     monkeypatch.setattr(attempt, "make_chunk", lambda job: (made.append((job.level, job.index)), make_chunk(job))[1])
     atlas.run(plane_of(), begun, client=client)
-    levels = Pyramid(store.open_handle(begun)).levels
+    levels = Pyramid(store.open_store(begun)).levels
     assert sorted(made) == sorted(
         (level, index) for level in range(1, levels.count + 1) for index in levels.chunks(level)
     )
-    assert_view_is_true(store.open_handle(begun))
+    assert_view_is_true(store.open_store(begun))
 
 
 def test_chunks_that_no_worker_can_make_are_told_and_the_tiles_are_kept(
@@ -462,27 +466,27 @@ def test_chunks_that_no_worker_can_make_are_told_and_the_tiles_are_kept(
     monkeypatch.setattr(Pyramid, "make", full)
     with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*Input"):
         atlas.run(plane_of(), begun, client=client)
-    assert len(store.done_tiles(store.open_handle(begun))) == store.open_handle(begun).tiling.count
+    assert len(store.done_tiles(store.open_store(begun))) == store.open_store(begun).tiling.count
 
 
 def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: Path, client: Client) -> None:
     atlas.run(plane_of(), begun, client=client)
-    handle = store.open_handle(begun)
+    handle = store.open_store(begun)
     (begun / "largest" / "c" / "0" / "0").unlink()
     Pyramid(handle).drop([(0, 0), (2, 2)])
     drop_tile(handle, (2, 2))
     job = job_of(handle, (0, 0), 1)
-    assert "largest/c/0/0 is missing" in getattr(do_job(job), "fault", "")
+    assert "largest/c/0/0 is missing" in getattr(execute_job(job), "fault", "")
     with pytest.raises(ChunkError, match="largest/c/0/0 is missing"):
         atlas.run(plane_of(), begun, client=client)
     assert len(store.done_tiles(handle)) == 9
 
 
-def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.Atlas) -> None:
+def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.AtlasStore) -> None:
     overviews_of(filled)
     job = job_of(filled, (0, 0), 1)
-    with pytest.raises(RefusedError, match="has lost its claim"):
-        do_job(replace(job, site=replace(job.site, claim="another")))
+    with pytest.raises(WorkerRefusedError, match="has lost its claim"):
+        execute_job(replace(job, site=replace(job.site, claim="another")))
     assert not list(filled.place.list_keys("overviews/1/largest/c/"))
 
 
@@ -497,7 +501,7 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
     """Let that many writes of arrays and of attributes, and removals of chunks, through, then none."""
     left = [writes]
     steps = (zarr.Array, "__setitem__"), (zarr.Group, "create_group"), (zarr.Group, "create_array")
-    for kind, name in (*steps, (LocalPlace, "remove")):
+    for kind, name in (*steps, (LocalBackend, "remove")):
         whole = getattr(kind, name)
 
         def write(*given: object, whole: object = whole, **named: object) -> object:
@@ -509,14 +513,14 @@ def killed_after(monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
         monkeypatch.setattr(kind, name, write)
 
 
-def survive(handle: store.Atlas, monkeypatch: pytest.MonkeyPatch, writes: int, tile: tuple[int, int]) -> bool:
+def survive(handle: store.AtlasStore, monkeypatch: pytest.MonkeyPatch, writes: int, tile: tuple[int, int]) -> bool:
     """Repair a tile and solve it as a run does, killed after that many writes; whether it came to its end."""
     with monkeypatch.context() as patch:
         killed_after(patch, writes)
         try:
             Pyramid(handle).drop([tile])
             drop_tile(handle, tile)
-            overviews = Overviews(handle)  # as a run does, which goes by what the store has
+            overviews = OverviewBuilder(handle)  # as a run does, which goes by what the store has
             write_tile(handle, tile, results(handle, tile, seed=1))
             overviews.finish()
         except Killed:
@@ -529,7 +533,7 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec = spec_of(nx=20, ny=18)
-    whole = making.create(tmp_path / "whole.zarr", spec, (8, 8))
+    whole = create.create_store(tmp_path / "whole.zarr", spec, (8, 8))
     fill(whole)
     write_tile(whole, (2, 2), results(whole, (2, 2), seed=1))
     keep(whole, least=10)
@@ -545,7 +549,7 @@ def test_a_kill_between_any_two_writes_never_leaves_an_overview_that_lies(
 
 @pytest.mark.slow
 def test_a_kill_while_levels_are_created_leaves_a_store_that_works_and_goes_on(
-    filled: store.Atlas, monkeypatch: pytest.MonkeyPatch
+    filled: store.AtlasStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for writes in (0, 1, 20, 70):
         with monkeypatch.context() as patch:
@@ -558,7 +562,7 @@ def test_a_kill_while_levels_are_created_leaves_a_store_that_works_and_goes_on(
     assert_view_is_true(filled)
 
 
-def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.Atlas) -> None:
+def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.AtlasStore) -> None:
     root = zarr.open_group(whole.path, mode="r+", use_consolidated=False)
     for level in (1, 3):
         for name in ("regime", "regime_shown"):
@@ -568,7 +572,7 @@ def test_a_run_killed_between_two_levels_is_completed_by_the_next(whole: store.A
     assert_view_is_true(whole)
 
 
-def test_the_store_itself_stays_as_it_was(filled: store.Atlas) -> None:
+def test_the_store_itself_stays_as_it_was(filled: store.AtlasStore) -> None:
     before = {name: data for name, data in arrays_of(filled.path).items()}
     spec = json.loads(xr.open_zarr(filled.path).attrs["spec"])
     keep(filled)
@@ -576,7 +580,7 @@ def test_the_store_itself_stays_as_it_was(filled: store.Atlas) -> None:
     assert json.loads(xr.open_zarr(filled.path).attrs["spec"]) == spec
 
 
-def test_a_view_with_marks_takes_away_what_the_shown_class_does_not_have(shared: store.Atlas) -> None:
+def test_a_view_with_marks_takes_away_what_the_shown_class_does_not_have(shared: store.AtlasStore) -> None:
     seen = view(atlas.open(shared.path), ["largest", "period"], pixels=(12, 10))
     shown = seen.regime.values
     assert np.isnan(seen.largest.values[shown == UNDETERMINED]).all()

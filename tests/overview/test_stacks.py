@@ -18,10 +18,10 @@ from atlas import render
 from atlas.check.overviews import check_overviews
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.query.reads import counted
+from atlas.query.read_counter import counted
 from atlas.query.resample import view
 from atlas.service.plan import make_plan
-from atlas.store import making, store
+from atlas.store import create, store
 from tests import synthetic
 from tests.synthetic import each_block, mean, mode
 
@@ -42,11 +42,11 @@ def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def large(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
+def large(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
     """Three planes of made-up results with overviews, one tile not done."""
     path = tmp_path_factory.mktemp("large") / "out.zarr"
     axes = {"omega": np.linspace(1, 4, 45), "b": np.linspace(0.1, 0.5, 38), "R": [0.5, 0.6, 0.8]}
-    handle = making.create(path, atlas.Spec("two-mass", axes=axes), (1, 8, 8))
+    handle = create.create_store(path, atlas.Spec("two-mass", axes=axes), (1, 8, 8))
     synthetic.fill(handle, skip=((1, 0, 0),))
     synthetic.keep(handle)
     return handle
@@ -147,7 +147,7 @@ def test_two_stacks_are_compared_cell_by_cell(solved: Path) -> None:
     assert (compared.numbers.same, compared.numbers.compared) == (1.0, int(np.isfinite(ds.largest).sum()))
 
 
-def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.Atlas) -> None:
+def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.AtlasStore) -> None:
     ds, cells = atlas.open(large.path), atlas.open(large.path)  # what is loaded is not read from overviews
     codes, largest = cells.regime.values, cells.largest.values
     for k in (0, 2):
@@ -160,14 +160,14 @@ def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.Atlas)
             np.testing.assert_array_equal(seen.regime.values, each_block(codes[k], level, mode))
 
 
-def test_a_level_of_a_stack_never_mixes_planes(large: store.Atlas) -> None:
+def test_a_level_of_a_stack_never_mixes_planes(large: store.AtlasStore) -> None:
     coarse = xr.open_zarr(large.path, group="overviews/1")
     assert coarse.R.values.tolist() == [0.5, 0.6, 0.8]
     assert coarse.regime.shape == (3, 19, 23)
     assert coarse.cells.isel(R=0).values.sum() == 45 * 38
 
 
-def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.Atlas) -> None:
+def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.AtlasStore) -> None:
     ds = atlas.open(large.path)
     seen = view(ds, ["largest"], pixels=(12, 10), marks=False)
     assert (seen.R.values.tolist(), seen.regime.shape) == ([0.5, 0.6, 0.8], (3, 10, 12))
@@ -177,14 +177,14 @@ def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.Atlas) -> None
         )
 
 
-def test_the_overviews_of_a_stack_are_what_its_cells_give(large: store.Atlas) -> None:
+def test_the_overviews_of_a_stack_are_what_its_cells_give(large: store.AtlasStore) -> None:
     chunks, faults = check_overviews(large, set(), lambda level: None)
     assert chunks > 0
     assert faults == []
 
 
 @pytest.mark.parametrize("k", [0, 1, 2])
-def test_answers_about_a_plane_are_those_of_its_cells(large: store.Atlas, k: int) -> None:
+def test_answers_about_a_plane_are_those_of_its_cells(large: store.AtlasStore, k: int) -> None:
     ds = atlas.open(large.path).isel(R=k)
     naive = atlas.open(large.path).isel(R=k).load()
     naive.encoding.clear()
@@ -200,7 +200,7 @@ def test_answers_about_a_plane_are_those_of_its_cells(large: store.Atlas, k: int
     assert all(np.array_equal(one, other) for one, other in zip(lines, expected, strict=True))
 
 
-def test_shares_of_a_large_stack_count_every_plane(large: store.Atlas) -> None:
+def test_shares_of_a_large_stack_count_every_plane(large: store.AtlasStore) -> None:
     ds, naive = atlas.open(large.path), atlas.open(large.path).load()
     naive.encoding.clear()
     window = {"R": (0.55, 0.9), "omega": (1.3, 3.1)}
@@ -220,7 +220,7 @@ def test_one_plane_of_a_stack_is_drawn_as_a_plane(solved: Path, tmp_path: Path) 
 
 
 def test_too_many_planes_for_one_picture_are_refused(tmp_path: Path) -> None:
-    handle = making.create(tmp_path / "out.zarr", stack_of(R=np.linspace(0.1, 0.9, 13).tolist()), (1, 3, 4))
+    handle = create.create_store(tmp_path / "out.zarr", stack_of(R=np.linspace(0.1, 0.9, 13).tolist()), (1, 3, 4))
     text = answered("plot", handle.path, "-o", tmp_path / "out.png", code=2)
     assert "a stack of 13 planes: at most 12 are drawn together; pick one by --select R=0.1" in text
     assert not (tmp_path / "out.png").exists()

@@ -13,10 +13,10 @@ import pytest
 import atlas
 from atlas import platform
 from atlas.errors import InputError
-from atlas.store import location, making
-from atlas.store.archive import ZipPlace
-from atlas.store.location import LocalPlace, is_url, place_of
-from atlas.store.sidecar import Folder
+from atlas.store import create, object_backend
+from atlas.store.object_backend import LocalBackend, is_url, open_backend
+from atlas.store.sidecar import LocalSidecar
+from atlas.store.zip_backend import ZipBackend
 from tests.paths import ROOT
 
 APART = "atlas/platform.py"
@@ -119,7 +119,7 @@ def test_the_types_hold_with_what_the_standard_library_has_there(system: str, tm
 )
 def test_a_path_of_windows_is_no_url(name: str) -> None:
     assert not is_url(name)
-    assert isinstance(place_of(name), LocalPlace)
+    assert isinstance(open_backend(name), LocalBackend)
 
 
 @pytest.mark.parametrize("name", ["s3://bucket/plane.zarr", "file:///data/plane.zarr", "https://host/plane.zarr"])
@@ -128,12 +128,14 @@ def test_a_scheme_of_two_letters_or_more_makes_a_url(name: str) -> None:
 
 
 def test_a_file_url_may_have_spaces_and_accents() -> None:
-    assert place_of("file:///data/un%20plan%20%C3%A9toil%C3%A9.zarr") == LocalPlace(Path("/data/un plan étoilé.zarr"))
+    assert open_backend("file:///data/un%20plan%20%C3%A9toil%C3%A9.zarr") == LocalBackend(
+        Path("/data/un plan étoilé.zarr")
+    )
 
 
 @pytest.mark.parametrize("path", [PurePosixPath("/a b/é.zip"), PureWindowsPath("C:/a b/é.zip")])
 def test_an_archive_is_known_by_its_suffix_in_the_paths_of_both_systems(path: PurePosixPath) -> None:
-    assert isinstance(location._place_at(Path(path.as_posix())), ZipPlace)
+    assert isinstance(object_backend._place_at(Path(path.as_posix())), ZipBackend)
 
 
 NAMES_OF_FOLDERS = ("my atlases (2nd try)", "étude – Übergänge, 混沌", "a[1]{b}*?'$&;#%20", *["x" * 55] * 5)
@@ -191,7 +193,7 @@ def two_cases() -> atlas.Spec:
 def test_names_that_differ_by_case_alone_are_two_arrays_where_the_disk_knows_case(
     two_cases: atlas.Spec, tmp_path: Path
 ) -> None:
-    making.make_store(place_of(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
+    create.make_store(open_backend(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
     ds = atlas.open(tmp_path / "plane.zarr")
     assert ds["m"].values.tolist() == [1.0, 2.0]
     assert ds["M"].values.tolist() == [3.0, 4.0]
@@ -204,7 +206,7 @@ def test_names_that_differ_by_case_alone_are_refused_on_a_disk_that_ignores_case
     folded = lambda path: any(one.name.casefold() == path.name.casefold() for one in path.parent.iterdir())  # noqa: E731
     monkeypatch.setattr(Path, "exists", lambda path: exists(path) or (exists(path.parent) and folded(path)))
     with pytest.raises(InputError, match=r"the disk takes [mM] and [mM] for one name; rename [mM] in the system"):
-        making.make_store(place_of(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
+        create.make_store(open_backend(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
 
@@ -217,18 +219,18 @@ def test_elsewhere_a_process_has_a_name_of_four_words_which_tells_the_living_fro
     system: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """psutil's part, which is the same code on all systems."""
-    from atlas.service import process
+    from atlas.service import process_identity
 
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     monkeypatch.setattr(sys, "platform", system)
     try:
-        name = process.process_name(child.pid)
-        assert process.is_name(name)
-        assert process.is_running(child.pid, name) is True
-        assert process.is_running(child.pid, name.rpartition(" ")[0] + " 1.000000") is False
+        name = process_identity.process_name(child.pid)
+        assert process_identity.is_name(name)
+        assert process_identity.is_running(child.pid, name) is True
+        assert process_identity.is_running(child.pid, name.rpartition(" ")[0] + " 1.000000") is False
     finally:
         child.communicate(b"\n")
-    assert process.is_running(child.pid, name) is False
+    assert process_identity.is_running(child.pid, name) is False
 
 
 def test_a_system_without_affinity_counts_all_processors(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +245,7 @@ def test_notes_next_to_a_store_do_without_locks(tmp_path: Path, monkeypatch: pyt
         raise OSError("no locks here")
 
     monkeypatch.setattr("filelock.FileLock.acquire", refuse)
-    notes = Folder(tmp_path / "notes")
+    notes = LocalSidecar(tmp_path / "notes")
     assert notes.put("a", b"1", expected=None)
     assert notes.put("a", b"22", expected=b"1")
     assert notes.read("a") == b"22"

@@ -16,15 +16,15 @@ import atlas
 import workers
 from atlas.cli.main import attractors, find, main
 from atlas.errors import InputError, RunError
-from atlas.orbits.branches.table import Branches
+from atlas.orbits.branches.table import BranchTable
 from atlas.orbits.curves.export import columns
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
-from atlas.store.location import place_of
-from atlas.store.making import make_store
+from atlas.store.create import make_store
+from atlas.store.object_backend import open_backend
 from tests.planes import plane_of
 from tests.project.test_docs import ROOT, spans
-from workers.model.names import _KINDS, _everything
+from workers.model.reserved_names import _KINDS, _everything
 from workers.model.system import System, find_system, system_names
 from workers.results import result_variables
 
@@ -104,7 +104,7 @@ def test_the_variables_of_a_store_are_the_promised_ones() -> None:
 
 
 def test_the_columns_of_branches_and_curves_are_the_promised_ones() -> None:
-    empty = Branches(find_system("two-mass"), {}, "omega", (1.0, 2.0), ())
+    empty = BranchTable(find_system("two-mass"), {}, "omega", (1.0, 2.0), ())
     assert list(empty.branches.columns) == NAMES["branches"]
     assert list(empty.points.columns) == NAMES["points"]
     assert list(empty.events.columns) == NAMES["events"]
@@ -229,7 +229,7 @@ def test_the_workflows_run_both_stages_of_the_tests() -> None:
 
 
 def test_an_atlas_is_cited_with_the_versions_that_computed_it_and_the_paper_of_the_method(tmp_path: Path) -> None:
-    make_store(place_of(tmp_path / "plane.zarr"), plane_of(), (2, 3), None, "0" * 32)
+    make_store(open_backend(tmp_path / "plane.zarr"), plane_of(), (2, 3), None, "0" * 32)
     done = CliRunner().invoke(main, ["cite", str(tmp_path / "plane.zarr")])
     assert done.exit_code == 0
     assert re.findall(r"^@(\w+)\{(.+),$", done.output, re.MULTILINE) == [

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from rig.oracle.model import machine_of
-from rig.stress.findings import Drawn, Findings
+from rig.stress.findings import RandomCell, StressFindings
 from rig.stress.report import NEVER
-from rig.stress.results import cells_of, contradictions, misplaced, solve
+from rig.stress.result_checks import cells_of, contradictions, misplaced, solve
 from rig.stress.systems import SIZES, system
 from tests.script import script
 from workers import Settings
@@ -45,16 +45,16 @@ def test_the_report_says_what_was_counted() -> None:
         assert f"0  {kind}" in text
 
 
-def two_mass(seed: int, number: int) -> Drawn:
+def two_mass(seed: int, number: int) -> RandomCell:
     return cells_of(seed, False, [number])[0]
 
 
-def of_system(seed: int, number: int) -> Drawn:
+def of_system(seed: int, number: int) -> RandomCell:
     return cells_of(seed, True, [number])[0]
 
 
 @pytest.mark.parametrize("draw", [two_mass, of_system])
-def test_a_cell_is_drawn_from_its_seed_and_number_alone(draw: Callable[[int, int], Drawn]) -> None:
+def test_a_cell_is_drawn_from_its_seed_and_number_alone(draw: Callable[[int, int], RandomCell]) -> None:
     once, again, another = draw(5, 17), draw(5, 17), draw(5, 18)
     assert once.facts() == again.facts()
     assert once.params != another.params
@@ -99,7 +99,7 @@ def test_tasks_do_not_change_what_is_found() -> None:
     settings = Settings(exponents="spectrum", max_periods=60, section_samples=4)
     for of_systems in (False, True):
         whole = solve(cells_of(4, of_systems, range(20)), settings)
-        parts = Findings()
+        parts = StressFindings()
         for first in (10, 0):
             parts.add(solve(cells_of(4, of_systems, range(first, first + 10)), settings))
         assert (parts.regimes, parts.checked, parts.counts) == (whole.regimes, whole.checked, whole.counts)
@@ -107,7 +107,7 @@ def test_tasks_do_not_change_what_is_found() -> None:
 
 
 @pytest.fixture(scope="module")
-def periodic() -> tuple[Drawn, dict[str, Any]]:
+def periodic() -> tuple[RandomCell, dict[str, Any]]:
     """A periodic cell with impacts, and its results."""
     params = {"omega": 4.0, "b": 0.1, "R": 0.8, "zeta": 0.05, "mu_m": 2.0, "mu_k": 5.0, "f2": 0.0}
     settings = Settings(exponents="spectrum", section_samples=4)
@@ -117,7 +117,7 @@ def periodic() -> tuple[Drawn, dict[str, Any]]:
 
 @pytest.mark.parametrize(("name", "value"), [("largest", math.nan), ("error", math.inf), ("sum_law_defect", math.nan)])
 def test_a_number_that_is_missing_from_a_periodic_cell_is_noticed(
-    periodic: tuple[Drawn, dict[str, Any]], name: str, value: float
+    periodic: tuple[RandomCell, dict[str, Any]], name: str, value: float
 ) -> None:
     cell, result = periodic
     assert result["regime"] == PERIODIC
@@ -127,7 +127,7 @@ def test_a_number_that_is_missing_from_a_periodic_cell_is_noticed(
 
 @pytest.mark.parametrize(("name", "value"), [("largest", 0.1), ("period", 0), ("impacts_per_period", 0.7)])
 def test_results_of_a_periodic_cell_that_contradict_each_other_are_noticed(
-    periodic: tuple[Drawn, dict[str, Any]], name: str, value: float
+    periodic: tuple[RandomCell, dict[str, Any]], name: str, value: float
 ) -> None:
     cell, result = periodic
     assert contradictions(cell, result) == []

@@ -18,19 +18,19 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.query.basins import basin_entropy, table, uncertainty_exponent
-from atlas.store.location import LocalPlace
-from atlas.store.records import Records, RunRecords
-from atlas.store.store import open_handle
+from atlas.store.object_backend import LocalBackend
+from atlas.store.store import open_store
+from atlas.store.tile_records import RunTileRecords, TileRecords
 from atlas.store.tiles import read_tile, write_tile
-from atlas.task import basins
-from atlas.task.attempt import do_job
-from atlas.task.basins import complete_basins
-from atlas.task.site import Site
-from atlas.task.task import LABELS, Job, Made
+from atlas.task import label_basins
+from atlas.task.attempt import execute_job
+from atlas.task.label_basins import complete_basins
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import LABELS, DerivedReport, RunJob
 from tests.simulators.test_oracle import FIG3
 from workers import Settings, solve_tile
 from workers.attractors.basins import solve_basins
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.results import BEYOND_TABLE, NO_IMPACT, PERIODIC
 
 PLANE = {"x1": np.linspace(-0.09, 0.09, 7)[None, :], "v1": np.linspace(-1.0, 1.0, 9)[:, None]}
@@ -51,12 +51,12 @@ def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 
 def test_the_initial_state_that_reaches_period_3_lies_in_its_basin() -> None:
-    found = solve_basins("two-mass", {**FIG3, **SECOND, "x1": 0.05, "v1": 0.5}, None, Starts(16))
+    found = solve_basins("two-mass", {**FIG3, **SECOND, "x1": 0.05, "v1": 0.5}, None, AttractorSettings(16))
     assert (found["label"], found["period"]) == (1, 3)
 
 
 def test_every_initial_state_has_the_results_of_the_attractor_that_it_reaches_alone() -> None:
-    found = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16))
+    found = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, AttractorSettings(16))
     alone = solve_tile("two-mass", FIG3 | SECOND | PLANE)
     assert set(np.unique(found["label"])) >= {0, 1}
     assert np.array_equal(found["period"], alone["period"]) and np.array_equal(found["regime"], alone["regime"])
@@ -67,8 +67,8 @@ def test_basins_are_mirrored_where_the_force_is() -> None:
     """Truth: x -> -x, force -> -force takes motions to motions: half a period later the force has the other sign."""
     other = {**FIG3, "tau": FIG3["tau"] + math.pi, "x2": -0.03, "v2": 0.2}
     turned = {name: -values for name, values in PLANE.items()}
-    one = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, Starts(16))
-    mirrored = solve_basins("two-mass", other | turned, None, Starts(16))
+    one = solve_basins("two-mass", FIG3 | SECOND | PLANE, None, AttractorSettings(16))
+    mirrored = solve_basins("two-mass", other | turned, None, AttractorSettings(16))
     assert np.array_equal(one["period"], mirrored["period"])
     assert np.abs(one["settled"] - mirrored["settled"]).max() <= 1
 
@@ -76,7 +76,7 @@ def test_basins_are_mirrored_where_the_force_is() -> None:
 def test_without_impact_the_basin_is_where_no_impact_follows() -> None:
     """Truth: solved alone, with a gap that is wide enough for many initial states to stay between the stops."""
     params = {**FIG3, "b": 0.5, "x1": 0.1, "v1": np.linspace(-6.0, 6.0, 13)}
-    found, alone = solve_basins("two-mass", params, None, Starts(16)), solve_tile("two-mass", params)
+    found, alone = solve_basins("two-mass", params, None, AttractorSettings(16)), solve_tile("two-mass", params)
     assert {NO_IMPACT, PERIODIC} == set(np.unique(found["regime"]))
     assert np.array_equal(found["regime"], alone["regime"])
     assert len(np.unique(found["label"])) == len(np.unique(alone["regime"]))
@@ -137,10 +137,10 @@ def test_nothing_is_labelled_after_the_claim_of_the_store_is_lost(solved: Path, 
 
     store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
     shutil.rmtree(store / "attractors")
-    handle = open_handle(store)
+    handle = open_store(store)
     before = {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
     with pytest.raises(RunError, match="another run has this store"):
-        complete_basins(handle.at(handle.place.behind(lost)))
+        complete_basins(handle.at(handle.place.with_fence(lost)))
     assert {path: path.read_bytes() for path in store.rglob("*") if path.is_file()} == before
 
 
@@ -148,23 +148,23 @@ def test_what_an_attempt_to_label_wrote_before_it_died_is_recorded_by_the_next(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
-    handle = open_handle(store)
+    handle = open_store(store)
     beyond = read_tile(handle, (0, 0))
     beyond["label"][...] = BEYOND_TABLE
     write_tile(handle, (0, 0), beyond)
     shutil.rmtree(store / "attractors")
-    run = RunRecords(handle, Records(handle), np.zeros(handle.tiling.grid, dtype=bool))
-    job = Job((), Site(str(store), handle.run_id, handle.solver_version), level=LABELS)
+    run = RunTileRecords(handle, TileRecords(handle), np.zeros(handle.tiling.grid, dtype=bool))
+    job = RunJob((), StoreRef(str(store), handle.run_id, handle.solver_version), level=LABELS)
 
     def dies(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(basins, "write_table", dies)
+        patch.setattr(label_basins, "write_table", dies)
         with pytest.raises(KeyboardInterrupt):
-            do_job(job)
-    made = do_job(job)
-    assert isinstance(made, Made)
+            execute_job(job)
+    made = execute_job(job)
+    assert isinstance(made, DerivedReport)
     for index, record in made.records:
         run.add(index, record)
     run.compact(lambda: None)
@@ -176,24 +176,24 @@ def test_a_kill_between_a_tiles_last_labels_and_its_record_leaves_no_fault(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_at: str
 ) -> None:
     store = Path(shutil.copytree(solved, tmp_path / "basins.zarr"))
-    handle = open_handle(store)
+    handle = open_store(store)
     known = read_tile(handle, (0, 0))
     write_tile(handle, (0, 0), known | {"label": np.full_like(known["label"], BEYOND_TABLE)})
     shutil.rmtree(store / "attractors")
-    whole, puts = LocalPlace.put, list[str]()
+    whole, puts = LocalBackend.put, list[str]()
 
-    def put(place: LocalPlace, key: str, data: bytes) -> None:
+    def put(place: LocalBackend, key: str, data: bytes) -> None:
         puts.append(key)
         if puts.count(key) == (1 if dies_at.startswith("label") else 2) and key == dies_at:
             raise KeyboardInterrupt
         whole(place, key, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(LocalPlace, "put", put)
+        patch.setattr(LocalBackend, "put", put)
         with pytest.raises(KeyboardInterrupt):
             complete_basins(handle)
     assert not verify(store, sample=0).faults
-    complete_basins(open_handle(store))
+    complete_basins(open_store(store))
     np.testing.assert_array_equal(read_tile(handle, (0, 0))["label"], known["label"])
     assert verify(store, sample=3, seed=1).fine
 
@@ -237,7 +237,7 @@ def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
 
 
 def test_settings_of_the_solver_reach_basins() -> None:
-    found = solve_basins("two-mass", FIG3 | {"x1": 0.01}, Settings(exponents="none"), Starts(2))
+    found = solve_basins("two-mass", FIG3 | {"x1": 0.01}, Settings(exponents="none"), AttractorSettings(2))
     assert "largest" not in found and found["label"] == 0
 
 
@@ -314,7 +314,7 @@ def test_unsolved_initial_states_are_left_out_of_what_is_measured() -> None:
 def test_every_initial_state_observes_the_motion_that_it_reaches() -> None:
     """The same values wherever a label is, those of a cell that starts on the attractor."""
     settings = Settings(observe="impact_speed:stop", observe_values=4, max_periods=2000, survival=0)
-    found = solve_basins("two-mass", FIG3 | SECOND | {"x1": np.array([0.0, 0.05])}, settings, Starts(4))
+    found = solve_basins("two-mass", FIG3 | SECOND | {"x1": np.array([0.0, 0.05])}, settings, AttractorSettings(4))
     assert np.all(found["label"] >= 0)
     for at in range(2):
         state = dict(zip(("x1", "x2", "v1", "v2"), found["state"][at].tolist(), strict=True))

@@ -17,14 +17,14 @@ from atlas.check.overviews import check_overviews
 from atlas.check.rules import broken_rules
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.overview.upkeep import Overviews
-from atlas.query.attractors import leading
-from atlas.query.cell import solved_cell
-from atlas.store.store import open_handle
+from atlas.overview.builder import OverviewBuilder
+from atlas.query.attractors import select_dominant
+from atlas.query.cell import read_cell_spec
+from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile
 from workers import Settings, solve_tile
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.results import CHAOTIC, FAILED, PENDING
 
 AXES = {"omega": {"start": 3.6, "stop": 4.4, "num": 3}, "R": {"start": 0.7, "stop": 0.9, "num": 4}}
@@ -46,7 +46,7 @@ def test_the_table_is_kept_in_the_resolved_spec_exactly() -> None:
     table = {"starts": 12, "seed": 5, "box": {"v1": [-0.5, 1], "x1": [-0.1, 0.1]}, "keep": 2}
     spec = spec_of(attractors=table, store=None)
     assert atlas.Spec.from_resolved(json.loads(json.dumps(spec.resolved()))) == spec
-    assert spec.attractors == Starts(12, 5, (("x1", -0.1, 0.1), ("v1", -0.5, 1.0)), 2)
+    assert spec.attractors == AttractorSettings(12, 5, (("x1", -0.1, 0.1), ("v1", -0.5, 1.0)), 2)
 
 
 def test_the_table_enters_the_digest_and_its_absence_changes_none() -> None:
@@ -62,9 +62,9 @@ def test_specs_that_differ_in_their_initial_states_are_told_apart(tmp_path: Path
 
 
 def _empty(tmp_path: Path) -> Path:
-    from atlas.store.making import create
+    from atlas.store.create import create_store
 
-    return create(tmp_path / "a.zarr", spec_of(), (2, 2)).path
+    return create_store(tmp_path / "a.zarr", spec_of(), (2, 2)).path
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_plain_xarray_finds_every_result_along_the_attractors(solved: Path) -> N
 def test_the_store_holds_what_solve_attractors_gives(solved: Path) -> None:
     ds, spec = xr.open_zarr(solved), spec_of()
     params = spec.cell_params((slice(0, 4), slice(0, 3)))
-    for name, values in solve_attractors("two-mass", params, Settings(**SOLVE), Starts(8, 2, (), 3)).items():
+    for name, values in solve_attractors("two-mass", params, Settings(**SOLVE), AttractorSettings(8, 2, (), 3)).items():
         assert ds[name].values.tobytes() == values.tobytes(), name
 
 
@@ -134,7 +134,7 @@ def test_a_store_of_all_attractors_is_sound_to_the_bit(solved: Path) -> None:
 
 def test_a_run_that_was_stopped_is_completed_to_the_same_bits(solved: Path, tmp_path: Path, client: Client) -> None:
     path = Path(shutil.copytree(solved, tmp_path / "out.zarr"))
-    handle = open_handle(path)
+    handle = open_store(path)
     before = read_tile(handle, (1, 1))
     drop_tile(handle, (1, 1))
     assert (xr.open_zarr(path)["regime"].values[2:, 2:] == PENDING).all()
@@ -151,15 +151,15 @@ def test_arrays_do_not_depend_on_the_tile_shape(solved: Path, tmp_path: Path, cl
 
 def test_cells_of_a_tile_that_ends_its_process_are_failed_in_the_first_place(solved: Path) -> None:
     """What marks them writes into the results of the first attractor, which are those of the tile itself."""
-    handle = open_handle(solved)
+    handle = open_store(solved)
     arrays = read_tile(handle, (0, 0))
-    handle.leading(arrays)["regime"][...] = FAILED
+    handle.dominant_arrays(arrays)["regime"][...] = FAILED
     assert (arrays["regime"][..., 0] == FAILED).all() and (arrays["regime"][..., 1] != FAILED).all()
 
 
 def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp_path: Path) -> None:
-    handle = open_handle(shutil.copytree(solved, tmp_path / "out.zarr"))
-    made = Overviews(handle, side=2, least=2)
+    handle = open_store(shutil.copytree(solved, tmp_path / "out.zarr"))
+    made = OverviewBuilder(handle, side=2, least=2)
     assert made.finish() > 0
     assert not check_overviews(handle, set(), lambda _level: None)[1]
     coarse = xr.open_zarr(handle.path, group="overviews/1")
@@ -169,7 +169,7 @@ def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp
 
 
 def test_what_a_store_may_not_hold_is_found(solved: Path) -> None:
-    handle = open_handle(solved)
+    handle = open_store(solved)
     tile = handle.tiling.at((0, 0))
 
     def broken(**changes: np.ndarray) -> str:
@@ -197,7 +197,7 @@ def test_a_query_at_a_point_lists_all_attractors(solved: Path) -> None:
 
 def test_other_questions_are_of_the_attractor_with_the_largest_share(solved: Path) -> None:
     ds = atlas.open(solved)
-    assert ds.atlas.fractions() == leading(ds).atlas.fractions()
+    assert ds.atlas.fractions() == select_dominant(ds).atlas.fractions()
     assert sum(ds.atlas.fractions().values()) == pytest.approx(1.0)
     assert sum(ds.isel(attractor=1).atlas.fractions().values()) == pytest.approx(1.0)
     assert ds.atlas.extremes("share")["value"][0] > 0.0
@@ -293,6 +293,6 @@ def test_a_cell_is_solved_again_on_the_attractor_selected(solved: Path, place: i
     pattern = np.stack([ds[name].values for name in names], axis=-1)
     differs = (pattern[:, :, 0] != pattern[:, :, 1]).any(axis=-1) & np.isin(pattern[:, :, :2, 0], [0, 1]).all(axis=-1)
     i, j = np.argwhere(differs)[0]
-    cell = solved_cell(ds.isel(attractor=place), {"R": float(ds.R[i]), "omega": float(ds.omega[j])})
+    cell = read_cell_spec(ds.isel(attractor=place), {"R": float(ds.R[i]), "omega": float(ds.omega[j])})
     again = solve_tile(cell.system, cell.parameters, cell.settings)
     assert [again[name].item() for name in names] == pattern[i, j, place].tolist()

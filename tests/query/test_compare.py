@@ -12,11 +12,11 @@ from PIL import Image
 import atlas
 from atlas import render
 from atlas.errors import InputError
+from atlas.query.color_limits import scale_ends
 from atlas.query.compare import Comparison
-from atlas.query.ends import scale_ends
-from atlas.query.reads import counted
-from atlas.render import together
-from atlas.store import making, store
+from atlas.query.read_counter import counted
+from atlas.render import side_by_side
+from atlas.store import create, store
 from tests import pictures
 from tests.interface.test_cli import call
 from tests.pictures import labels
@@ -27,10 +27,10 @@ from workers.results import CHAOTIC, LOCKING, NO_IMPACT, OF_MOTIONS, PENDING, PE
 P, C, N, Q, U = PERIODIC, CHAOTIC, NO_IMPACT, PENDING, UNDETERMINED
 
 
-def made(path: Path, seed: int, nx: int = 45, **parameters: float) -> store.Atlas:
+def made(path: Path, seed: int, nx: int = 45, **parameters: float) -> store.AtlasStore:
     given = spec_of(nx=nx)
     changed = atlas.Spec("two-mass", axes={axis.name: list(axis.values) for axis in given.axes}, parameters=parameters)
-    handle = making.create(path, changed, (19, 23))
+    handle = create.create_store(path, changed, (19, 23))
     fill(handle, seed=seed)
     keep(handle)
     return handle
@@ -195,20 +195,20 @@ def test_the_picture_of_a_comparison_has_two_maps(folder: Path) -> None:
 def test_the_scale_of_differences_has_zero_in_its_middle() -> None:
     one = pictures.plane()
     other = one.assign(largest=one.largest + 0.25)
-    bar = together.difference(Comparison.of(one, other)).axes[-1]
+    bar = side_by_side.difference(Comparison.of(one, other)).axes[-1]
     assert bar.get_xlim() == pytest.approx((-0.25, 0.25))
 
 
 def test_atlases_without_exponents_are_compared_by_their_regimes() -> None:
     one = pictures.plane().drop_vars("largest")
-    drawn = together.difference(Comparison.of(one, one))
+    drawn = side_by_side.difference(Comparison.of(one, one))
     assert (texts(drawn), labels(drawn)) == (["another regime"], ["same regime", "pending"])
 
 
 def test_a_comparison_of_sweeps_is_drawn_otherwise() -> None:
     sweep = pictures.line()
     with pytest.raises(InputError, match="sweeps: atlas plot --against"):
-        together.difference(Comparison.of(sweep, sweep))
+        side_by_side.difference(Comparison.of(sweep, sweep))
 
 
 def test_maps_side_by_side_are_named_by_the_parameter_that_differs(folder: Path) -> None:

@@ -13,9 +13,9 @@ from xarray.core import indexing
 import atlas
 from atlas.errors import InputError
 from atlas.query.export import export
-from atlas.query.window import within
+from atlas.query.window import select_window
 from atlas.spec.points import POINT
-from atlas.store import making
+from atlas.store import create
 from tests.synthetic import fill, spec_of
 from workers.results import REGIMES
 
@@ -24,7 +24,7 @@ WINDOW = {"omega": (1.5, 2.5), "b": (0.2, 0.3)}
 
 @pytest.fixture(scope="module")
 def ds(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
-    handle = making.create(tmp_path_factory.mktemp("export") / "a.zarr", spec_of(nx=20, ny=12), (6, 10))
+    handle = create.create_store(tmp_path_factory.mktemp("export") / "a.zarr", spec_of(nx=20, ny=12), (6, 10))
     fill(handle)
     return atlas.open(handle.path)
 
@@ -35,7 +35,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_a_csv_has_a_row_for_every_cell_x_fastest(ds: xr.Dataset, tmp_path: Path) -> None:
-    part = within(ds, WINDOW)
+    part = select_window(ds, WINDOW)
     assert export(ds, tmp_path / "a.csv", WINDOW) == part.regime.size
     rows = rows_of(tmp_path / "a.csv")
     assert [(float(row["omega"]), float(row["b"])) for row in rows] == [
@@ -109,7 +109,7 @@ def test_a_sweep_and_a_table_are_read_a_block_at_a_time(ds: xr.Dataset, tmp_path
 def test_a_netcdf_file_holds_the_window_with_its_attributes(ds: xr.Dataset, tmp_path: Path) -> None:
     export(ds, tmp_path / "a.nc", WINDOW)
     with xr.open_dataset(tmp_path / "a.nc", engine="scipy") as read:
-        xr.testing.assert_equal(read.drop_vars("component"), within(ds, WINDOW).drop_vars("component"))
+        xr.testing.assert_equal(read.drop_vars("component"), select_window(ds, WINDOW).drop_vars("component"))
         assert read.component.values.tolist() == ["x1", "x2", "v1", "v2"]
         assert read.regime.attrs["flag_values"].dtype == np.int8
         assert read.regime.dtype == np.int8

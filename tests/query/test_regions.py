@@ -10,10 +10,10 @@ import xarray as xr
 
 import atlas
 from atlas.errors import InputError
-from atlas.query.connected import labels, regions
+from atlas.query.connected_regions import labels, regions
 from atlas.query.extremes import extremes
-from atlas.query.reads import counted
-from atlas.store import making, store
+from atlas.query.read_counter import counted
+from atlas.store import create, store
 from atlas.store.tiles import write_tile
 from tests.interface.test_cli import call
 from tests.query.test_query import plane, spec
@@ -184,19 +184,19 @@ def test_a_class_that_cannot_be_is_answered_with_one_line(by: str, value: object
 
 
 @pytest.fixture(scope="module")
-def handle(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
+def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
     return complete(tmp_path_factory.mktemp("regions") / "a.zarr", (8, 8), spec_of(nx=40, ny=32))
 
 
 @pytest.mark.parametrize("by", ["regime", "period", "impacts"])
-def test_regions_of_a_store_are_those_of_its_cells(handle: store.Atlas, by: str) -> None:
+def test_regions_of_a_store_are_those_of_its_cells(handle: store.AtlasStore, by: str) -> None:
     ds = atlas.open(handle.path)
     part = {"omega": (1.5, 3.2), "b": (0.15, 0.42)}
     assert regions(ds, by, window=part) == regions(ds.load(), by, window=part)
     assert regions(ds, by)
 
 
-def test_regions_in_a_part_read_the_tiles_of_that_part_alone(handle: store.Atlas) -> None:
+def test_regions_in_a_part_read_the_tiles_of_that_part_alone(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path)
     part = {"omega": (float(ds.omega[0]), float(ds.omega[15])), "b": (float(ds.b[0]), float(ds.b[7]))}
     with counted() as reads:
@@ -204,9 +204,9 @@ def test_regions_in_a_part_read_the_tiles_of_that_part_alone(handle: store.Atlas
     assert reads.chunks == 2 * 2  # of two tiles, the regimes and the periods
 
 
-def recorded(path: Path) -> store.Atlas:
+def recorded(path: Path) -> store.AtlasStore:
     """Three tiles in a row: all chaotic, all periodic, mixed; and one that is pending."""
-    handle = making.create(path, spec_of(nx=32, ny=8), (8, 8))
+    handle = create.create_store(path, spec_of(nx=32, ny=8), (8, 8))
     for column, code in enumerate((CHAOTIC, PERIODIC, None)):
         made = results(handle, (0, column))
         if code is not None:
@@ -271,7 +271,7 @@ def test_extremes_for_each_period_come_by_period() -> None:
 
 @pytest.mark.parametrize("name", ["largest", "periods_used"])
 @pytest.mark.parametrize("by", ["all", "regime", "period", "impacts"])
-def test_extremes_of_a_store_are_those_of_its_cells(handle: store.Atlas, name: str, by: str) -> None:
+def test_extremes_of_a_store_are_those_of_its_cells(handle: store.AtlasStore, name: str, by: str) -> None:
     ds, part = atlas.open(handle.path), {"omega": (1.5, 3.2)}
     found = extremes(ds, name, by, part)
     whole = ds.load()
@@ -281,7 +281,7 @@ def test_extremes_of_a_store_are_those_of_its_cells(handle: store.Atlas, name: s
         assert float(cell[name]) == region["value"]
 
 
-def test_of_equal_values_the_first_cell_counts(handle: store.Atlas) -> None:
+def test_of_equal_values_the_first_cell_counts(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path)
     found = extremes(ds, "periods_used", "all")[0]
     first = np.argwhere(ds.periods_used.values == ds.periods_used.values.min())[0]
@@ -297,21 +297,21 @@ def test_a_variable_without_an_order_is_refused_and_the_others_named(name: str) 
 # From the shell
 
 
-def test_the_command_lists_regions_and_says_how_much_was_read(handle: store.Atlas) -> None:
+def test_the_command_lists_regions_and_says_how_much_was_read(handle: store.AtlasStore) -> None:
     shown = call("find", "regions", handle.path, "period=2")
     assert shown.exit_code == 0
     assert "centre omega" in shown.stdout.splitlines()[0]
     assert shown.stderr.endswith("chunks read from the store\n")
 
 
-def test_the_command_gives_regions_as_json(handle: store.Atlas) -> None:
+def test_the_command_gives_regions_as_json(handle: store.AtlasStore) -> None:
     message = json.loads(call("find", "regions", handle.path, "period=2", "--min-cells", 3, "--json").stdout)
     assert message["by"] == "period"
     found = regions(atlas.open(handle.path), "period", 2, min_cells=3)
     assert message["regions"] == json.loads(json.dumps(found))
 
 
-def test_the_command_gives_extremes_as_json(handle: store.Atlas) -> None:
+def test_the_command_gives_extremes_as_json(handle: store.AtlasStore) -> None:
     message = json.loads(call("find", "extremes", handle.path, "largest", "--by", "all", "--json").stdout)
     assert (message["variable"], [extreme["extreme"] for extreme in message["extremes"]]) == (
         "largest",
@@ -320,7 +320,7 @@ def test_the_command_gives_extremes_as_json(handle: store.Atlas) -> None:
 
 
 @pytest.mark.parametrize("question", [("regions", "period"), ("extremes", "largest")])
-def test_the_command_writes_a_list_as_csv(handle: store.Atlas, tmp_path: Path, question: tuple[str, str]) -> None:
+def test_the_command_writes_a_list_as_csv(handle: store.AtlasStore, tmp_path: Path, question: tuple[str, str]) -> None:
     out = tmp_path / "a.csv"
     message = json.loads(call("find", question[0], handle.path, question[1], "-o", out, "--json").stdout)
     assert message == {"file": str(out), "rows": len(out.read_text().splitlines()) - 1}
@@ -336,13 +336,15 @@ def test_the_command_writes_a_list_as_csv(handle: store.Atlas, tmp_path: Path, q
         (("extremes", "largest", "--by", "place"), "place"),
     ],
 )
-def test_a_bad_question_is_answered_with_one_line(handle: store.Atlas, args: tuple[str, ...], message: str) -> None:
+def test_a_bad_question_is_answered_with_one_line(
+    handle: store.AtlasStore, args: tuple[str, ...], message: str
+) -> None:
     shown = call("find", args[0], handle.path, *args[1:])
     assert (shown.exit_code, shown.stdout) == (2, "")
     assert message in shown.stderr and len(shown.stderr.splitlines()) == 1
 
 
-def test_python_gives_regions_and_extremes_as_data_frames(handle: store.Atlas) -> None:
+def test_python_gives_regions_and_extremes_as_data_frames(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path)
     found, ends = ds.atlas.regions("period"), ds.atlas.extremes("largest", "all")
     assert found["cells"].tolist() == [region["cells"] for region in regions(ds, "period")]
@@ -350,7 +352,7 @@ def test_python_gives_regions_and_extremes_as_data_frames(handle: store.Atlas) -
     assert ends["extreme"].tolist() == ["smallest", "largest"]
 
 
-def test_a_regime_alone_names_its_regions(handle: store.Atlas) -> None:
+def test_a_regime_alone_names_its_regions(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path)
     meant = ds.atlas.regions("regime", "chaotic")
     assert len(meant) and ds.atlas.regions("chaotic").equals(meant)
@@ -361,6 +363,6 @@ def test_a_regime_alone_names_its_regions(handle: store.Atlas) -> None:
     assert json.loads(short)["regions"] and short == whole
 
 
-def test_a_class_that_is_none_is_answered_with_the_nearest(handle: store.Atlas) -> None:
+def test_a_class_that_is_none_is_answered_with_the_nearest(handle: store.AtlasStore) -> None:
     shown = call("find", "regions", handle.path, "chaotc")
     assert (shown.exit_code, shown.stderr) == (2, "Error: unknown class of cells 'chaotc'; did you mean 'chaotic'?\n")

@@ -11,7 +11,7 @@ from scipy import stats
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import hysteresis, tidy
+from atlas.query import hysteresis, outlines
 from atlas.render import sweep
 from tests.pictures import atlas, labels, line, plane
 from workers import Settings, solve_tile
@@ -26,7 +26,7 @@ def test_every_exponent_has_its_line() -> None:
 
 def test_equal_exponents_take_turns_so_that_both_are_seen() -> None:
     values = np.stack([np.zeros(120), -np.ones(120), -2 * np.ones(120), -2 * np.ones(120)], axis=1)
-    shown = tidy.turns(values, 1e-9)
+    shown = outlines.interleave_exponents(values, 1e-9)
     assert shown[:, :2].all()
     assert (shown[:, 2] ^ shown[:, 3]).all()
     assert 40 < shown[:, 3].sum() < 80

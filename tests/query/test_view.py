@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 import atlas
 from atlas import render
 from atlas.query.queries import fractions
-from atlas.query.reads import Reads, counted
+from atlas.query.read_counter import ReadCounter, counted
 from atlas.query.resample import view
-from atlas.query.source import find_part
+from atlas.query.store_block import find_part
 from atlas.query.window import cell_edges
-from atlas.store import making, store
+from atlas.store import create, store
 from atlas.store.tiles import write_tile
 from tests.chunk_keys import noted_keys
 from tests.paths import ROOT
@@ -26,14 +26,14 @@ TILE = 8
 
 
 @pytest.fixture(scope="module")
-def handle(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
+def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
     """100 x 90 cells in tiles of 8, levels in chunks of 16 down to 16 cells."""
     folder = tmp_path_factory.mktemp("view")
     return complete(folder / "a.zarr", (TILE, TILE), spec_of(nx=100, ny=90), side=16, least=16)
 
 
 @pytest.fixture
-def ds(handle: store.Atlas) -> xr.Dataset:
+def ds(handle: store.AtlasStore) -> xr.Dataset:
     return atlas.open(handle.path)
 
 
@@ -60,7 +60,7 @@ def test_a_whole_plane_is_read_from_the_level_that_fits_its_pixels(ds: xr.Datase
 
 @pytest.mark.parametrize("window", [None, {"omega": (1.0, 2.0), "b": (0.1, 0.3)}])
 def test_a_plane_of_dask_arrays_is_read_from_the_same_level(
-    handle: store.Atlas, keys: list[str], window: dict[str, tuple[float, float]] | None
+    handle: store.AtlasStore, keys: list[str], window: dict[str, tuple[float, float]] | None
 ) -> None:
     """As pictures read a store that was opened with ``chunks``, a selection of it too."""
     seen, read = [], []
@@ -74,7 +74,7 @@ def test_a_plane_of_dask_arrays_is_read_from_the_same_level(
     assert seen[1].largest.chunks is None
 
 
-def test_dask_arrays_with_other_values_are_not_taken_for_those_of_the_store(handle: store.Atlas) -> None:
+def test_dask_arrays_with_other_values_are_not_taken_for_those_of_the_store(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path, chunks={})
     assert find_part(ds, ["largest"]) is not None
     for changed in (ds.largest * 2, ds.error, ds.largest.roll(omega=1), ds.largest.fillna(0.0), ds.largest.compute()):
@@ -85,9 +85,9 @@ def test_dask_arrays_with_other_values_are_not_taken_for_those_of_the_store(hand
 
 
 def test_what_was_read_says_at_which_resolution() -> None:
-    assert str(Reads(1)) == "1 chunk read from the store, at full resolution"
+    assert str(ReadCounter(1)) == "1 chunk read from the store, at full resolution"
     coarse = "8 chunks read from the store, at reduced resolution: one value for 4 x 2 cells"
-    assert str(Reads(8, 2, (4, 2))) == coarse
+    assert str(ReadCounter(8, 2, (4, 2))) == coarse
 
 
 def test_a_window_is_read_from_its_own_chunks_alone(ds: xr.Dataset, keys: list[str]) -> None:
@@ -113,7 +113,7 @@ def test_pixels_do_not_change_what_is_read_where_none_are_given(ds: xr.Dataset) 
 
 
 def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Path) -> None:
-    handle = making.create(tmp_path / "a.zarr", spec_of(nx=200, ny=12), (4, 50))
+    handle = create.create_store(tmp_path / "a.zarr", spec_of(nx=200, ny=12), (4, 50))
     fill(handle)
     keep(handle, side=256, least=128)
     ds = atlas.open(handle.path)
@@ -143,7 +143,7 @@ def test_a_coarse_view_ends_where_its_window_ends(ds: xr.Dataset) -> None:
 def test_the_widest_cells_of_an_uneven_axis_decide_the_level(tmp_path: Path) -> None:
     omega = np.concatenate([np.linspace(1, 1.1, 150), np.linspace(1.2, 4, 50)])
     spec = atlas.Spec("two-mass", axes={"omega": omega, "b": np.linspace(0.1, 0.5, 150)})
-    handle = making.create(tmp_path / "a.zarr", spec, (50, 50))
+    handle = create.create_store(tmp_path / "a.zarr", spec, (50, 50))
     fill(handle)
     keep(handle, side=256, least=128)
     with counted() as reads:
@@ -174,7 +174,7 @@ def test_shares_in_a_window_are_those_of_its_cells_from_few_chunks(
 
 
 def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: list[str]) -> None:
-    handle = making.create(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
+    handle = create.create_store(tmp_path / "a.zarr", spec_of(nx=300, ny=280), (20, 20))
     for index in ((0, 0), (13, 14)):
         write_tile(handle, index, results(handle, index))
     keep(handle, side=256, least=128)
@@ -186,7 +186,7 @@ def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: li
 
 
 def test_what_a_worker_has_begun_to_write_is_not_seen(tmp_path: Path) -> None:
-    handle = making.create(tmp_path / "a.zarr", spec_of(), (19, 23))
+    handle = create.create_store(tmp_path / "a.zarr", spec_of(), (19, 23))
     fill(handle, skip=((0, 0),))
     assert np.isfinite(atlas.open(handle.path).largest.values[:19, :23]).any()
     seen = view(atlas.open(handle.path), ["largest", "periods_used"])
@@ -219,7 +219,7 @@ def test_a_changed_atlas_is_drawn_as_it_is_and_not_as_the_store(ds: xr.Dataset, 
 
 
 def test_a_variable_of_another_atlas_is_drawn_as_what_it_is(ds: xr.Dataset, tmp_path: Path) -> None:
-    handle = making.create(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
+    handle = create.create_store(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
     fill(handle, seed=1)
     mixed = ds.assign(largest=atlas.open(handle.path).largest)
     seen = view(mixed, ["largest"], pixels=(10, 10))
@@ -232,7 +232,7 @@ def test_an_assignment_in_place_is_seen(ds: xr.Dataset) -> None:
 
 
 def test_that_a_variable_is_as_stored_is_found_without_a_read(
-    ds: xr.Dataset, handle: store.Atlas, keys: list[str]
+    ds: xr.Dataset, handle: store.AtlasStore, keys: list[str]
 ) -> None:
     part = ds.isel(omega=slice(3, 40))
     keys.clear()
@@ -296,7 +296,7 @@ def test_an_atlas_without_exponents_is_drawn_by_its_periods(tmp_path: Path) -> N
         axes={"omega": [2.0, 3.0], "b": [0.1, 0.2]},
         solve={"exponents": "none", "max_periods": 50, "transient_periods": 10},
     )
-    handle = making.create(tmp_path / "a.zarr", spec, (2, 2))
+    handle = create.create_store(tmp_path / "a.zarr", spec, (2, 2))
     fill(handle)
     figure = render.figure(atlas.open(handle.path))
     assert any(text.get_text().startswith("period") for legend in figure.legends for text in legend.get_texts())

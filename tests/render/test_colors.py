@@ -8,8 +8,8 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import classes, orbit, scales, style, sweep
-from atlas.render.kinds import STABLE, TABLE
+from atlas.render import class_maps, portrait_figure, scalar_maps, style, sweep
+from atlas.render.kinds import KIND_TABLE, STABLE
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -26,11 +26,11 @@ _REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "perio
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking")}
-_PERIODS = {f"period {first}": color for first, _, color in classes.PERIODS}
-_CHAOS = {f"chaos {i}": tuple(scales.CHAOS(i / 4)[:3]) for i in range(5)}
+_PERIODS = {f"period {first}": color for first, _, color in class_maps.PERIODS}
+_CHAOS = {f"chaos {i}": tuple(scalar_maps.CHAOS(i / 4)[:3]) for i in range(5)}
 
-_SYMMETRIES = (classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.ALONE)
-_UNLISTED = {f"unlisted {i}": color for i, color in enumerate(classes.UNLISTED)}
+_SYMMETRIES = (class_maps.SYMMETRIC, class_maps.UPPER, class_maps.LOWER, class_maps.UNTOLD, class_maps.ALONE)
+_UNLISTED = {f"unlisted {i}": color for i, color in enumerate(class_maps.UNLISTED)}
 
 OF_A_COLOR = {
     "contact_lost", "lift_off", "stick_end", "grazing_sliding", "adding_sliding", "vertex", "exchange", "hopf",
@@ -38,16 +38,16 @@ OF_A_COLOR = {
 }  # fmt: skip
 """Kinds of events with the colour of another: losses of some kind, and those of what sticks or slides."""
 PALETTES = {
-    "period": _REGIMES | {f"period {first}": color for first, _, color in classes.PERIODS},
+    "period": _REGIMES | {f"period {first}": color for first, _, color in class_maps.PERIODS},
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
-    "impacts": _REGIMES | {color: color for pair in classes.HUES.values() for color in pair} | _UNLISTED,
+    "impacts": _REGIMES | {color: color for pair in class_maps.HUES.values() for color in pair} | _UNLISTED,
     "symmetry": _REGIMES | {color: color for color in _SYMMETRIES},
     "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING)
     },
-    "events": {kind: look.color for kind, look in style.LOOKS.items() if kind not in OF_A_COLOR},
+    "events": {kind: look.color for kind, look in style.EVENT_STYLES.items() if kind not in OF_A_COLOR},
     "hysteresis": dict(zip("ab", sweep.COLORS, strict=True)),
 }
 
@@ -74,7 +74,10 @@ def test_any_two_classes_of_a_picture_differ_in_colour(palette: str, sight: str)
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(sight: str) -> None:
-    (upper, lower), others = (look[1] for look in orbit.IMPACTS.values()), [orbit.LINE, orbit.STOP]
+    (upper, lower), others = (
+        (look[1] for look in portrait_figure.IMPACTS.values()),
+        [portrait_figure.LINE, portrait_figure.STOP],
+    )
     others += [sweep.color_of(i) for i in range(4)] + list(style.INK.values())
     seen = {color: lab(color, EVERY_SIGHT[sight]) for color in (upper, lower, *others)}
     for own, rest in ((upper, others), (lower, [*others, upper])):
@@ -83,11 +86,11 @@ def test_impacts_of_a_portrait_are_told_from_each_other_and_from_all_else_in_it(
 
 
 def test_impacts_of_a_portrait_differ_in_their_marker_too() -> None:
-    assert len({marker for marker, _, _ in orbit.IMPACTS.values()}) == len(orbit.IMPACTS)
+    assert len({marker for marker, _, _ in portrait_figure.IMPACTS.values()}) == len(portrait_figure.IMPACTS)
 
 
 def test_events_of_one_colour_differ_in_line_and_marker() -> None:
-    looks = style.LOOKS.values()
+    looks = style.EVENT_STYLES.values()
     for one, other in itertools.combinations(looks, 2):
         assert one.marker != other.marker
         assert one.dashes != other.dashes
@@ -132,13 +135,16 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs(
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> None:
     """So every exponent has a grey of its own, none below zero that of one above; none is white, as if without data."""
-    lightness = [lab(scales.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
+    lightness = [lab(scalar_maps.EXPONENT(v)[:3], EVERY_SIGHT[sight])[0] for v in np.linspace(0.0, 1.0, 65)]
     assert np.all(np.diff(lightness) < -0.4)
     assert 90.0 < lightness[0] < 95.0 and lightness[-1] < 12.0
 
 
-SCALES = {name: scales.colormap_of(kind.scale.colors) for name, kind in TABLE.items() if kind.scale.colors}
-SCALES |= {"exponent": scales.EXPONENT, **{f"error, {name}": scale for name, (scale, _) in scales.ERRORS.items()}}
+SCALES = {name: scalar_maps.colormap_of(kind.scale.colors) for name, kind in KIND_TABLE.items() if kind.scale.colors}
+SCALES |= {
+    "exponent": scalar_maps.EXPONENT,
+    **{f"error, {name}": scale for name, (scale, _) in scalar_maps.ERRORS.items()},
+}
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
@@ -151,14 +157,14 @@ def test_the_lightness_of_a_scale_rises_or_falls_all_the_way(scale: str, sight: 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_a_cell_is_the_darker_the_more_attractors_it_has(sight: str) -> None:
     """So the counts can be read in greyscale too."""
-    seen = [lab(classes.COUNTS[count], EVERY_SIGHT[sight]) for count in sorted(classes.COUNTS)]
+    seen = [lab(class_maps.COUNTS[count], EVERY_SIGHT[sight]) for count in sorted(class_maps.COUNTS)]
     assert np.all(np.diff([L for L, _, _ in seen]) < -8.0)
     assert min(ciede2000(*pair) for pair in itertools.pairwise(seen)) > 10.0
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
-    below, above = (lab(scales.EXPONENT(share)[:3], EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))
+    below, above = (lab(scalar_maps.EXPONENT(share)[:3], EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))
     assert ciede2000(below, above) > 40.0
 
 
@@ -166,19 +172,19 @@ def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) ->
 def test_a_labelled_branch_is_seen_on_white_and_differs_from_its_mirror_image(sight: str) -> None:
     table = {"regime": [PERIODIC, PERIODIC] * 8 + [NO_IMPACT], "mirror": [i ^ 1 for i in range(16)] + [16]}
     known = xr.Dataset({name: ("branch", values) for name, values in table.items()})
-    seen = [lab(color, EVERY_SIGHT[sight]) for color in classes.branch_colors(known, ink=True)]
+    seen = [lab(color, EVERY_SIGHT[sight]) for color in class_maps.branch_colors(known, ink=True)]
     assert max(L for L, _, _ in seen) < 80.0
     assert min(ciede2000(*seen[i : i + 2]) for i in range(0, 16, 2)) > 12.0
 
 
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
-@pytest.mark.parametrize("kind", style.LOOKS)
+@pytest.mark.parametrize("kind", style.EVENT_STYLES)
 def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(kind: str, sight: str) -> None:
     """Of every ground: by its own colour where the ground is pale, elsewhere by the white beside it, which
     test_maps finds under every curve.
     """
-    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (style.LOOKS[kind].color, "white"))
-    chaos = {f"chaos {v}": tuple(scales.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
+    line, casing = (lab(color, EVERY_SIGHT[sight]) for color in (style.EVENT_STYLES[kind].color, "white"))
+    chaos = {f"chaos {v}": tuple(scalar_maps.EXPONENT(v)[:3]) for v in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0)}
     for name, color in (_REGIMES | _PERIODS | chaos).items():
         ground = lab(color, EVERY_SIGHT[sight])
         assert max(ciede2000(line, ground), min(ciede2000(line, casing), ciede2000(casing, ground))) > 20.0, name
@@ -187,14 +193,14 @@ def test_a_curve_is_told_from_its_ground_by_its_colour_or_by_its_white_casing(ki
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_any_two_classes_of_periods_are_told_apart(sight: str) -> None:
     """Above 10 two colours are seen as different at a glance; with all receptors twice as much is asked for."""
-    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in classes.PERIODS]
+    seen = [lab(color, EVERY_SIGHT[sight]) for _, _, color in class_maps.PERIODS]
     closest = min(ciede2000(one, other) for one, other in itertools.combinations(seen, 2))
     assert closest > (20.0 if sight == "normal" else 12.0)
 
 
 def test_one_period_at_most_is_blue_or_nearly_black_to_the_eye() -> None:
     """Of the first eight periods: hues of blue lie between 240 and 300 degrees in L*a*b*, and black has L* near 0."""
-    colors = [lab(color, SIGHT["normal"]) for first, _, color in classes.PERIODS if first <= 7]
+    colors = [lab(color, SIGHT["normal"]) for first, _, color in class_maps.PERIODS if first <= 7]
     hues = [np.degrees(np.arctan2(b, a)) % 360 for L, a, b in colors if np.hypot(a, b) > 12]
     assert sum(240 < hue < 300 for hue in hues) == 1
     assert min(L for L, _, _ in colors) > 20

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import atlas
-from atlas.cell.orbit import cell_orbit, describe
-from atlas.cell.shown import periods
+from atlas.cell.portrait_data import periods
+from atlas.cell.trajectory import cell_orbit, describe
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
 from atlas.render.drawing import figure
-from atlas.spec.system import checked_system, must_offer
+from atlas.spec.system import must_offer, parse_system
 from workers import trace
 
 FAST = atlas.Settings(survival=0, max_periods=2000)
@@ -86,7 +86,7 @@ def test_every_picture_without_a_force_has_the_units_and_the_words_of_its_machin
 def test_what_is_not_there_without_a_force_is_refused_in_a_line() -> None:
     line = "system 'belt': saddles are not there for a machine without a force"
     with pytest.raises(InputError, match=line):
-        must_offer(checked_system("belt"), "saddles")
+        must_offer(parse_system("belt"), "saddles")
     for what in (atlas.stability, atlas.saddles):
         with pytest.raises(InputError, match=r"system 'belt': .* are not there for a machine without a force"):
             what({"u": 0.3}, system="belt", starts=4)

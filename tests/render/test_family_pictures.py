@@ -10,11 +10,11 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 
 from atlas import render
-from atlas.cell import orbit as cell
-from atlas.cell.orbit import CellOrbit, cell_orbit, describe
+from atlas.cell import trajectory as cell
+from atlas.cell.trajectory import CellTrajectory, cell_orbit, describe
 from atlas.errors import InputError
 from atlas.query import grazing, hysteresis, machine
-from atlas.render import classes, words
+from atlas.render import class_maps, text
 from atlas.spec.system import stored_system
 from tests.pictures import labels
 from tests.render.test_maps import drawn
@@ -228,7 +228,7 @@ def test_a_symmetry_map_without_mirror_images_is_refused_with_the_reason(
 
 def test_a_symmetry_map_tells_twins_only_where_the_machine_is_symmetric() -> None:
     figure = render.figure(periodic_plane(SINGLE, {"s": [0.5, 1.0], "omega": [0.5, 0.7]}), "symmetry")
-    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in (classes.ALONE, classes.UPPER)]
+    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in (class_maps.ALONE, class_maps.UPPER)]
     assert [tuple(color[:3]) for color in drawn(figure)[0]] == colors
 
 
@@ -280,7 +280,7 @@ def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> N
     ds = swept_section(geared).drop_vars("ratio")
     ds = ds.rename(omega="ratio").assign_coords(ratio=[1.0, 2.0, 3.0, 4.0], omega=0.5)
     assert machine.gap_values(ds, "ratio", ds["section"]).tolist() == [[9.0] * 3, [8.0] * 3, [7.0] * 3, [6.0] * 3]
-    assert words.gap_label(stored_system(ds.attrs)) == "gap coordinate\n$y$ at $t = kT$"
+    assert text.gap_label(stored_system(ds.attrs)) == "gap coordinate\n$y$ at $t = kT$"
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> N
     [((-1.0, 1.0), "b - a"), ((1.0, 0.0), "a"), ((2.0, -0.5), r"2\,a - 0.5\,b"), ((-1.0, 0.0), "-a")],
 )
 def test_a_combination_is_spelled_as_it_would_be_by_hand(row: tuple[float, ...], text: str) -> None:
-    assert words.combination(row, ("a", "b")) == text
+    assert text.combination(row, ("a", "b")) == text
 
 
 # Portraits
@@ -303,7 +303,7 @@ CELLS = {
 
 
 @pytest.fixture(scope="module")
-def orbits() -> dict[str, CellOrbit]:
+def orbits() -> dict[str, CellTrajectory]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cell, "CONVERGENCE", (10,))
         return {name: cell_orbit(given, name) for name, given in CELLS.items()}
@@ -311,7 +311,7 @@ def orbits() -> dict[str, CellOrbit]:
 
 @pytest.mark.parametrize("name", CELLS)
 def test_the_path_of_any_system_stays_in_its_gap_and_rebounds_on_its_stops(
-    orbits: dict[str, CellOrbit], name: str
+    orbits: dict[str, CellTrajectory], name: str
 ) -> None:
     found = orbits[name]
     lower, upper = found.stops
@@ -334,7 +334,7 @@ def test_the_path_of_any_system_stays_in_its_gap_and_rebounds_on_its_stops(
     ],
 )
 def test_a_portrait_shows_what_the_stops_limit_with_its_stops(
-    orbits: dict[str, CellOrbit], name: str, rows: list[str], stops: list[set[float]]
+    orbits: dict[str, CellTrajectory], name: str, rows: list[str], stops: list[set[float]]
 ) -> None:
     axes = render.figure(orbits[name]).axes[: len(rows)]
     assert [ax.get_ylabel() for ax in axes] == rows
@@ -342,7 +342,7 @@ def test_a_portrait_shows_what_the_stops_limit_with_its_stops(
 
 
 @pytest.mark.parametrize("width", ["85mm", "178mm"])
-def test_sixteen_exponents_are_written_beside_each_other(orbits: dict[str, CellOrbit], width: str) -> None:
+def test_sixteen_exponents_are_written_beside_each_other(orbits: dict[str, CellTrajectory], width: str) -> None:
     figure = render.figure(orbits["chain-8"], width=width)
     figure.draw_without_rendering()
     boxes = [text.get_window_extent() for text in figure.axes[-1].texts]
@@ -350,6 +350,6 @@ def test_sixteen_exponents_are_written_beside_each_other(orbits: dict[str, CellO
     assert not [pair for pair in combinations(boxes, 2) if pair[0].overlaps(pair[1].padded(-1.5))]
 
 
-def test_impacts_of_a_single_stop_are_not_told_apart(orbits: dict[str, CellOrbit]) -> None:
+def test_impacts_of_a_single_stop_are_not_told_apart(orbits: dict[str, CellTrajectory]) -> None:
     assert describe(orbits["chain-8"]) == "periodic, period 1, 2 impacts"
     assert "impacts 2 above and 2 below" in describe(orbits["impact-damper"])

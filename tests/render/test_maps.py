@@ -15,16 +15,16 @@ from scipy import ndimage
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import grazing, room, tidy
-from atlas.query.plane import Plane, rising
+from atlas.query import grazing, label_placement, outlines
+from atlas.query.plane import Plane, sort_axes
 from atlas.query.queries import boundary
-from atlas.render import classes, kinds, overlays, painters, scales
-from atlas.render.coded import coded_map
-from atlas.render.layers import Entry, View, paint
-from atlas.render.lines import lines_over, names_on
-from atlas.render.page import STANDARD
-from atlas.render.wanted import Wanted
-from atlas.render.words import number
+from atlas.render import class_maps, kinds, overlays, painters, scalar_maps
+from atlas.render.coded_lines import lines_over, names_on
+from atlas.render.coded_maps import coded_map
+from atlas.render.layers import LegendEntry, MapView, paint
+from atlas.render.layout import STANDARD
+from atlas.render.request import PictureRequest
+from atlas.render.text import number
 from tests.pictures import NAN, atlas, branches, colour, curves, keeping, labelled, labels, layers, pixel, plane
 from workers import solve_tile
 from workers.model.system import find_system
@@ -150,13 +150,13 @@ def test_a_torus_is_textured_where_it_shows_its_class_and_not_where_it_shows_its
 
 
 def test_every_kind_has_one_function_that_draws_it() -> None:
-    assert sorted([*painters.PAINTERS, *painters.FIGURES]) == sorted(kinds.TABLE)
+    assert sorted([*painters.PAINTERS, *painters.FIGURES]) == sorted(kinds.KIND_TABLE)
 
 
 # Impact pairs
 
 
-def motions(*given: tuple[int, int, int]) -> tuple[np.ndarray, list[Entry]]:
+def motions(*given: tuple[int, int, int]) -> tuple[np.ndarray, list[LegendEntry]]:
     """The colours of a row of motions, and the legend's entries."""
     n, p, q = (np.array([column], np.int32) for column in zip(*given, strict=True))
     regime = np.full(n.shape, PERIODIC, np.int8)
@@ -193,7 +193,7 @@ def test_a_motion_has_its_colour_whatever_else_there_is_on_the_plane() -> None:
 def test_motions_that_share_a_colour_share_a_line_of_the_legend() -> None:
     many = [(n, 40, 40) for n in range(1, 60)]
     _, legend = motions(*many, (1, 1, 1))
-    assert len(legend) == 1 + len(classes.UNLISTED)
+    assert len(legend) == 1 + len(class_maps.UNLISTED)
     assert legend[0].label == "1-1-1"
     assert legend[1].label.count("-40-40") == 3 and legend[1].label.endswith(", …")
 
@@ -215,10 +215,10 @@ def test_a_motion_is_named_inside_its_region() -> None:
 def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow() -> None:
     rows, columns = np.mgrid[:200, :200]
     band = np.abs(rows - columns) < 12
-    row, column, angle = room.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
+    row, column, angle = label_placement.label_spot(band, (1.0, 1.0), (20.0, 5.0)) or (0, 0, 0.0)
     assert angle == pytest.approx(45.0, abs=3.0)
     assert abs(row - column) < 6
-    assert room.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
+    assert label_placement.label_spot(np.abs(rows - columns) < 4, (1.0, 1.0), (20.0, 5.0)) is None
 
 
 # Combined
@@ -226,18 +226,18 @@ def test_a_name_follows_a_slanted_band_and_stays_out_of_one_that_is_too_narrow()
 
 def test_the_combined_map_gives_periods_their_class_and_chaos_its_exponent() -> None:
     cells, ds = drawn(render.figure(plane(), "combined")), plane()
-    assert tuple(cells[1, 0][:3]) == rgb(classes.PERIODS[0][2])
-    assert tuple(cells[1, 4][:3]) == rgb(classes.PERIODS[1][2])
+    assert tuple(cells[1, 0][:3]) == rgb(class_maps.PERIODS[0][2])
+    assert tuple(cells[1, 4][:3]) == rgb(class_maps.PERIODS[1][2])
     chaotic = cells[ds["regime"].values == CHAOTIC][:, :3].astype(int)
     assert len({tuple(cell) for cell in chaotic}) > 2
     assert np.all(chaotic[:, 0] > chaotic[:, 2])
 
 
 def test_the_combined_map_keeps_periods_cool_and_chaos_warm() -> None:
-    for _, _, color in classes.PERIODS:
+    for _, _, color in class_maps.PERIODS:
         red, _, blue = rgb(color)
         assert blue >= red
-    assert np.all([red > blue for red, _, blue, _ in scales.CHAOS(np.linspace(0, 1, 9))])
+    assert np.all([red > blue for red, _, blue, _ in scalar_maps.CHAOS(np.linspace(0, 1, 9))])
 
 
 def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() -> None:
@@ -257,7 +257,7 @@ def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
     symmetric = np.array([[True, False, False, False, False]])
     regime = np.full((1, 5), PERIODIC, np.int8)
     found = layers("symmetry", regime=regime, symmetric=symmetric, impacts_upper=upper, impacts_lower=lower)
-    expected = [classes.SYMMETRIC, classes.UPPER, classes.LOWER, classes.UNTOLD, classes.UNTOLD]
+    expected = [class_maps.SYMMETRIC, class_maps.UPPER, class_maps.LOWER, class_maps.UNTOLD, class_maps.UNTOLD]
     assert [tuple(cell[:3]) for cell in paint(found)[0]] == [rgb(color) for color in expected]
     assert len(found.legend) == 4
 
@@ -331,7 +331,7 @@ def test_numbers_are_shown_to_six_digits_or_as_simple_multiples_of_pi(value: flo
 
 
 def test_a_log_scale_spans_a_decade_at_least() -> None:
-    norm = scales.color_norm(np.array([50.0, 60.0]), log=True)
+    norm = scalar_maps.color_norm(np.array([50.0, 60.0]), log=True)
     assert (norm.vmax or 0) / (norm.vmin or 1) >= 10
 
 
@@ -363,7 +363,7 @@ def test_the_grazing_line_is_that_of_the_solver() -> None:
 
 
 def test_the_grazing_grid_is_the_same_with_and_without_the_short_cut() -> None:
-    _, (x, y) = rising(plane())
+    _, (x, y) = sort_axes(plane())
     fixed = {p.name: p.default for p in TWO_MASS.parameters}
     xs, ys, quick = grazing.grazing_grid(TWO_MASS, fixed, x, y, points=12)
     assert quick == pytest.approx(grazing.grazing_ratio(TWO_MASS, fixed, ("omega", xs), ("b", ys)), abs=1e-12)
@@ -389,10 +389,10 @@ def test_isolated_cells_are_outlined_and_clouds_of_them_are_not() -> None:
     regime = np.full((300, 300), PERIODIC, np.int8)
     regime[:, 150:] = CHAOTIC
     regime[10, 10] = CHAOTIC
-    alone, left_out = tidy.outlined(regime, (400.0, 270.0))
+    alone, left_out = outlines.simplify_regimes(regime, (400.0, 270.0))
     assert not left_out and alone[10, 10] == CHAOTIC
     regime[100:200:2, 20:120:2] = CHAOTIC
-    among, left_out = tidy.outlined(regime, (400.0, 270.0))
+    among, left_out = outlines.simplify_regimes(regime, (400.0, 270.0))
     assert left_out and among[10, 10] == CHAOTIC
     assert (among[110:190, 30:110] == PERIODIC).all()
 
@@ -432,7 +432,7 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
         {"omega": np.linspace(0.5, 4.5, n), "mu_k": np.linspace(1.0, 5.0, n)},
         regime=np.full((n, n), PERIODIC, np.int8), largest=-np.ones((n, n)),
     ).assign_coords(zeta=0.002, b=1.5)  # fmt: skip
-    _, (x, y) = rising(ds)
+    _, (x, y) = sort_axes(ds)
     fixed = {p.name: float(ds[p.name]) for p in TWO_MASS.parameters if ds[p.name].ndim == 0}
     xs, _, ratio = grazing.grazing_grid(TWO_MASS, fixed, x, y)
     ridge = ratio[:, (xs > 1.2) & (xs < 2.2)].max(axis=1)
@@ -469,7 +469,7 @@ def test_a_number_on_an_isoline_of_a_page_stands_on_that_line(axis: np.ndarray) 
     n = axis.size
     values = -np.add.outer(axis, axis) / 6.0
     ds = atlas({"omega": axis, "b": axis}, regime=np.full((n, n), PERIODIC, np.int8), largest=values)
-    view = View(kinds.TABLE["period"], ds, Plane.of(ds, ["largest"]), Wanted(STANDARD))
+    view = MapView(kinds.KIND_TABLE["period"], ds, Plane.of(ds, ["largest"]), PictureRequest(STANDARD))
     names = lines_over(view, "isolines", (1000.0, 800.0)).described["names"]
     assert len(names) >= 3
     for name in names:
@@ -602,14 +602,14 @@ def test_filled_cells_are_those_of_a_closing_by_a_square(times: int, share: floa
     cells = np.random.default_rng(0).random((40, 53)) < share
     square = np.ones((2 * times + 1, 2 * times + 1))
     closed = ndimage.binary_closing(np.pad(cells, times, "edge"), square)[times:-times, times:-times]
-    np.testing.assert_array_equal(tidy.filled(cells, times), closed)
+    np.testing.assert_array_equal(outlines.fill_holes(cells, times), closed)
 
 
 def test_filling_wide_holes_takes_memory_for_the_cells_alone() -> None:
     """A closing by a square of 301 x 301 would take tens of gigabytes."""
     cells = np.zeros((400, 400), dtype=bool)
     cells[:, :100] = cells[:, 300:] = True
-    assert tidy.filled(cells, 150).all()
+    assert outlines.fill_holes(cells, 150).all()
 
 
 def test_a_sweep_of_labelled_attractors_has_an_entry_for_each_branch() -> None:

@@ -11,12 +11,12 @@ from click.testing import CliRunner
 from distributed import Client
 
 import atlas
-from atlas.cell.orbit import cell_orbit
+from atlas.cell.trajectory import cell_orbit
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.orbits.branches.table import aligned
-from atlas.render import orbit as portrait
-from atlas.render.observed import PlottedPoints, held_by
+from atlas.orbits.branches.table import align_rows
+from atlas.render import portrait_figure as portrait
+from atlas.render.plotted_values import PlottedValues, atlas_observables
 from workers import Settings
 from workers.model.observables import Observable
 
@@ -40,12 +40,12 @@ def test_a_store_keeps_so_many_values_of_each_cell_and_counts_them_all(store: Pa
     assert ds["impact_phase_stop"].attrs["units"] == "rad"
     assert int(ds["impact_phase_stop_number"][0]) > 3
     assert ds["impact_phase_stop_number"].values[1:].tolist() == [2, 2]
-    assert [observable.name for observable in held_by(ds)] == ["impact_phase:stop", "energy_loss"]
+    assert [observable.name for observable in atlas_observables(ds)] == ["impact_phase:stop", "energy_loss"]
 
 
 def test_a_sweep_shows_the_first_observable_where_it_holds_no_sections_and_another_one_if_asked(store: Path) -> None:
     ds = atlas.open(store)
-    assert PlottedPoints.of(None, ds) == PlottedPoints(Observable("impact_phase", "stop", 0))
+    assert PlottedValues.of(None, ds) == PlottedValues(Observable("impact_phase", "stop", 0))
     drawn = ds.atlas.plot(observe="energy_loss")
     assert drawn.axes[0].get_ylabel() == "energy lost in a forcing period"
     assert ds.atlas.plot().axes[0].get_ylabel() == "phase of the force\nat impacts on stop [rad]"
@@ -70,7 +70,7 @@ def test_the_command_refuses_an_unknown_observable_in_one_line() -> None:
 
 def test_a_spec_without_observables_keeps_its_digest_and_one_with_them_comes_back_from_its_store(store: Path) -> None:
     plain = atlas.Spec("two-mass", SWEEP, {"b": 0.15}, {key: value for key, value in SOLVE.items() if "obs" not in key})
-    assert plain.digest == plain.observing("").digest
+    assert plain.digest == plain.with_observables("").digest
     spec = atlas.Spec.from_dataset(atlas.open(store))
     assert spec.settings.observe == "impact_phase:stop,energy_loss"
     assert spec.digest != plain.digest
@@ -78,7 +78,7 @@ def test_a_spec_without_observables_keeps_its_digest_and_one_with_them_comes_bac
 
 def test_values_of_neighbouring_orbits_keep_their_places_where_one_passes_the_section() -> None:
     before, after = [0.1, 2.0, 5.0], [2.1, 5.1, 0.05 + 2.0 * math.pi - 0.1]
-    found = aligned(np.array([before, after, [1.0, np.nan, np.nan]]), 2.0 * math.pi)
+    found = align_rows(np.array([before, after, [1.0, np.nan, np.nan]]), 2.0 * math.pi)
     assert found[1].tolist() == [after[2], after[0], after[1]]
     assert found[2][0] == 1.0
 
@@ -89,7 +89,7 @@ def test_phases_along_a_branch_are_those_of_the_cells_beside_it(store: Path) -> 
     asked = {"along": "omega", "window": (3.4, 4.1), "observe": "impact_phase:stop"}
     table = atlas.branch({"omega": 3.9, "b": 0.15}, **asked)
     known = np.sort(ds["impact_phase_stop"].sel(omega=4.0).values[:2])
-    for values in table.shown_values(table.traced[0]):
+    for values in table.plotted_values(table.traced[0]):
         rows = np.sort(values[:, :2], axis=1)
         along = np.argsort(table.traced[0].values)
         for k in range(2):

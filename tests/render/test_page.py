@@ -23,10 +23,10 @@ from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.compare import Comparison
-from atlas.render import painters, words
-from atlas.render.kinds import TABLE
-from atlas.render.page import page as page_of
-from atlas.render.wanted import Wanted
+from atlas.render import painters, text
+from atlas.render.kinds import KIND_TABLE
+from atlas.render.layout import page as page_of
+from atlas.render.request import PictureRequest
 from tests.pictures import basin, branches, curves, keeping, labelled, line, orbit, plane
 from tests.synthetic import complete
 
@@ -59,8 +59,8 @@ def draw(kind: str, **look: Any) -> Figure:
         where = "query.basins.table" if kind == render.BASINS else "render.classes.branches"
         ds, table = basin() if kind == render.BASINS else labelled()
         with patch(f"atlas.{where}", return_value=table):
-            figure = painters.draw(TABLE[kind], ds, Wanted(page))
-        page.fit(figure)
+            figure = painters.draw(KIND_TABLE[kind], ds, PictureRequest(page))
+        page.wrap_texts(figure)
         return figure
     if kind in render.MAPS:
         return render.figure(plane(), kind, overlay=render.MAP_OVERLAYS, **look)
@@ -254,9 +254,9 @@ def test_the_title_of_a_machine_whose_constants_are_numbers_is_its_own() -> None
     ds = xr.Dataset(
         coords={"omega": [1.0, 2.0], "tau": 0.0, "x": 0.0, "v": 0.0}, attrs={"spec": json.dumps(spec.outline())}
     )
-    assert words.title_line(ds) == r"a mass for \$3"
-    assert words.title_line(ds.assign_coords(tau=0.5)) == r"a mass for \$3,  $\tau = 0.5$"
-    assert words.title_line(ds.assign_coords(x=0.5)).startswith("$")
+    assert text.title_line(ds) == r"a mass for \$3"
+    assert text.title_line(ds.assign_coords(tau=0.5)) == r"a mass for \$3,  $\tau = 0.5$"
+    assert text.title_line(ds.assign_coords(x=0.5)).startswith("$")
 
 
 def test_a_picture_that_cannot_be_saved_leaves_the_one_before(tmp_path: Path) -> None:

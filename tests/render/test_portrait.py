@@ -11,8 +11,8 @@ from PIL import Image
 
 import atlas
 from atlas import render
-from atlas.cell.orbit import SAMPLES, CellOrbit, cell_orbit, describe, modulation
-from atlas.cell.shown import impact_times, path
+from atlas.cell.portrait_data import impact_times, path
+from atlas.cell.trajectory import SAMPLES, CellTrajectory, cell_orbit, describe, modulation
 from atlas.errors import InputError
 from tests import naive
 from tests.pictures import orbit
@@ -24,21 +24,21 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def chaotic() -> CellOrbit:
+def chaotic() -> CellTrajectory:
     return cell_orbit(naive.FIGURES[5], settings=Settings(tolerance=0.1))
 
 
 @pytest.fixture(scope="module")
-def sticking() -> CellOrbit:
+def sticking() -> CellTrajectory:
     return cell_orbit(naive.STICKING)
 
 
 @pytest.fixture(scope="module")
-def closed() -> CellOrbit:
+def closed() -> CellTrajectory:
     return cell_orbit(naive.FIGURES[4])
 
 
-def at_sections(found: CellOrbit) -> np.ndarray:
+def at_sections(found: CellTrajectory) -> np.ndarray:
     """The states of a path at t = 0, T, 2T."""
     whole = [i for i in range(round(found.times[-1] / found.period) + 1)]
     return found.states[[np.argmin(np.abs(found.times - i * found.period)) for i in whole]]
@@ -47,20 +47,20 @@ def at_sections(found: CellOrbit) -> np.ndarray:
 @pytest.mark.parametrize("which", ["chaotic", "closed", "sticking"])
 def test_the_path_goes_through_the_sections_of_the_solver(which: str, request: pytest.FixtureRequest) -> None:
     """Truth: trace, which takes whole periods where the path takes 400 pieces; chaos parts them after some periods."""
-    found: CellOrbit = request.getfixturevalue(which)
+    found: CellTrajectory = request.getfixturevalue(which)
     start = dict(zip(("x1", "x2", "v1", "v2"), map(float, found.cell["state"]), strict=True))
     periods = min(3, round(found.times[-1] / found.period))
     history = trace("two-mass", dict(found.parameters) | start, periods)
     assert at_sections(found)[: periods + 1] == pytest.approx(history.states, abs=1e-8)
 
 
-def test_the_path_has_the_impacts_of_the_solver(chaotic: CellOrbit) -> None:
+def test_the_path_has_the_impacts_of_the_solver(chaotic: CellTrajectory) -> None:
     start = dict(zip(("x1", "x2", "v1", "v2"), map(float, chaotic.cell["state"]), strict=True))
     expected = trace("two-mass", dict(chaotic.parameters) | start, 3).impacts
     assert chaotic.impacts[: len(expected)] == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_velocity_jumps_on_the_stop_and_nowhere_else(chaotic: CellOrbit) -> None:
+def test_a_velocity_jumps_on_the_stop_and_nowhere_else(chaotic: CellTrajectory) -> None:
     b, R = chaotic.parameters["b"], chaotic.parameters["R"]
     jumps = np.flatnonzero(np.diff(chaotic.times) == 0.0)
     assert len(jumps) == len(chaotic.impacts) > 50
@@ -72,21 +72,21 @@ def test_a_velocity_jumps_on_the_stop_and_nowhere_else(chaotic: CellOrbit) -> No
 
 @pytest.mark.parametrize("which", ["chaotic", "closed", "sticking"])
 def test_the_path_never_leaves_the_gap(which: str, request: pytest.FixtureRequest) -> None:
-    found: CellOrbit = request.getfixturevalue(which)
+    found: CellTrajectory = request.getfixturevalue(which)
     assert np.abs(found.states[:, 0]).max() <= found.parameters["b"] * (1 + 1e-12)
 
 
-def test_a_mass_at_rest_stays_on_its_stop(sticking: CellOrbit) -> None:
+def test_a_mass_at_rest_stays_on_its_stop(sticking: CellTrajectory) -> None:
     resting = (np.abs(sticking.states[:, 0]) == sticking.parameters["b"]) & (sticking.states[:, 2] == 0.0)
     assert np.count_nonzero(resting) / SAMPLES == pytest.approx(float(sticking.cell["stuck_fraction"]), abs=0.02)
 
 
-def test_a_closed_path_ends_where_it_began(closed: CellOrbit) -> None:
+def test_a_closed_path_ends_where_it_began(closed: CellTrajectory) -> None:
     assert closed.states[-1] == pytest.approx(closed.states[0], abs=1e-9)
     assert len(closed.section) == 1
 
 
-def test_a_path_that_is_shorter_than_the_periods_shown_begins_again(closed: CellOrbit) -> None:
+def test_a_path_that_is_shorter_than_the_periods_shown_begins_again(closed: CellTrajectory) -> None:
     own = round(closed.times[-1] / closed.period)
     times, states = path(closed, 2 * own + 1)
     assert times[-1] == pytest.approx(3 * own * closed.period)
@@ -94,7 +94,7 @@ def test_a_path_that_is_shorter_than_the_periods_shown_begins_again(closed: Cell
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_impacts_beyond_the_path_are_those_of_its_turns(closed: CellOrbit, side: float) -> None:
+def test_impacts_beyond_the_path_are_those_of_its_turns(closed: CellTrajectory, side: float) -> None:
     own = round(closed.times[-1] / closed.period)
     once = impact_times(closed, side, own)
     assert len(once)
@@ -102,8 +102,8 @@ def test_impacts_beyond_the_path_are_those_of_its_turns(closed: CellOrbit, side:
     assert impact_times(closed, side, 3 * own) == pytest.approx(thrice)
 
 
-def test_the_running_exponents_approach_the_exact_ones(closed: CellOrbit) -> None:
-    assert closed.exact
+def test_the_running_exponents_approach_the_exact_ones(closed: CellTrajectory) -> None:
+    assert closed.has_exact_exponents
     assert np.sort(closed.running[-1])[::-1] == pytest.approx(closed.cell["spectrum"], abs=2e-3)
 
 
@@ -114,17 +114,17 @@ def test_a_motion_of_very_many_impacts_is_averaged_over_fewer_periods() -> None:
     assert len(found.impacts) > 500
 
 
-def test_averages_are_not_called_exact(chaotic: CellOrbit) -> None:
-    assert not chaotic.exact
+def test_averages_are_not_called_exact(chaotic: CellTrajectory) -> None:
+    assert not chaotic.has_exact_exponents
 
 
-def test_the_exponents_of_a_periodic_motion_are_exact_by_either_method(closed: CellOrbit) -> None:
+def test_the_exponents_of_a_periodic_motion_are_exact_by_either_method(closed: CellTrajectory) -> None:
     schedule = cell_orbit(naive.FIGURES[4], settings=Settings(method="fixed", transient_periods=50, periods=50))
-    assert schedule.exact
+    assert schedule.has_exact_exponents
     assert schedule.cell["spectrum"] == pytest.approx(closed.cell["spectrum"], abs=1e-12)
 
 
-def test_the_digest_is_that_of_the_parameters_and_settings(closed: CellOrbit) -> None:
+def test_the_digest_is_that_of_the_parameters_and_settings(closed: CellTrajectory) -> None:
     assert closed.digest == cell_orbit(dict(naive.FIGURES[4])).digest
     assert closed.digest != cell_orbit(naive.FIGURES[4] | {"x1": 0.01}).digest
 
@@ -142,7 +142,9 @@ def test_a_cell_without_a_motion_is_refused_in_one_line(given: dict[str, float],
         cell_orbit(given)
 
 
-def test_a_motion_is_described_in_words(closed: CellOrbit, chaotic: CellOrbit, sticking: CellOrbit) -> None:
+def test_a_motion_is_described_in_words(
+    closed: CellTrajectory, chaotic: CellTrajectory, sticking: CellTrajectory
+) -> None:
     assert describe(closed) == "periodic, period 1, impacts 2 above and 2 below, symmetric"
     assert describe(chaotic).startswith("chaotic, 2.6")
     assert "at rest on a stop" in describe(sticking)
@@ -267,7 +269,7 @@ def test_a_torus_is_shown_until_its_modulation_has_come_round() -> None:
     assert render.figure(torus).axes[0].get_xlim() == pytest.approx((0.0, 30.0), rel=1e-12)
 
 
-def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellOrbit, closed: CellOrbit) -> None:
+def test_a_chatter_is_enlarged_and_other_motions_are_not(sticking: CellTrajectory, closed: CellTrajectory) -> None:
     titles = [[ax.get_title(loc="left") for ax in render.figure(drawn).axes] for drawn in (sticking, closed)]
     assert "chatter, enlarged" in titles[0]
     assert "chatter, enlarged" not in titles[1]
@@ -288,9 +290,9 @@ def test_the_exponents_written_of_an_undetermined_cell_are_where_its_curves_end(
 
 
 @pytest.mark.parametrize("width", ["180mm", "85mm"])
-def test_without_the_plane_of_the_gap_a_portrait_has_all_other_panels(closed: CellOrbit, width: str) -> None:
-    from atlas.render import orbit as portrait
-    from atlas.render.page import page
+def test_without_the_plane_of_the_gap_a_portrait_has_all_other_panels(closed: CellTrajectory, width: str) -> None:
+    from atlas.render import portrait_figure as portrait
+    from atlas.render.layout import page
 
     def panels(**options: bool) -> list[tuple[str, str]]:
         drawn = portrait.figure(closed, page(width=width), **options)

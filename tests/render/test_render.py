@@ -12,10 +12,10 @@ from PIL import Image
 
 from atlas import render
 from atlas.errors import InputError
-from atlas.query import ends
-from atlas.query.plane import Meaning
+from atlas.query import color_limits
+from atlas.query.plane import CoordinateInfo
 from atlas.query.window import cell_edges
-from atlas.render import scales, style, words
+from atlas.render import scalar_maps, style, text
 from atlas.render.layers import paint
 from tests.pictures import NAN, atlas, colour, every_regime, labels, layers, pixel, section, sweep
 from workers.model.system import System
@@ -116,7 +116,7 @@ def test_a_path_that_cannot_be_written_is_said_to_be_one(tmp_path: Path) -> None
 
 
 def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() -> None:
-    low, high = ends.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
+    low, high = color_limits.scale_ends(np.array([-4.0, -2.0, 0.5, NAN]))
     assert (low, high) == pytest.approx((-4.0, 0.5), rel=0.03)
     bar = render.figure(every_regime()).axes[1]
     assert bar.transAxes.inverted().transform(bar.transData.transform((0, 0.0)))[1] == pytest.approx(0.5)
@@ -124,16 +124,16 @@ def test_zero_lies_in_the_middle_of_the_scale_and_each_half_has_its_own_end() ->
 
 def test_outliers_do_not_stretch_the_scale() -> None:
     values = np.concatenate([np.linspace(-1, 0, 1000), [-500.0, -np.inf], np.linspace(0, 2, 1000), [300.0]])
-    assert ends.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
+    assert color_limits.scale_ends(values) == pytest.approx((-1.0, 2.0), rel=0.05)
 
 
 @pytest.mark.parametrize("values", [[0.0], [NAN], [-np.inf]])
 def test_a_scale_exists_without_any_finite_sign(values: list[float]) -> None:
-    assert ends.scale_ends(np.array(values)) == (-1.0, 1.0)
+    assert color_limits.scale_ends(np.array(values)) == (-1.0, 1.0)
 
 
 def test_a_sign_that_does_not_occur_gets_the_other_ones_range() -> None:
-    assert ends.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
+    assert color_limits.scale_ends(np.array([-0.5, -0.5])) == (-0.5, 0.5)
 
 
 def test_stable_cells_are_blue_and_chaotic_ones_red_however_small_the_exponent() -> None:
@@ -188,7 +188,9 @@ def test_a_written_chaos_map_shows_known_cells_in_their_colours(tmp_path: Path) 
     figure = render.figure(ds)
     assert pixel(path, figure, 2.0, 0.2) == colour(UNDETERMINED)[:3]
     assert pixel(path, figure, 4.0, 0.2) == colour(FAILED)[:3]
-    expected = scales.EXPONENT(colors.TwoSlopeNorm(0.0, *ends.scale_ends(ds.largest.values))(1.0), bytes=True)
+    expected = scalar_maps.EXPONENT(
+        colors.TwoSlopeNorm(0.0, *color_limits.scale_ends(ds.largest.values))(1.0), bytes=True
+    )
     assert pixel(path, figure, 1.0, 0.2) == tuple(int(part) for part in expected[:3])
 
 
@@ -250,8 +252,8 @@ def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
     x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
     attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
     ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
-    assert words.axis_label("x", Meaning.of(ds, "x")) == "initial displacement $x(0)$"
-    assert words.axis_label("v", Meaning.of(ds, "v")) == r"initial velocity $\dot x(0)$"
+    assert text.axis_label("x", CoordinateInfo.of(ds, "x")) == "initial displacement $x(0)$"
+    assert text.axis_label("v", CoordinateInfo.of(ds, "v")) == r"initial velocity $\dot x(0)$"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:
@@ -260,7 +262,7 @@ def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -
 
 
 def test_the_title_names_an_initial_state_other_than_rest() -> None:
-    assert "$x_1(0) = 0.1$" in words.title_line(every_regime().assign_coords(x1=0.1))
+    assert "$x_1(0) = 0.1$" in text.title_line(every_regime().assign_coords(x1=0.1))
 
 
 @pytest.mark.parametrize(
@@ -275,7 +277,7 @@ def test_the_title_names_an_initial_state_other_than_rest() -> None:
     ],
 )
 def test_numbers_read_as_they_are_written_by_hand(value: float, text: str) -> None:
-    assert words.number(value) == text
+    assert text.number(value) == text
 
 
 def test_the_first_axis_is_drawn_to_the_right() -> None:
@@ -285,7 +287,7 @@ def test_the_first_axis_is_drawn_to_the_right() -> None:
 
 def uneven(axes: dict[str, Any], scales: dict[str, str] | None = None) -> xr.Dataset:
     shape = tuple(len(values) for values in reversed(axes.values()))
-    return atlas(axes, scales, regime=np.full(shape, 3, np.int8), largest=np.ones(shape))
+    return atlas(axes, scalar_maps, regime=np.full(shape, 3, np.int8), largest=np.ones(shape))
 
 
 def test_even_axes_are_drawn_as_an_image_from_edge_to_edge() -> None:

@@ -53,12 +53,12 @@ def test_threads_that_draw_at_once_make_the_pictures_of_one_alone_and_change_no_
 
 
 def test_what_another_thread_sets_of_other_settings_while_something_is_drawn_stays() -> None:
-    from atlas.render.style import drawing, house
+    from atlas.render.style import drawing_context, rc_params
 
-    assert "lines.markersize" not in house(1.0)
+    assert "lines.markersize" not in rc_params(1.0)
     before = mpl.rcParams["lines.markersize"], mpl.rcParams["font.size"]
     try:
-        with drawing(house(2.0)):
+        with drawing_context(rc_params(2.0)):
             mpl.rcParams["lines.markersize"] = 11.0
         assert (mpl.rcParams["lines.markersize"], mpl.rcParams["font.size"]) == (11.0, before[1])
     finally:

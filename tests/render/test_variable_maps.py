@@ -15,9 +15,9 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.overview.coarsen import coarsen, from_cells
 from atlas.query.extremes import extremes
-from atlas.render import scales
-from atlas.render.kinds import TABLE
-from atlas.store.making import create
+from atlas.render import scalar_maps
+from atlas.render.kinds import KIND_TABLE
+from atlas.store.create import create_store
 from atlas.store.tiles import write_tile
 from tests.pictures import colour, labels, line, pixel, plane
 from tests.planes import plane_of
@@ -93,7 +93,7 @@ def test_cells_without_such_a_number_are_neutral_and_those_without_a_result_as_e
     ds = speeds()
     figure = render.figure(ds, variable="max_impact_speed")
     cells, regime = drawn(figure), ds["regime"].values
-    assert tuple(cells[1, 0, :3]) == rgb(scales.NEUTRAL)
+    assert tuple(cells[1, 0, :3]) == rgb(scalar_maps.NEUTRAL)
     assert "no such number" in labels(figure)
     for code in (NO_IMPACT, UNDETERMINED, INVALID, FAILED):
         assert tuple(cells[regime == code][0]) == colour(code)
@@ -101,7 +101,7 @@ def test_cells_without_such_a_number_are_neutral_and_those_without_a_result_as_e
 
 def test_zero_is_neutral_on_a_logarithmic_scale_and_said_to_be() -> None:
     figure = render.figure(speeds(), variable="max_impact_speed", log=True)
-    assert tuple(drawn(figure)[1, 1, :3]) == rgb(scales.NEUTRAL)
+    assert tuple(drawn(figure)[1, 1, :3]) == rgb(scalar_maps.NEUTRAL)
     assert "0 or no such number" in labels(figure)
 
 
@@ -145,7 +145,7 @@ def test_a_sweep_has_no_map() -> None:
 
 
 def test_the_command_draws_a_variable_of_a_store_or_says_why_not_and_writes_nothing(tmp_path: Path) -> None:
-    handle, out = create(tmp_path / "plane.zarr", plane_of((5, 7)), (5, 7)), tmp_path / "speed.png"
+    handle, out = create_store(tmp_path / "plane.zarr", plane_of((5, 7)), (5, 7)), tmp_path / "speed.png"
     arrays = empty_results(handle.spec.variables, (5, 7), handle.spec.extra_sizes)
     arrays["regime"][:], arrays["min_impact_speed"][:] = PERIODIC, np.linspace(0.1, 1.0, 7)
     write_tile(handle, (0, 0), arrays)
@@ -159,14 +159,16 @@ def test_the_command_draws_a_variable_of_a_store_or_says_why_not_and_writes_noth
 
 
 def test_a_scale_of_both_signs_is_pale_at_zero_and_as_dark_on_either_side_of_it() -> None:
-    colormap = scales.signed_colormap(colors.Normalize(-1.0, 2.0))
+    colormap = scalar_maps.signed_colormap(colors.Normalize(-1.0, 2.0))
     lightness = colormap(np.array([1 / 6, 1 / 3, 1 / 2]))[:, :3] @ [0.2126, 0.7152, 0.0722]
     assert lightness[1] > 0.9
     assert lightness[0] == pytest.approx(lightness[2], abs=0.02)
     below, above = colormap(1 / 6), colormap(1 / 2)
     assert below[1] > below[0] and above[0] > above[1]  # green, purple
     for ends in ((0.0, 2.0), (-2.0, -1.0)):
-        assert scales.signed_colormap(colors.Normalize(*ends)) is scales.colormap_of(TABLE["scalar"].scale.colors)
+        assert scalar_maps.signed_colormap(colors.Normalize(*ends)) is scalar_maps.colormap_of(
+            KIND_TABLE["scalar"].scale.colors
+        )
 
 
 # Exponents of -inf
@@ -225,6 +227,6 @@ def test_contacts_without_end_and_those_of_no_orbit_are_no_numbers_of_a_map_nor_
     spec = {"spec": '{"system": "capsule", "axes": []}'}
     ds = xr.Dataset({name: (("R", "omega"), values) for name, values in cells.items()}, axes, spec)
     shown = drawn(render.figure(ds, variable="stop_upper"))[0]
-    neutral = [tuple(color[:3]) == rgb(scales.NEUTRAL) for color in shown]
+    neutral = [tuple(color[:3]) == rgb(scalar_maps.NEUTRAL) for color in shown]
     assert neutral == [True, False, False, True]
     assert [extreme["value"] for extreme in extremes(ds, "stop_upper", "all")] == [2, 3]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.robustness.shock import minimal_fatal_shock
+from atlas.robustness.fatal_shock import minimal_fatal_shock
 from workers import solve_tile
 from workers.results import REGIMES
 

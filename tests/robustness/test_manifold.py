@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from atlas.robustness import manifold
-from atlas.robustness.manifold import LENGTH, OUTSIDE, grow
+from atlas.robustness.manifold import LENGTH, OUTSIDE, grow_manifold
 
 BOX = np.array([-2.0, -4.0]), np.array([2.0, 4.0])
 
@@ -26,7 +26,7 @@ def bent(inner: float, outer: float):  # type: ignore[no-untyped-def]
 @pytest.mark.parametrize(("inner", "outer"), [(0.5, 2.0), (0.2, 30.0), (0.45, 1.05), (0.01, 5.0)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_bent_manifold_is_that_of_the_closed_form(inner: float, outer: float, sign: float) -> None:
-    branch = grow(bent(inner, outer), np.zeros(2), np.array([sign, 0.0]), BOX, 100.0, never)
+    branch = grow_manifold(bent(inner, outer), np.zeros(2), np.array([sign, 0.0]), BOX, 100.0, never)
     x, y = np.array(branch.points).T
     assert branch.end == OUTSIDE and not branch.breaks
     assert sign * x[-1] == pytest.approx(2.0, abs=0.1)
@@ -37,11 +37,11 @@ def test_a_bent_manifold_is_that_of_the_closed_form(inner: float, outer: float, 
 
 def test_finer_steps_give_a_more_exact_manifold(monkeypatch: pytest.MonkeyPatch) -> None:
     def error() -> float:
-        x, y = np.array(grow(bent(0.5, 2.0), np.zeros(2), np.array([1.0, 0.0]), BOX, 100.0, never).points).T
+        x, y = np.array(grow_manifold(bent(0.5, 2.0), np.zeros(2), np.array([1.0, 0.0]), BOX, 100.0, never).points).T
         return float(np.abs(y - x * x).max())
 
     coarse = error()
-    monkeypatch.setattr(manifold, "LONGEST", manifold.LONGEST / 4.0)
+    monkeypatch.setattr(manifold, "LONGEST", manifold.MAX_STEP / 4.0)
     monkeypatch.setattr(manifold, "SAGITTA", manifold.SAGITTA / 16.0)
     assert error() < 0.2 * coarse
 
@@ -50,7 +50,7 @@ def test_a_rotated_linear_saddle_has_a_straight_manifold() -> None:
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, -s], [s, c]])
     matrix = turn @ np.diag([0.3, 1.7]) @ turn.T
-    branch = grow(lambda z: z @ matrix.T, np.zeros(2), turn[:, 0], BOX, 1.0, never)
+    branch = grow_manifold(lambda z: z @ matrix.T, np.zeros(2), turn[:, 0], BOX, 1.0, never)
     points = np.array(branch.points)
     assert branch.end == LENGTH
     assert np.linalg.norm(points[-1]) == pytest.approx(1.0, abs=0.1)
@@ -73,7 +73,7 @@ def test_the_manifold_of_henons_map_folds_as_its_inverse_says() -> None:
     inner = int(np.argmin(np.abs(values)))
     direction = vectors[:, inner]
     low, high = np.array([-2.5, -8.0]), np.array([2.5, 8.0])
-    branch = grow(image, saddle, direction, (low, high), 30.0, never)
+    branch = grow_manifold(image, saddle, direction, (low, high), 30.0, never)
     points = np.array(branch.points)
     back = saddle + np.linspace(1e-6, 1e-6 / values[inner], 4000)[:, None] * direction * np.sign(values[inner])
     images = []

@@ -19,15 +19,15 @@ from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.orbits.curves.table import Curve, Curves, write_curves
 from atlas.robustness.job import MeasureJob, group_of, measure_and_keep, pieces, read_measured
-from atlas.robustness.linear import FLAGS
-from atlas.robustness.margin import checked_scale, margin_request, margins_of
+from atlas.robustness.linear_measures import FLAGS
+from atlas.robustness.margin import margin_request, margins_of, validate_scale
 from atlas.robustness.table import (
     LINEAR,
     MARGIN,
     MEASURES,
     SHOCKS,
     VERSION,
-    Stored,
+    StoredMeasures,
     empty,
     of_family,
     read_measures,
@@ -36,11 +36,11 @@ from atlas.robustness.table import (
 from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
 from atlas.service.options import RunOptions
+from atlas.store.create import create_store
 from atlas.store.groups import STABILITY
-from atlas.store.making import create
-from atlas.store.parts import get_part, kept_parts, part_names, put_part
-from atlas.store.store import open_handle
-from atlas.task.site import Site
+from atlas.store.parts import finished_parts, get_part, part_names, put_part
+from atlas.store.store import open_store
+from atlas.task.store_ref import StoreRef
 from tests import synthetic
 from workers import SOLVER_VERSION
 from workers.results import NO_IMPACT, PERIODIC
@@ -94,7 +94,7 @@ def with_lines(store: Path, *points: list[tuple[float, float]], unstable: int = 
         )
         for point in points
     ]
-    write_curves(open_handle(store), Curves(("omega", "b"), tuple(curves)))
+    write_curves(open_store(store), Curves(("omega", "b"), tuple(curves)))
     return store
 
 
@@ -162,11 +162,11 @@ def test_another_norm_is_computed_anew(measured: Path, tmp_path: Path, client: C
 def test_a_run_that_was_stopped_loses_nothing(unmeasured: Path, measured: Path, tmp_path: Path, client: Client) -> None:
     """Every other part is done by hand; the rest is done by the call, and no bit differs."""
     path = copied(unmeasured, tmp_path)
-    handle = open_handle(path)
+    handle = open_store(path)
     digest = _digest({LINEAR: {"content": _content(handle), "norm": NORM}})
-    kept_parts(handle, group_of(LINEAR), digest)
+    finished_parts(handle, group_of(LINEAR), digest)
     parts = list(pieces(handle, LINEAR))
-    site = Site(str(path), handle.run_id, SOLVER_VERSION)
+    site = StoreRef(str(path), handle.run_id, SOLVER_VERSION)
     for k, (name, tile, first, last) in list(enumerate(parts))[::2]:
         measure_and_keep(MeasureJob((k,), name, LINEAR, tile, first, last, tuple(NORM.items()), site))
         assert read_measured(handle, name)["return_time"].shape == (last - first, 3)
@@ -177,21 +177,21 @@ def test_a_run_that_was_stopped_loses_nothing(unmeasured: Path, measured: Path, 
 
 
 def test_parts_of_another_request_are_not_taken(unmeasured: Path, tmp_path: Path) -> None:
-    handle = open_handle(copied(unmeasured, tmp_path))
-    kept_parts(handle, group_of(LINEAR), "one")
+    handle = open_store(copied(unmeasured, tmp_path))
+    finished_parts(handle, group_of(LINEAR), "one")
     (name, tile, first, last) = next(iter(pieces(handle, LINEAR)))
-    site = Site(str(handle.place), handle.run_id, SOLVER_VERSION)
+    site = StoreRef(str(handle.place), handle.run_id, SOLVER_VERSION)
     measure_and_keep(MeasureJob((0,), name, LINEAR, tile, first, last, (), site))
-    assert name.removeprefix("linear/") in kept_parts(handle, group_of(LINEAR), "one")
-    assert name.removeprefix("linear/") not in kept_parts(handle, group_of(LINEAR), "another")
+    assert name.removeprefix("linear/") in finished_parts(handle, group_of(LINEAR), "one")
+    assert name.removeprefix("linear/") not in finished_parts(handle, group_of(LINEAR), "another")
 
 
 def test_measuring_one_family_keeps_the_finished_parts_of_another(
     unmeasured: Path, tmp_path: Path, client: Client
 ) -> None:
     """Truth: plain measure threw away what an interrupted measure --shocks had found in hours."""
-    handle = open_handle(copied(unmeasured, tmp_path))
-    kept_parts(handle, group_of(SHOCKS), "shocks")
+    handle = open_store(copied(unmeasured, tmp_path))
+    finished_parts(handle, group_of(SHOCKS), "shocks")
     put_part(handle, group_of(SHOCKS), "0.0-0", b"hours")
     measure_attractors(handle.path, client=client)
     assert get_part(handle, group_of(SHOCKS), "0.0-0") == b"hours"
@@ -281,13 +281,13 @@ def test_other_curves_make_other_margins(plane: Path, tmp_path: Path, client: Cl
 @pytest.fixture
 def with_margins(tmp_path: Path) -> Path:
     """A store of made-up cells with measures of attractors, all unknown, and margins to one line."""
-    handle = create(tmp_path / "made.zarr", synthetic.spec_of(4, 3), (3, 4))
+    handle = create_store(tmp_path / "made.zarr", synthetic.spec_of(4, 3), (3, 4))
     synthetic.fill(handle)
     with_lines(handle.path, [(2.0, 0.1), (2.0, 0.3)])
-    scale = checked_scale(handle, None)
+    scale = validate_scale(handle, None)
     arrays = empty(of_family(LINEAR), handle.spec.shape) | margins_of(handle, scale)
     requests = {LINEAR: {"content": _content(handle), "norm": {}}, MARGIN: margin_request(handle, scale)}
-    write_measures(handle, Stored(arrays, requests))
+    write_measures(handle, StoredMeasures(arrays, requests))
     return handle.path
 
 
@@ -303,13 +303,13 @@ def test_margins_to_former_curves_do_not_stay(with_margins: Path) -> None:
 def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     with_margins: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle = open_handle(with_margins)
+    handle = open_store(with_margins)
     monkeypatch.setattr(curves, "finished", lambda search: Curves(("omega", "b"), ()))
     search: Any = SimpleNamespace(tasks=dict)
     crew: Any = SimpleNamespace(
         claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0
     )
-    curves._Coordinator(handle, search, "another", crew).run()
+    curves._CurveRun(handle, search, "another", crew).run()
     ds = atlas.open(with_margins)
     assert "margin" not in ds and "reactivity" in ds
 
@@ -318,15 +318,15 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
     with_margins: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It ends while this one waits for the claim."""
-    handle = open_handle(with_margins)
-    theirs = Stored(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
+    handle = open_store(with_margins)
+    theirs = StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
 
     @contextmanager
     def claimed_late(place: Any, options: RunOptions) -> Iterator[Any]:
         write_measures(handle, theirs)
         yield SimpleNamespace(guard=lambda place: place)
 
-    monkeypatch.setattr("atlas.service.crew.claimed_place", claimed_late)
+    monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):
         measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
     assert read_measures(handle).requests == theirs.requests
@@ -376,8 +376,8 @@ def test_shocks_of_a_store_are_those_of_single_cells(tmp_path: Path, client: Cli
 
 def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(measured: Path, tmp_path: Path) -> None:
     """Warnings are errors: Zarr warns of what is no array among those of a group."""
-    handle = open_handle(copied(measured, tmp_path))
-    kept_parts(handle, group_of(LINEAR), "another")
+    handle = open_store(copied(measured, tmp_path))
+    finished_parts(handle, group_of(LINEAR), "another")
     assert "reactivity" in atlas.open(handle.path)
     assert "reactivity" in xr.open_zarr(handle.path, group=STABILITY, consolidated=False)
 

@@ -16,8 +16,8 @@ from atlas.spec.spec import Spec
 from atlas.spec.system import impacts_of
 from tests.workers.cell.test_measures import ONE_MASS, SOFT
 from workers import System, solve_tile
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import find_system
 from workers.results import CHAOTIC, PERIODIC
 from workers.settings import Settings
@@ -117,7 +117,7 @@ def test_friction_that_sticks_leaves_contacts_to_be_counted() -> None:
 @pytest.mark.parametrize("definition", [SOFT, ONE_MASS], ids=["soft", "rigid"])
 def test_each_attractor_has_the_measures_of_a_cell_that_reaches_it(definition: dict[str, object]) -> None:
     system, settings = System.from_mapping(definition), Settings(**SOLVE)
-    many = solve_attractors(system, {"omega": 1.4}, settings, Starts(4))
+    many = solve_attractors(system, {"omega": 1.4}, settings, AttractorSettings(4))
     one = solve_tile(system, {"omega": 1.4}, settings)
     own = {v.name for v in system.variables(settings)} - {v.name for v in System.from_mapping(
         {key: value for key, value in ONE_MASS.items() if key != "measures"}).variables(settings)}  # fmt: skip

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.robustness.linear import (
+from atlas.robustness.linear_measures import (
     DRIFTS,
     JUMPS,
     NO_ORBIT,
@@ -22,10 +22,10 @@ from atlas.robustness.linear import (
     reactivity,
     touches_a_stop,
 )
-from atlas.robustness.norm import weighted
+from atlas.robustness.norm import weight_matrices
 from workers import Settings, trace
 from workers.attractors.basins import AttractorTable
-from workers.attractors.starts import Starts
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import find_system
 
 FIG3 = {"omega": 4.0, "b": 0.1}
@@ -37,7 +37,7 @@ FREE = {"omega": 1.5, "A": 0.1, "b": 50.0, "zeta": 0.05}
 def table_of(system: str, given: dict[str, float], starts: int = 4, settings: Settings | None = None) -> AttractorTable:
     record = find_system(system)
     values = {p.name: given.get(p.name, p.default) for p in record.parameters}
-    return AttractorTable(record, values, settings or Settings(), Starts(starts))
+    return AttractorTable(record, values, settings or Settings(), AttractorSettings(starts))
 
 
 def cycled(matrices: np.ndarray, first: int, count: int) -> np.ndarray:
@@ -230,7 +230,7 @@ def test_a_coordinate_that_drifts_is_a_reason() -> None:
 def test_one_factor_for_all_weights_changes_nothing() -> None:
     J = np.random.default_rng(1).standard_normal((2, 4, 4))
     w = np.array([1.0, 2.0, 0.5, 3.0])
-    assert weighted(J, 7.0 * w) == pytest.approx(weighted(J, w), rel=1e-14)
+    assert weight_matrices(J, 7.0 * w) == pytest.approx(weight_matrices(J, w), rel=1e-14)
 
 
 def test_the_default_norm_weighs_velocities_by_the_time_of_a_radian() -> None:

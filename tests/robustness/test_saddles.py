@@ -11,8 +11,8 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.robustness import boundary_tracking
 from atlas.robustness import saddles as of_saddles
-from atlas.robustness import tracking
 from atlas.robustness.manifold import OUTSIDE
 from atlas.robustness.saddles import manifold_of
 from workers import solve_tile, trace
@@ -179,9 +179,9 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
             states = np.array([1.0, 0.0]) + powers * (state - np.array([1.0, 0.0]))
             return states[:-1], states[-1], np.diag(powers[-1])
 
-    monkeypatch.setattr(tracking, "not_smooth", lambda oscillator, states: "")
-    monkeypatch.setattr(tracking, "reached", lambda table, states: (states[:, 1] > 0.0).astype(np.int64))
-    tracker = object.__new__(tracking._Tracker)
+    monkeypatch.setattr(boundary_tracking, "not_smooth", lambda oscillator, states: "")
+    monkeypatch.setattr(boundary_tracking, "reached", lambda table, states: (states[:, 1] > 0.0).astype(np.int64))
+    tracker = object.__new__(boundary_tracking._Tracker)
     tracker.own, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]
     tracker.table = None  # type: ignore[assignment]
     found = tracker.orbit(np.array([1.0003, 1e-9]), recurs, 1.0)
@@ -198,7 +198,7 @@ def test_a_manifold_is_grown_by_a_power_of_the_map_that_keeps_its_sides(
     taken = list[int]()
     machine = SimpleNamespace(images=lambda states, periods: taken.append(periods) or states)
     monkeypatch.setattr("atlas.robustness.section_map.SectionMap", lambda oscillator: machine)
-    monkeypatch.setattr("atlas.robustness.manifold.grow", lambda image, state, *_: image(state))
+    monkeypatch.setattr("atlas.robustness.manifold.grow_manifold", lambda image, state, *_: image(state))
     monkeypatch.setattr(of_saddles, "_beyond_stops", lambda *_: (np.zeros(2), np.ones(2)))
     monkeypatch.setattr(of_saddles, "_across", lambda *_: None)
     table, one = SimpleNamespace(cell=SimpleNamespace(oscillator=None)), np.ones((1, 2))

@@ -17,7 +17,7 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.cluster import Tls, local_cluster
-from atlas.service.dispatch import MOST_IN_FLIGHT
+from atlas.service.dispatch import MAX_IN_FLIGHT
 from atlas.service.options import RunOptions
 from atlas.service.timing import Timing
 from tests.planes import plane_of
@@ -146,7 +146,7 @@ def test_no_more_tiles_are_at_the_scheduler_than_the_window_holds(tmp_path: Path
     )
     atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client, options)
     assert len(held) > 35
-    assert max(held) <= MOST_IN_FLIGHT * 2
+    assert max(held) <= MAX_IN_FLIGHT * 2
 
 
 def test_workers_of_the_local_cluster_do_not_sample_their_threads() -> None:

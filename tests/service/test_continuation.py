@@ -9,7 +9,7 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError, RunError
 from atlas.service.plan import make_plan
-from atlas.task.solving import solve_block
+from atlas.task.solve_block import solve_block
 from workers import Settings
 from workers.results import INVALID, NO_IMPACT, PERIODIC, reason_counts
 from workers.sweep import solve_lines

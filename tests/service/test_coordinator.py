@@ -16,20 +16,20 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.service import submit as submitting
-from atlas.service.fitness import Refusal
-from atlas.service.lease import Record, noted_end
+from atlas.service.lease import LeaseRecord, read_end
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.process import process_name
+from atlas.service.process_identity import process_name
 from atlas.service.run import complete
 from atlas.service.status import read_status
 from atlas.service.submit import Submission, check_coordinator, coordinate, submit
 from atlas.service.timing import Timing
-from atlas.store.location import place_of
-from atlas.store.making import create
-from atlas.store.records import RunRecords
-from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import open_handle
-from atlas.task.site import RefusedError
+from atlas.service.worker_health import WorkerRefusal
+from atlas.store.create import create_store
+from atlas.store.object_backend import open_backend
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
+from atlas.store.store import open_store
+from atlas.store.tile_records import RunTileRecords
+from atlas.task.store_ref import WorkerRefusedError
 from tests.planes import plane_of
 from workers import SOLVER_VERSION
 
@@ -81,27 +81,29 @@ def refuse(where: Callable[[], bool], monkeypatch: pytest.MonkeyPatch) -> list[s
     def check(task: Submission) -> None:
         asked.append(get_worker().address)
         if where():
-            raise RefusedError("has another solver")
+            raise WorkerRefusedError("has another solver")
 
     monkeypatch.setattr(submitting, "check_coordinator", check)
     return asked
 
 
 def test_a_worker_with_another_solver_version_must_not_coordinate(tmp_path: Path) -> None:
-    with pytest.raises(RefusedError, match=rf"^this worker has solver version {SOLVER_VERSION}, the run needs 99$"):
+    with pytest.raises(
+        WorkerRefusedError, match=rf"^this worker has solver version {SOLVER_VERSION}, the run needs 99$"
+    ):
         check_coordinator(task_of(tmp_path / "out.zarr", solver_version=99))
 
 
 def test_a_worker_that_sees_another_store_must_not_coordinate(tmp_path: Path) -> None:
-    store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
-    with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
+    store = create_store(tmp_path / "out.zarr", PLANE, (5, 7)).path
+    with pytest.raises(WorkerRefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
         check_coordinator(task_of(store, run_id="0123"))
-    with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
+    with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
         check_coordinator(task_of(tmp_path / "none.zarr", run_id="0123"))
 
 
 def test_the_right_worker_may_coordinate(tmp_path: Path) -> None:
-    handle = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    handle = create_store(tmp_path / "out.zarr", PLANE, (5, 7))
     check_coordinator(task_of(handle.path, handle.run_id))
     check_coordinator(task_of(tmp_path / "new.zarr"))
 
@@ -113,7 +115,7 @@ def test_another_worker_takes_the_place_of_one_that_refuses(
     asked = refuse(lambda: get_worker().address == asked[0], monkeypatch)
     where = submitted(two, tmp_path / "out.zarr")
     assert [where, asked[0]] in (list(two.nthreads()), list(two.nthreads())[::-1])
-    assert open_handle(tmp_path / "out.zarr").solver_version == SOLVER_VERSION
+    assert open_store(tmp_path / "out.zarr").solver_version == SOLVER_VERSION
 
 
 def test_a_submission_that_every_worker_refuses_is_an_error_with_worker_and_reason(
@@ -127,9 +129,9 @@ def test_a_submission_that_every_worker_refuses_is_an_error_with_worker_and_reas
 
 
 def test_a_new_store_gets_the_run_id_that_its_run_was_given(tmp_path: Path, client: Client) -> None:
-    place = place_of(tmp_path / "out.zarr")
+    place = open_backend(tmp_path / "out.zarr")
     complete(PLANE, place, client, run_id="0123")
-    assert open_handle(tmp_path / "out.zarr").run_id == "0123"
+    assert open_store(tmp_path / "out.zarr").run_id == "0123"
     with pytest.raises(RunError, match=r"out.zarr: not the store of run 4567"):
         complete(PLANE, place, client, run_id="4567")
 
@@ -137,11 +139,11 @@ def test_a_new_store_gets_the_run_id_that_its_run_was_given(tmp_path: Path, clie
 def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
     tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    handle = create_store(tmp_path / "out.zarr", PLANE, (5, 7))
     asked: list[str] = []
     asked = refuse(lambda: get_worker().address == asked[0], monkeypatch)
     refusal = restarted(two, task_of(handle.path), handle.run_id)
-    assert refusal == Refusal(asked[0], "has another solver")
+    assert refusal == WorkerRefusal(asked[0], "has another solver")
     for _ in range(200):  # the scheduler may hear of the next one after this client has its answer
         if len({*asked}) == 2:
             break
@@ -149,13 +151,13 @@ def test_a_coordinator_that_starts_again_hands_a_refusal_on_to_another_worker(
     until_idle(two)
     assert len({*asked}) == 2
     assert read_status(handle).fraction == 1
-    assert noted_end(notes_of(handle.path)) == ""
+    assert read_end(sidecar_of(handle.path)) == ""
 
 
 def test_a_coordinator_that_starts_again_in_another_runs_store_computes_nothing_and_leaves_word(
     tmp_path: Path, two: Client
 ) -> None:
-    handle = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    handle = create_store(tmp_path / "out.zarr", PLANE, (5, 7))
     task = task_of(handle.path, options=RunOptions(timing=Timing(worker=0.0)))
     restarted(two, task, "0123")
     for _ in range(200):  # as above: no worker is busy for a moment before the next one hears of it
@@ -184,7 +186,7 @@ def test_every_error_of_a_run_under_way_leaves_a_word(
     def add(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(RunRecords, "add", add)
+    monkeypatch.setattr(RunTileRecords, "add", add)
     store = tmp_path / "out.zarr"
     task = task_of(store)
     Variable(task.name, client=two).set("")
@@ -196,18 +198,18 @@ def test_every_error_of_a_run_under_way_leaves_a_word(
 
 
 def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Path, two: Client) -> None:
-    handle = create(tmp_path / "out.zarr", PLANE, (5, 7))
+    handle = create_store(tmp_path / "out.zarr", PLANE, (5, 7))
     with pytest.raises(InputError, match=r"out.zarr: has another spec: "):
         submitted(two, handle.path, plane_of((5, 7), R=0.5))
-    assert noted_end(notes_of(handle.path)) == ""
+    assert read_end(sidecar_of(handle.path)) == ""
     assert [path.name for path in tmp_path.iterdir()] == ["out.zarr"]
 
 
 @pytest.fixture
 def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
     def make(claim: bytes) -> Path:
-        store = create(tmp_path / "out.zarr", PLANE, (5, 7)).path
-        notes_of(store).put(CLAIM, claim, expected=None)
+        store = create_store(tmp_path / "out.zarr", PLANE, (5, 7)).path
+        sidecar_of(store).put(LEASE_NAME, claim, expected=None)
         return store
 
     return make
@@ -222,7 +224,7 @@ def status(store: Path) -> tuple[str, dict[str, object]]:
     return line.removeprefix("run").strip(), json.loads(message.stdout)
 
 
-FAR = Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
+FAR = LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
 
 
 def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
@@ -243,6 +245,6 @@ def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[byt
         pid = sleeper.pid
         process = process_name(pid)
         sleeper.kill()
-    line, message = status(claimed_store(Record("t", 7, "here", pid, process).pack()))
+    line, message = status(claimed_store(LeaseRecord("t", 7, "here", pid, process).pack()))
     gone = f"process {pid} on here is gone without releasing its claim; the next run replaces it"
     assert (line, message["run"], message["trouble"]) == (f"none at work; {gone}", None, gone)

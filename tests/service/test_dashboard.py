@@ -18,9 +18,9 @@ import atlas
 from atlas.cli.main import main
 from atlas.cli.progress import LogReporter, TerminalReporter
 from atlas.errors import InputError
-from atlas.service import cluster, hiring
+from atlas.service import clients, cluster
+from atlas.service.clients import start_client
 from atlas.service.cluster import local_cluster
-from atlas.service.hiring import hired
 from atlas.service.notebook import NotebookReporter
 from atlas.service.progress import Progress
 from tests.planes import plane_of
@@ -32,7 +32,7 @@ def start(**options: bool) -> tuple[list[str], str]:
     """What is noted when a worker is started, and what a page of its cluster's dashboard says: its title or code."""
     seen: list[Progress] = []
     with ExitStack() as stack:
-        client = hired(None, 1, atlas.RunOptions(on_progress=seen.append, **options), stack)
+        client = start_client(None, 1, atlas.RunOptions(on_progress=seen.append, **options), stack)
         try:
             page = urlopen(client.dashboard_link, timeout=60).read().decode()
         except HTTPError as error:
@@ -61,7 +61,7 @@ def test_a_cluster_that_nobody_asked_a_dashboard_of_has_none() -> None:
 
 
 def test_where_bokeh_is_missing_a_cluster_starts_without_a_dashboard(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (cluster, hiring):
+    for module in (cluster, clients):
         monkeypatch.setattr(module, "has_dashboard", lambda: False)
     assert start() == ([], "404")
 
@@ -142,7 +142,7 @@ def test_a_report_that_nobody_could_write_is_refused_before_anything_is_done(
             atlas.RunOptions(**{name: given})
     with pytest.raises(InputError, match="performance_report: is of workers"):
         atlas.RunOptions(performance_report=tmp_path / "report.html", tile=(0, 0))
-    for module in (cluster, hiring):
+    for module in (cluster, clients):
         monkeypatch.setattr(module, "has_dashboard", lambda: False)
     with pytest.raises(InputError, match="the scheduler draws it, and has no Bokeh"):
         atlas.run(plane_of(), tmp_path / "out.zarr", client, performance_report=tmp_path / "report.html")

@@ -11,10 +11,10 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service import dispatch
-from atlas.service.batches import Labour
-from atlas.service.dispatch import workforce
+from atlas.service.batches import JobType
+from atlas.service.dispatch import open_dispatcher
 from atlas.service.summary import TileFailure
-from atlas.store.store import done_tiles, open_handle
+from atlas.store.store import done_tiles, open_store
 from tests.planes import plane_of
 from tests.pretended import Numbered
 from workers import tile as solving
@@ -35,7 +35,7 @@ def faulty(job: Numbered) -> tuple[int, ...]:
 
 def outcomes(client: Client) -> list[object]:
     jobs = [Numbered((i, j)) for i in range(3) for j in range(3)]
-    with workforce(client, Labour("faulty", faulty, nothing, nothing)) as force:
+    with open_dispatcher(client, JobType("faulty", faulty, nothing, nothing)) as force:
         return list(force.outcomes(jobs, lambda _: None))
 
 
@@ -49,7 +49,7 @@ def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(
     assert line in failure.traceback and "in faulty" in failure.traceback
     assert failure.traceback not in repr(failure)
     said = [record.getMessage() for record in caplog.records if record.name.startswith("atlas.")]
-    assert sum(line in text for text in said) == dispatch.ATTEMPTS
+    assert sum(line in text for text in said) == dispatch.MAX_ATTEMPTS
     assert "tile (1, 1) is given up after 3 attempts" in said
 
 
@@ -64,7 +64,7 @@ def test_one_tile_is_done_in_this_process(tmp_path: Path, client: Client) -> Non
     store = tmp_path / "out.zarr"
     summary = atlas.run(plane_of(), store, tile=FAULTY)
     assert (summary.tiles_solved, summary.cells_solved) == (1, 6)
-    assert done_tiles(open_handle(store)) == {FAULTY}
+    assert done_tiles(open_store(store)) == {FAULTY}
     assert atlas.run(plane_of(), store, client=client).tiles_solved == 8
     assert atlas.verify(store, sample=0).fine
     with pytest.raises(InputError, match=r"nothing is to be done in tile \(1, 1\)$"):

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from distributed import Client
 
-from atlas.service import batches, dispatch, setup
-from atlas.service.batches import Labour
-from atlas.service.dispatch import Workers
-from atlas.service.fitness import FAILURES
+from atlas.service import batches, dispatch, worker_setup
+from atlas.service.batches import JobType
+from atlas.service.dispatch import WorkerStatus
 from atlas.service.summary import TileFailure
 from atlas.service.timing import Timing
+from atlas.service.worker_health import MAX_FAILURES
 from tests.pretended import Cluster, Numbered, outcomes
 
 WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
@@ -32,12 +32,12 @@ def nothing() -> None:
     """Neither prepares nor forgets."""
 
 
-LABOUR: Labour[Numbered, Numbered] = Labour("out.zarr", same, nothing, nothing)
+LABOUR: JobType[Numbered, Numbered] = JobType("out.zarr", same, nothing, nothing)
 
 
-def all_outcomes(cluster: Cluster, jobs: int, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], Workers]:
+def all_outcomes(cluster: Cluster, jobs: int, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], WorkerStatus]:
     """The outcomes of so many jobs on a pretended cluster, and what the last look showed of the workers."""
-    seen: list[Workers] = []
+    seen: list[WorkerStatus] = []
     monkeypatch.setattr(dispatch, "time", cluster)
     monkeypatch.setattr(batches, "time", cluster)
     found = list(outcomes(cluster, LABOUR, (Numbered((k,)) for k in range(jobs)), seen.append))  # type: ignore[arg-type]
@@ -70,7 +70,7 @@ def test_a_worker_of_a_thousand_that_fails_at_once_is_left_out_after_a_few_jobs_
     assert not [outcome for outcome in found if isinstance(outcome, TileFailure)]
     assert {outcome.index for outcome in found} == {(k,) for k in range(4000)}
     assert last.left_out.keys() == {BAD}
-    assert FAILURES <= cluster.attempts[BAD] <= FAILURES + dispatch.IN_FLIGHT
+    assert MAX_FAILURES <= cluster.attempts[BAD] <= MAX_FAILURES + dispatch.IN_FLIGHT
 
 
 def test_jobs_are_restricted_to_few_of_many_workers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +84,7 @@ def test_jobs_are_restricted_to_few_of_many_workers(monkeypatch: pytest.MonkeyPa
 
     cluster = Looking(WORKERS, three_seconds, lambda worker, _: "ImportError" if worker == BAD else "")
     all_outcomes(cluster, 4000, monkeypatch)
-    assert 0 < max(restricted) <= dispatch.CHOICES + 4
+    assert 0 < max(restricted) <= dispatch.MAX_ALLOWED_WORKERS + 4
 
 
 def hanging(jobs: set[tuple[str, int]], seconds: float) -> Callable[[str, Numbered], float]:
@@ -160,7 +160,7 @@ def test_dask_is_asked_for_jobs_and_results_in_batches(client: Client, monkeypat
     monkeypatch.setattr(Client, "gather", counted_gather)
     monkeypatch.setattr(Client, "submit", None)
     monkeypatch.setattr(dispatch, "IN_FLIGHT", 50)
-    labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
+    labour: JobType[Job, Job] = JobType("out.zarr", lambda job: job, nothing, nothing)
     found = list(outcomes(client, labour, (Job((k,)) for k in range(200)), lambda _: None))
     assert {outcome.index for outcome in found} == {(k,) for k in range(200)}
     assert sum(asked) == 400
@@ -179,7 +179,7 @@ def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
         return asyncio.sleep(60) if len(asked) == 1 else whole(self, futures, **more)
 
     monkeypatch.setattr(Client, "gather", gather)
-    labour: Labour[Job, Job] = Labour("out.zarr", lambda job: job, nothing, nothing)
+    labour: JobType[Job, Job] = JobType("out.zarr", lambda job: job, nothing, nothing)
     timing = Timing(connect=0.1)
     found = list(outcomes(client, labour, (Job((k,)) for k in range(20)), lambda _: None, timing))
     assert {outcome.index for outcome in found} == {(k,) for k in range(20)}
@@ -200,10 +200,10 @@ def test_dask_gives_the_tiles_of_a_worker_that_hangs_to_another(
     two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dispatch, "SLOW", 1.0)
-    seen = list[Workers]()
+    seen = list[WorkerStatus]()
     RELEASE.clear()
     BEGUN.clear()
-    labour: Labour[Job, Job] = Labour("out.zarr", hang_once, nothing, nothing)
+    labour: JobType[Job, Job] = JobType("out.zarr", hang_once, nothing, nothing)
     timing = Timing(tick=0.05, hung=0.5)
     try:
         found = list(outcomes(two_workers, labour, (Job((k,)) for k in range(40)), seen.append, timing))
@@ -216,11 +216,11 @@ def test_dask_gives_the_tiles_of_a_worker_that_hangs_to_another(
 
 
 @contextmanager
-def no_setup(client: object, labour: Labour[Any, Any], seconds: float) -> Iterator[Any]:
+def no_setup(client: object, labour: JobType[Any, Any], seconds: float) -> Iterator[Any]:
     yield labour.act
 
 
 @pytest.fixture(autouse=True)
 def without_setup(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dask's plugins have tests of their own."""
-    monkeypatch.setattr(setup, "set_up", no_setup)
+    monkeypatch.setattr(worker_setup, "set_up", no_setup)

@@ -17,14 +17,14 @@ from atlas.cli.main import main
 from atlas.errors import InputError, RunError
 from atlas.service.extend import extend
 from atlas.spec.axis import Axis
-from atlas.spec.grown import keep_values, refined
-from atlas.store.location import LocalPlace
-from atlas.store.machine import machine_of
-from atlas.store.machines import machines, record_machine
-from atlas.store.making import create
+from atlas.spec.extension import keep_values, refine_spec
+from atlas.store.create import create_store
+from atlas.store.host import host_from_facts
+from atlas.store.host_records import read_hosts, record_host
+from atlas.store.object_backend import LocalBackend
 from atlas.store.origin import Origin
-from atlas.store.store import done_tiles, open_handle
-from atlas.task.reuse import known_cells
+from atlas.store.store import done_tiles, open_store
+from atlas.task.reuse import reuse_cells
 from tests.synthetic import record_again, set_attribute
 from workers import tile as solving
 from workers.results import FAILED
@@ -77,7 +77,7 @@ def test_a_refined_atlas_has_the_bits_of_one_computed_from_scratch(
     old: Path, tmp_path: Path, client: Client, factor: int
 ) -> None:
     extend(old, tmp_path / "new.zarr", refine=factor, client=client)
-    grown = open_handle(tmp_path / "new.zarr").spec
+    grown = open_store(tmp_path / "new.zarr").spec
     assert grown.shape == (2 * factor + 1, 3 * factor + 1)
     atlas.run(grown, tmp_path / "scratch.zarr", client=client)
     assert arrays_of(tmp_path / "new.zarr") == arrays_of(tmp_path / "scratch.zarr")
@@ -109,7 +109,7 @@ def test_kept_cells_keep_all_their_results(old: Path, tmp_path: Path, client: Cl
 def test_the_tiles_need_not_be_those_of_the_old_store(
     old: Path, tmp_path: Path, client: Client, tile: list[int]
 ) -> None:
-    grown = refined(spec_of(), {"omega": 2}, tuple(tile))
+    grown = refine_spec(spec_of(), {"omega": 2}, tuple(tile))
     assert extend(old, tmp_path / "new.zarr", grown, client=client).cells_solved == 3 * 3
     atlas.run(grown, tmp_path / "scratch.zarr", client=client)
     assert arrays_of(tmp_path / "new.zarr") == arrays_of(tmp_path / "scratch.zarr")
@@ -150,7 +150,7 @@ def test_a_spaced_axis_that_goes_on_takes_the_old_values_over(tmp_path: Path, sc
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_refined_axes_hold_the_old_values_to_the_bit_and_even_steps_between(scale: str) -> None:
     spec = atlas.Spec("two-mass", axes={"b": {"start": 0.01, "stop": 0.7, "num": 23, "scale": scale}}, solve=SOLVE)
-    old, new = spec.axes[0], refined(spec, 4).axes[0]
+    old, new = spec.axes[0], refine_spec(spec, 4).axes[0]
     assert new.values[::4] == old.values
     assert (len(new), new.scale) == (89, scale)
     steps = np.diff(np.log(new.values) if scale == "log" else new.values)
@@ -188,7 +188,7 @@ def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
     assert verify(tmp_path / "again.zarr", sample=12).fine
     summary = extend(tmp_path / "again.zarr", tmp_path / "new.zarr", refine=2, client=client)
     assert summary.cells_solved == 7 * 5 - 12 + again
-    atlas.run(open_handle(tmp_path / "new.zarr").spec, tmp_path / "scratch.zarr", client=client)
+    atlas.run(open_store(tmp_path / "new.zarr").spec, tmp_path / "scratch.zarr", client=client)
     assert arrays_of(tmp_path / "new.zarr") == arrays_of(tmp_path / "scratch.zarr")
 
 
@@ -199,7 +199,7 @@ def test_an_interrupted_extension_goes_on(old: Path, tmp_path: Path, client: Cli
 
     with pytest.raises(KeyboardInterrupt):
         extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=interrupt))
-    assert len(done_tiles(open_handle(tmp_path / "new.zarr"))) < 12
+    assert len(done_tiles(open_store(tmp_path / "new.zarr"))) < 12
     assert extend(old, tmp_path / "new.zarr", refine=2, client=client).tiles_done == 12
 
 
@@ -211,11 +211,11 @@ def test_an_extension_can_be_extended(old: Path, tmp_path: Path, client: Client)
 
 
 def test_a_grown_store_lists_the_machines_of_its_origin(old: Path, tmp_path: Path, client: Client) -> None:
-    another = machine_of({"processor": "Z80"})
-    record_machine(open_handle(old), another)
+    another = host_from_facts({"processor": "Z80"})
+    record_host(open_store(old), another)
     extend(old, tmp_path / "new.zarr", refine=2, client=client)
-    assert {machine.name for machine in machines(open_handle(tmp_path / "new.zarr"))} > {
-        machine_of({"processor": "Z80"}).name
+    assert {machine.name for machine in read_hosts(open_store(tmp_path / "new.zarr"))} > {
+        host_from_facts({"processor": "Z80"}).name
     }
 
 
@@ -231,7 +231,7 @@ def lose(old: Path) -> None:
 
 def swap(old: Path) -> None:
     shutil.rmtree(old)
-    create(old, spec_of(), (2, 2))
+    create_store(old, spec_of(), (2, 2))
 
 
 def damage(old: Path) -> None:
@@ -262,8 +262,8 @@ def test_cells_that_cannot_be_taken_over_are_reported_and_nothing_wrong_is_store
     summary = extend(old, tmp_path / "new.zarr", refine=2, client=client, options=atlas.RunOptions(on_progress=once))
     assert len(summary.failures) == tiles
     assert all(re.search(message, failure.message) for failure in summary.failures)
-    assert not {failure.index for failure in summary.failures} & done_tiles(open_handle(tmp_path / "new.zarr"))
-    assert len(done_tiles(open_handle(tmp_path / "new.zarr"))) == 12 - tiles
+    assert not {failure.index for failure in summary.failures} & done_tiles(open_store(tmp_path / "new.zarr"))
+    assert len(done_tiles(open_store(tmp_path / "new.zarr"))) == 12 - tiles
 
 
 @pytest.mark.parametrize(
@@ -312,9 +312,9 @@ def test_factors_that_make_no_sense_are_refused(old: Path, tmp_path: Path, refin
 
 def test_an_axis_with_one_value_is_refined_by_no_factor() -> None:
     spec = spec_of(omega=[2.0])
-    assert refined(spec, 2).shape == (5, 1)
+    assert refine_spec(spec, 2).shape == (5, 1)
     with pytest.raises(InputError, match="refine omega: an axis with one value has nothing in between"):
-        refined(spec, {"omega": 2})
+        refine_spec(spec, {"omega": 2})
 
 
 def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
@@ -322,7 +322,7 @@ def test_a_store_does_not_grow_in_place_or_into_one_of_another_origin(
 ) -> None:
     with pytest.raises(InputError, match="is the store to take cells from"):
         extend(old, old, refine=2)
-    grown = refined(spec_of(), 2)
+    grown = refine_spec(spec_of(), 2)
     atlas.run(grown, tmp_path / "new.zarr", client=client)
     with pytest.raises(InputError, match="is a store already, and not this one made from"):
         extend(old, tmp_path / "new.zarr", refine=2)
@@ -351,14 +351,14 @@ def test_the_origin_is_read_once_for_all_tiles_that_copy_from_it(
 ) -> None:
     """Truth: six tiles read its metadata and its axes six times."""
     read: list[str] = []
-    whole = LocalPlace.get
+    whole = LocalBackend.get
 
-    def get(place: LocalPlace, key: str) -> bytes | None:
+    def get(place: LocalBackend, key: str) -> bytes | None:
         if place.local == old:
             read.append(key)
         return whole(place, key)
 
-    monkeypatch.setattr(LocalPlace, "get", get)
+    monkeypatch.setattr(LocalBackend, "get", get)
     summary = extend(old, tmp_path / "new.zarr", spec_of(b=(0.1, 0.2, 0.3, 0.5)), client=client)
     assert summary.tiles_done == 4
     assert max(Counter(read).values()) <= READS
@@ -366,9 +366,9 @@ def test_the_origin_is_read_once_for_all_tiles_that_copy_from_it(
 
 def test_an_origin_that_another_store_has_replaced_is_noticed(old: Path, tmp_path: Path) -> None:
     spec = spec_of(b=(0.1, 0.2, 0.3, 0.5))
-    handle = create(tmp_path / "new.zarr", spec, (2, 2), Origin(str(old), open_handle(old).run_id))
-    known_cells(handle, (slice(0, 2), slice(0, 2)))
+    handle = create_store(tmp_path / "new.zarr", spec, (2, 2), Origin(str(old), open_store(old).run_id))
+    reuse_cells(handle, (slice(0, 2), slice(0, 2)))
     shutil.rmtree(old)
-    create(old, spec_of(), (2, 2))
+    create_store(old, spec_of(), (2, 2))
     with pytest.raises(RunError, match="another store than the one that was extended"):
-        known_cells(handle, (slice(0, 2), slice(0, 2)))
+        reuse_cells(handle, (slice(0, 2), slice(0, 2)))

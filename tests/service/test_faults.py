@@ -20,18 +20,18 @@ from atlas.errors import NetworkError, RunError
 from atlas.service import batches
 from atlas.service import dispatch as fanout
 from atlas.service import run as running
-from atlas.service.fitness import Fitness, Refusal
 from atlas.service.options import RunOptions
 from atlas.service.timing import Timing
-from atlas.store.location import LocalPlace
-from atlas.store.making import create
-from atlas.store.store import done_tiles, open_handle
+from atlas.service.worker_health import WorkerHealth, WorkerRefusal
+from atlas.store.create import create_store
+from atlas.store.object_backend import LocalBackend
+from atlas.store.store import done_tiles, open_store
 from atlas.store.tiles import read_tile
 from atlas.task import attempt
-from atlas.task import task as jobs
-from atlas.task.attempt import do_job, run_job
-from atlas.task.site import RefusedError, Site, StoreFullError
-from atlas.task.task import Job
+from atlas.task import tile_job as jobs
+from atlas.task.attempt import execute_job, run_tile_job
+from atlas.task.store_ref import StoreFullError, StoreRef, WorkerRefusedError
+from atlas.task.tile_job import RunJob
 from rig.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import result_variables
@@ -113,7 +113,7 @@ def test_a_tile_that_kills_its_process_twice_is_reported_with_the_last_one(
 
 def test_every_other_tile_is_finished_and_right(faulty: tuple[Run, subprocess.CompletedProcess[str]]) -> None:
     run, ended = faulty
-    handle = open_handle(run.store)
+    handle = open_store(run.store)
     assert done_tiles(handle) == {(0, 0), (0, 2), (1, 1), (1, 2)}
     assert "4 of 6 tiles done" in ended.stdout
     spec = handle.spec
@@ -144,7 +144,7 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
     assert first.returncode == 1
     advice = "finished tiles are kept; make room and give the same command again"
     assert first.stderr.splitlines()[-1] == f"Error: {run.store}: No space left on device; {advice}"
-    kept = len(done_tiles(open_handle(run.store)))
+    kept = len(done_tiles(open_store(run.store)))
     assert kept >= 2  # the first two tiles are begun before any cost is known, and 1-0 is not one of them
     run.script = {}
     second = run("--workers", "1")
@@ -154,54 +154,54 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
 
 
 @pytest.fixture
-def made(tmp_path: Path, plane: atlas.Spec) -> Job:
+def made(tmp_path: Path, plane: atlas.Spec) -> RunJob:
     """The job of one tile of a new store."""
-    handle = create(tmp_path / "out.zarr", plane, (2, 3))
-    return Job((1, 1), Site(str(handle.path), handle.run_id, handle.solver_version))
+    handle = create_store(tmp_path / "out.zarr", plane, (2, 3))
+    return RunJob((1, 1), StoreRef(str(handle.path), handle.run_id, handle.solver_version))
 
 
-def test_a_worker_with_another_solver_refuses(made: Job) -> None:
-    with pytest.raises(RefusedError, match=r"this worker has solver version \d+, the run needs 999"):
-        run_job(replace(made, site=replace(made.site, solver_version=999)))
+def test_a_worker_with_another_solver_refuses(made: RunJob) -> None:
+    with pytest.raises(WorkerRefusedError, match=r"this worker has solver version \d+, the run needs 999"):
+        run_tile_job(replace(made, site=replace(made.site, solver_version=999)))
 
 
-def test_a_worker_that_sees_another_store_there_refuses(made: Job) -> None:
-    with pytest.raises(RefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
-        run_job(replace(made, site=replace(made.site, run_id="0123")))
+def test_a_worker_that_sees_another_store_there_refuses(made: RunJob) -> None:
+    with pytest.raises(WorkerRefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
+        run_tile_job(replace(made, site=replace(made.site, run_id="0123")))
 
 
-def test_a_worker_that_sees_no_store_there_refuses(made: Job) -> None:
-    with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
-        run_job(replace(made, site=replace(made.site, store="/nowhere/out.zarr")))
+def test_a_worker_that_sees_no_store_there_refuses(made: RunJob) -> None:
+    with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
+        run_tile_job(replace(made, site=replace(made.site, store="/nowhere/out.zarr")))
 
 
 def test_a_disk_that_fails_while_the_header_is_read_leaves_the_tile_to_be_tried_again(
-    made: Job, monkeypatch: pytest.MonkeyPatch
+    made: RunJob, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(LocalPlace, "get", fail)
+    monkeypatch.setattr(LocalBackend, "get", fail)
     with pytest.raises(OSError, match=os.strerror(errno.EIO)):
-        run_job(made)
+        run_tile_job(made)
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
 def test_a_worker_that_cannot_write_refuses_and_says_why(
-    made: Job, monkeypatch: pytest.MonkeyPatch, number: int
+    made: RunJob, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     def write(*_: object) -> None:
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(jobs, "write_tile", write)
-    with pytest.raises(RefusedError, match=os.strerror(number)):
-        run_job(made)
+    with pytest.raises(WorkerRefusedError, match=os.strerror(number)):
+        run_tile_job(made)
 
 
 def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
-    made: Job, monkeypatch: pytest.MonkeyPatch
+    made: RunJob, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle = open_handle(Path(made.site.store))
+    handle = open_store(Path(made.site.store))
     whole_write = zarr.Array.__setitem__
     for variable in result_variables(handle.spec.settings):
 
@@ -213,34 +213,34 @@ def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
         with monkeypatch.context() as patch:
             patch.setattr(zarr.Array, "__setitem__", full)
             with pytest.raises(StoreFullError, match="No space left on device"):
-                run_job(made)
+                run_tile_job(made)
         assert done_tiles(handle) == set()
-    run_job(made)
+    run_tile_job(made)
     expected = solve_tile(handle.spec.system, handle.spec.cell_params((slice(2, 4), slice(3, 6))), handle.spec.settings)
     stored = read_tile(handle, made.index)
     for name, values in expected.items():
         np.testing.assert_array_equal(stored[name], values, err_msg=name)
 
 
-def test_a_tile_that_is_stored_is_not_solved_again(made: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = run_job(made)
+def test_a_tile_that_is_stored_is_not_solved_again(made: RunJob, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run_tile_job(made)
     monkeypatch.setattr(attempt, "solve_and_write", None)
-    again = run_job(made)
+    again = run_tile_job(made)
     assert (again.counts, again.cells, again.periods) == (first.counts, first.cells, first.periods)
 
 
 def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
-    made: Job, monkeypatch: pytest.MonkeyPatch
+    made: RunJob, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def late(*given: object) -> object:
         monkeypatch.setattr(solving, "solve_tile", solve_tile)
-        run_job(made)  # the other attempt, which is faster
+        run_tile_job(made)  # the other attempt, which is faster
         monkeypatch.setattr(jobs, "write_tile", None)
         return solve_tile(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(solving, "solve_tile", late)
     assert jobs.solve_and_write(made, made.handle()).cells == 6
-    assert done_tiles(open_handle(Path(made.site.store))) == {(1, 1)}
+    assert done_tiles(open_store(Path(made.site.store))) == {(1, 1)}
 
 
 NOTED: dict[str, list[Any]] = {}
@@ -257,24 +257,24 @@ def test_a_worker_that_refuses_is_left_out_and_named(
     unfit = min(two_workers.nthreads())
     name, refusals = str(tmp_path), f"{tmp_path}: refusals"
 
-    def refuse(fitness: Fitness, refusal: Refusal) -> None:
+    def refuse(fitness: WorkerHealth, refusal: WorkerRefusal) -> None:
         fitness_refuse(fitness, refusal)
         noted(refusals).append(refusal.worker)
 
-    def picky(job: Job) -> jobs.Receipt:
+    def picky(job: RunJob) -> jobs.TileReport:
         address = get_worker().address
         noted(name).append(address)
         if address == unfit:
-            raise RefusedError("sees no store")
+            raise WorkerRefusedError("sees no store")
         for _ in range(300):  # the run may hand out more before it has heard of the refusal
             if noted(refusals):
                 break
             time.sleep(0.1)
-        return do_job(job)
+        return execute_job(job)
 
-    fitness_refuse = Fitness.refuse
-    monkeypatch.setattr(Fitness, "refuse", refuse)
-    monkeypatch.setattr(running, "do_job", picky)
+    fitness_refuse = WorkerHealth.refuse
+    monkeypatch.setattr(WorkerHealth, "refuse", refuse)
+    monkeypatch.setattr(running, "execute_job", picky)
     once = RunOptions(timing=Timing(tick=60.0))  # the workers are looked at before the first tile and after the last
     summary = atlas.run(plane, tmp_path / "out.zarr", two_workers, once)
     assert (summary.tiles_done, summary.failures) == (9, ())
@@ -287,14 +287,14 @@ def test_a_worker_that_gave_up_on_the_network_is_asked_again_once_another_has_wr
 ) -> None:
     cut_off, name = min(two_workers.nthreads()), str(tmp_path)
 
-    def cut(job: Job) -> jobs.Receipt:
+    def cut(job: RunJob) -> jobs.TileReport:
         if get_worker().address == cut_off:
             noted(name).append(job.index)
             if len(noted(name)) == 1:
                 raise NetworkError("no answer")
-        return do_job(job)
+        return execute_job(job)
 
-    monkeypatch.setattr(running, "do_job", cut)
+    monkeypatch.setattr(running, "execute_job", cut)
     summary = atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures, summary.refused) == (9, (), {})
     assert len(noted(name)) > 1
@@ -303,10 +303,10 @@ def test_a_worker_that_gave_up_on_the_network_is_asked_again_once_another_has_wr
 def test_a_run_that_every_worker_refuses_ends_with_the_reason(
     tmp_path: Path, plane: atlas.Spec, two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(job: Job) -> None:
-        raise RefusedError("sees no store")
+    def refuse(job: RunJob) -> None:
+        raise WorkerRefusedError("sees no store")
 
-    monkeypatch.setattr(running, "do_job", refuse)
+    monkeypatch.setattr(running, "execute_job", refuse)
     with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 
@@ -326,7 +326,7 @@ def test_a_cluster_that_goes_before_a_result_is_here_ends_the_run_in_one_line(
 def test_a_scheduler_without_this_package_is_reported_once_and_at_once(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unloadable(act: object, job: Job) -> None:
+    def unloadable(act: object, job: RunJob) -> None:
         raise RuntimeError("Error during deserialization of the task graph. This frequently occurs if ...")
 
     monkeypatch.setattr(batches, "work", unloadable)

@@ -18,67 +18,67 @@ from zarr.core.sync import sync
 import atlas
 from atlas.check import repair as repairing
 from atlas.errors import RunError
-from atlas.overview.upkeep import Overviews
-from atlas.service.lease import Claim, Record
+from atlas.overview.builder import OverviewBuilder
+from atlas.service.lease import Lease, LeaseRecord
 from atlas.service.progress import Progress
-from atlas.spec.grown import refined
+from atlas.spec.extension import refine_spec
 from atlas.store import sidecar
-from atlas.store.location import AT_ONCE, LocalPlace, Place, place_of
-from atlas.store.making import create
-from atlas.store.origin import Origin, Retry
-from atlas.store.record import RECORDS
-from atlas.store.records import Records, write_compaction
-from atlas.store.remote import zarr_store
-from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import done_tiles, open_group, open_handle
-from atlas.task import attempt, site
-from atlas.task.attempt import run_job
-from atlas.task.site import RefusedError, Site
-from atlas.task.task import Job
-from rig.loopback import ObjectStore, Trouble, object_store
+from atlas.store.create import create_store
+from atlas.store.object_backend import AT_ONCE, LocalBackend, StoreBackend, open_backend
+from atlas.store.origin import Origin, RetryRequest
+from atlas.store.record_format import RECORDS
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
+from atlas.store.store import done_tiles, open_group, open_store
+from atlas.store.tile_records import TileRecords, write_compaction
+from atlas.store.zarr_stores import zarr_store
+from atlas.task import attempt, store_ref
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef, WorkerRefusedError
+from atlas.task.tile_job import RunJob
+from rig.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from tests.planes import plane_of
 from workers import tile as solving
-from workers.settings import MOST_PERIODS
+from workers.settings import MAX_PERIODS
 
 LOST = "the run of this job has lost its claim of the store; nothing more is written"
-OURS = Record("ours", 3, "here", 1, "")
+OURS = LeaseRecord("ours", 3, "here", 1, "")
 THEIRS = replace(OURS, token="theirs", host="far")
 
 
 def contents(store: Path) -> dict[str, bytes]:
     """Every object of a store but the list of machines, which anybody may add to."""
-    keys = (key for key in LocalPlace(store).list_keys() if not key.startswith("machines/"))
+    keys = (key for key in LocalBackend(store).list_keys() if not key.startswith("machines/"))
     return {key: (store / key).read_bytes() for key in keys}
 
 
 def take_over(store: Path) -> None:
     """Replace our claim of a store by that of another run."""
-    assert notes_of(store).put(CLAIM, THEIRS.pack(), expected=OURS.pack())
+    assert sidecar_of(store).put(LEASE_NAME, THEIRS.pack(), expected=OURS.pack())
 
 
-def claimed_job(store: Path, index: tuple[int, ...]) -> Job:
-    handle = open_handle(store)
-    notes_of(store).put(CLAIM, OURS.pack(), expected=None)
-    return Job(index, Site(str(store), handle.run_id, handle.solver_version, claim=OURS.token))
+def claimed_job(store: Path, index: tuple[int, ...]) -> RunJob:
+    handle = open_store(store)
+    sidecar_of(store).put(LEASE_NAME, OURS.pack(), expected=None)
+    return RunJob(index, StoreRef(str(store), handle.run_id, handle.solver_version, claim=OURS.token))
 
 
-def new_store(folder: Path, _: Path) -> Job:
-    return claimed_job(create(folder / "new.zarr", plane_of(), (2, 3)).path, (1, 1))
+def new_store(folder: Path, _: Path) -> RunJob:
+    return claimed_job(create_store(folder / "new.zarr", plane_of(), (2, 3)).path, (1, 1))
 
 
-def retried_store(folder: Path, finished: Path) -> Job:
-    handle = open_handle(finished)
-    origin = Origin(str(finished), handle.run_id, Retry(("periodic",), max_periods=MOST_PERIODS))
-    return claimed_job(create(folder / "again.zarr", handle.spec, handle.tile, origin).path, (1, 1))
+def retried_store(folder: Path, finished: Path) -> RunJob:
+    handle = open_store(finished)
+    origin = Origin(str(finished), handle.run_id, RetryRequest(("periodic",), max_periods=MAX_PERIODS))
+    return claimed_job(create_store(folder / "again.zarr", handle.spec, handle.tile, origin).path, (1, 1))
 
 
-def extended_store(folder: Path, finished: Path) -> Job:
-    spec = refined(open_handle(finished).spec, 2)
-    origin = Origin(str(finished), open_handle(finished).run_id)
-    return claimed_job(create(folder / "finer.zarr", spec, (2, 3), origin).path, (1, 1))
+def extended_store(folder: Path, finished: Path) -> RunJob:
+    spec = refine_spec(open_store(finished).spec, 2)
+    origin = Origin(str(finished), open_store(finished).run_id)
+    return claimed_job(create_store(folder / "finer.zarr", spec, (2, 3), origin).path, (1, 1))
 
 
-JOBS: dict[str, Callable[[Path, Path], Job]] = {
+JOBS: dict[str, Callable[[Path, Path], RunJob]] = {
     "of a plain run": new_store,
     "of a retry": retried_store,
     "of an extension": extended_store,
@@ -99,8 +99,8 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
         return whole(*given)
 
     monkeypatch.setattr(solving, "solve_tile", slow)
-    with pytest.raises(RefusedError, match=LOST):
-        run_job(job)
+    with pytest.raises(WorkerRefusedError, match=LOST):
+        run_tile_job(job)
     assert contents(store) == before
 
 
@@ -108,9 +108,9 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
 def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finished: Path, kind: str) -> None:
     job = JOBS[kind](tmp_path, finished)
     before = contents(Path(job.site.store))
-    assert run_job(job).cells > 0
+    assert run_tile_job(job).cells > 0
     assert contents(Path(job.site.store)) != before
-    assert job.index in done_tiles(open_handle(job.site.store))
+    assert job.index in done_tiles(open_store(job.site.store))
 
 
 @pytest.mark.parametrize(
@@ -118,12 +118,12 @@ def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finishe
 )
 def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
     job = new_store(tmp_path, finished)
-    notes_of(job.site.store).remove(CLAIM, OURS.pack())
+    sidecar_of(job.site.store).remove(LEASE_NAME, OURS.pack())
     if claim:
-        notes_of(job.site.store).put(CLAIM, claim, expected=None)
-    with pytest.raises(RefusedError, match=LOST):
-        run_job(job)
-    assert done_tiles(open_handle(job.site.store)) == set()
+        sidecar_of(job.site.store).put(LEASE_NAME, claim, expected=None)
+    with pytest.raises(WorkerRefusedError, match=LOST):
+        run_tile_job(job)
+    assert done_tiles(open_store(job.site.store)) == set()
 
 
 @pytest.mark.parametrize("kind", JOBS)
@@ -142,9 +142,9 @@ def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
             before.update(contents(store))
 
     monkeypatch.setattr(zarr.Array, "__setitem__", stopped)
-    with pytest.raises(RefusedError, match=LOST):
-        run_job(job)
-    assert job.index not in done_tiles(open_handle(store))
+    with pytest.raises(WorkerRefusedError, match=LOST):
+        run_tile_job(job)
+    assert job.index not in done_tiles(open_store(store))
     written = {key.partition("/")[0] for key, data in contents(store).items() if before.get(key) != data}
     assert "regime" not in written
 
@@ -153,32 +153,32 @@ def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_th
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job, looks, writes = new_store(tmp_path, finished), Counter[str](), Counter[str]()
-    run_job(replace(job, index=(0, 0)))  # the first of a process records its machine
-    put, remove, token_of = LocalPlace.put, LocalPlace.remove, sidecar.note_fence
+    run_tile_job(replace(job, index=(0, 0)))  # the first of a process records its machine
+    put, remove, token_of = LocalBackend.put, LocalBackend.remove, sidecar.token_fence
 
     def counted(place: Any, name: str, *rest: Any) -> Any:
         look = token_of(place, name, *rest)
         return lambda: (looks.update([name]), look())
 
-    monkeypatch.setattr(site, "note_fence", counted)
-    monkeypatch.setattr(LocalPlace, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
-    monkeypatch.setattr(LocalPlace, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
-    run_job(job)
-    assert looks == {CLAIM: writes.total(), "started-1-1": writes.total()}
-    assert writes.total() > len(open_handle(job.site.store).variables)
+    monkeypatch.setattr(store_ref, "note_fence", counted)
+    monkeypatch.setattr(LocalBackend, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
+    monkeypatch.setattr(LocalBackend, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
+    run_tile_job(job)
+    assert looks == {LEASE_NAME: writes.total(), "started-1-1": writes.total()}
+    assert writes.total() > len(open_store(job.site.store).variables)
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
     tmp_path: Path, plane: atlas.Spec, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, tokens = attempt.run_job, set()
+    whole, tokens = attempt.run_tile_job, set()
 
-    def looking(job: Job) -> Any:
-        record = Record.unpack(notes_of(job.site.store).read(CLAIM) or b"")
+    def looking(job: RunJob) -> Any:
+        record = LeaseRecord.unpack(sidecar_of(job.site.store).read(LEASE_NAME) or b"")
         tokens.add((job.site.claim, record and record.token))
         return whole(job)
 
-    monkeypatch.setattr(attempt, "run_job", looking)
+    monkeypatch.setattr(attempt, "run_tile_job", looking)
     atlas.run(plane, tmp_path / "out.zarr", client=client)
     ((job, claim),) = tokens
     assert job == claim != ""
@@ -197,12 +197,12 @@ def lost() -> None:
 
 def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
-    handle = open_handle(finished)
+    handle = open_store(finished)
     with pytest.raises(LostError):
-        Overviews(handle.at(handle.place.behind(lost)), side=2, least=1)
+        OverviewBuilder(handle.at(handle.place.with_fence(lost)), side=2, least=1)
     assert not handle.place.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = Overviews(handle.at(handle.place.behind(lambda: claims[-1]())), side=2, least=1)
+    overviews = OverviewBuilder(handle.at(handle.place.with_fence(lambda: claims[-1]())), side=2, least=1)
     claims.append(lost)
     with pytest.raises(LostError):
         overviews.finish()
@@ -210,15 +210,15 @@ def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
 
 
 def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) -> None:
-    handle = open_handle(finished)
+    handle = open_store(finished)
     before = (finished / RECORDS / "c.0.0.0").read_bytes()
-    records = Records(handle, [])
+    records = TileRecords(handle, [])
     with pytest.raises(LostError):
-        write_compaction(handle.at(handle.place.behind(lost)), records.rows, records.done)
+        write_compaction(handle.at(handle.place.with_fence(lost)), records.rows, records.done)
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 
-CHANGES: dict[str, Callable[[LocalPlace], object]] = {
+CHANGES: dict[str, Callable[[LocalBackend], object]] = {
     "put": lambda place: place.put("zarr.json", b""),
     "put_all": lambda place: place.put_all({"zarr.json": b""}),
     "put_new": lambda place: place.put_new("new", b""),
@@ -236,23 +236,23 @@ CHANGES: dict[str, Callable[[LocalPlace], object]] = {
 def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: Path, change: str) -> None:
     before = contents(finished)
     with pytest.raises(LostError):
-        CHANGES[change](LocalPlace(finished).behind(lost))
+        CHANGES[change](LocalBackend(finished).with_fence(lost))
     assert contents(finished) == before
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[ObjectStore]:
+def server() -> Iterator[FakeObjectStore]:
     with object_store() as served, pytest.MonkeyPatch.context() as patch:
         for name, value in served.environment.items():
             patch.setenv(name, value)
         yield served
 
 
-AT_A_URL: dict[str, Callable[[Place], object]] = {
+AT_A_URL: dict[str, Callable[[StoreBackend], object]] = {
     "put": lambda place: place.put("a", b"2"),
     "put_all": lambda place: place.put_all({"a": b"2"}),
     "put_new": lambda place: place.put_new("b", b"2"),
-    "take_all": lambda place: place.take_all(place_of("s3://bucket/origin.zarr"), ["a"]),
+    "take_all": lambda place: place.take_all(open_backend("s3://bucket/origin.zarr"), ["a"]),
     "remove": lambda place: place.remove("a"),
     "remove_all": lambda place: place.remove_all(["a"]),
     "set by Zarr": lambda place: zarr.create_group(zarr_store(place, False), zarr_format=3, overwrite=True),
@@ -263,7 +263,7 @@ AT_A_URL: dict[str, Callable[[Place], object]] = {
 
 @pytest.mark.parametrize("change", AT_A_URL)
 def test_a_claim_lost_while_the_server_was_away_is_seen_before_the_next_attempt(
-    server: ObjectStore, change: str
+    server: FakeObjectStore, change: str
 ) -> None:
     """Truth: the objects' generations. The fence holds at the first look; the first attempt at the change fails."""
     server.put({"bucket/fenced.zarr/a": b"1", "bucket/origin.zarr/a": b"2"})
@@ -273,15 +273,15 @@ def test_a_claim_lost_while_the_server_was_away_is_seen_before_the_next_attempt(
         looks.append(1)
         if len(looks) > 1:
             raise LostError
-        server.trouble = Trouble(0, 1)
+        server.trouble = InjectedFault(0, 1)
 
     with pytest.raises(LostError):
-        AT_A_URL[change](place_of("s3://bucket/fenced.zarr").behind(fence))
+        AT_A_URL[change](open_backend("s3://bucket/fenced.zarr").with_fence(fence))
     assert server.objects == before
     assert server.trouble.left == 0
 
 
-def test_objects_beyond_the_first_requests_are_put_after_another_look(server: ObjectStore) -> None:
+def test_objects_beyond_the_first_requests_are_put_after_another_look(server: FakeObjectStore) -> None:
     looks = list[int]()
 
     def fence() -> None:
@@ -289,27 +289,27 @@ def test_objects_beyond_the_first_requests_are_put_after_another_look(server: Ob
         if len(looks) > 1:
             raise LostError
 
-    place = place_of("s3://bucket/many.zarr")
+    place = open_backend("s3://bucket/many.zarr")
     with pytest.raises(LostError):
-        place.behind(fence).put_all({f"{k:03}": b"1" for k in range(AT_ONCE + 1)})
+        place.with_fence(fence).put_all({f"{k:03}": b"1" for k in range(AT_ONCE + 1)})
     assert len([*place.list_keys()]) == AT_ONCE
 
 
 def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for index in ("0/0", "0/1", "1/0"):
         (finished / "largest/c" / index).unlink()
-    before, drop = done_tiles(open_handle(finished)), repairing.drop_tile
+    before, drop = done_tiles(open_store(finished)), repairing.drop_tile
 
     def taken(handle: Any, index: tuple[int, ...]) -> None:
         drop(handle, index)
-        notes = notes_of(finished)
-        notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+        notes = sidecar_of(finished)
+        notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
 
-    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(Lease, "_beat", lambda _: None)
     monkeypatch.setattr(repairing, "drop_tile", taken)
     with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
         atlas.verify(finished, sample=0, repair=True)
-    assert before - done_tiles(open_handle(finished)) == {(0, 0)}
+    assert before - done_tiles(open_store(finished)) == {(0, 0)}
 
 
 def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves_the_notes_of_the_other_run(
@@ -320,19 +320,19 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
 
     def asleep(progress: Progress) -> None:
         if progress.tiles_done == 9 and not written:
-            notes = notes_of(store)
-            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes = sidecar_of(store)
+            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
             notes.put("started-0-0", b"1", expected=None)
             written.update(contents(store))
 
-    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(
         RunError, match="this run has lost its claim of the store: another run has taken it; finished tiles are kept"
     ):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
     assert contents(store) == written
-    assert notes_of(store).read("started-0-0") == b"1"
-    assert notes_of(store).read(CLAIM) == THEIRS.pack()
+    assert sidecar_of(store).read("started-0-0") == b"1"
+    assert sidecar_of(store).read(LEASE_NAME) == THEIRS.pack()
 
 
 def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
@@ -341,15 +341,15 @@ def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
     store = tmp_path / "out.zarr"
 
     def taken(progress: Progress) -> None:
-        notes = notes_of(store)
-        found = Record.unpack(notes.read(CLAIM) or b"")
+        notes = sidecar_of(store)
+        found = LeaseRecord.unpack(notes.read(LEASE_NAME) or b"")
         if progress.tiles_done == 1 and found is not None and found.token != THEIRS.token:
-            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
 
-    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=taken))
-    assert len(done_tiles(open_handle(store))) < 9
+    assert len(done_tiles(open_store(store))) < 9
 
 
 def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_run(
@@ -359,12 +359,12 @@ def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_ru
 
     def interrupted(progress: Progress) -> None:
         if progress.tiles_done == 2:
-            notes = notes_of(store)
-            notes.put(CLAIM, THEIRS.pack(), expected=notes.read(CLAIM))
+            notes = sidecar_of(store)
+            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
             notes.put("started-9-9", b"1", expected=None)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Claim, "_beat", lambda _: None)
+    monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=interrupted))
-    assert notes_of(store).read("started-9-9") == b"1"
+    assert sidecar_of(store).read("started-9-9") == b"1"

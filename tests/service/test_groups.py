@@ -14,18 +14,18 @@ import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
 from atlas.orbits.curves.table import read_curves, write_curves
-from atlas.orbits.labels.table import Count, Labels, stored_count, write_labels
+from atlas.orbits.labels.table import AttractorLabels, LabelCounts, stored_count, write_labels
 from atlas.query.open import open_table
-from atlas.robustness.table import LINEAR, Stored, empty, of_family, write_measures
-from atlas.service.lease import CLAIM
+from atlas.robustness.table import LINEAR, StoredMeasures, empty, of_family, write_measures
+from atlas.service.lease import LEASE_NAME
 from atlas.service.progress import Progress
-from atlas.store import making, store
+from atlas.store import create, store
 from atlas.store.groups import ATTRACTORS, CURVES, LABELS, STABILITY, write_table
 from atlas.store.parts import put_part
 from atlas.store.schema import StoredArray
-from atlas.store.sidecar import notes_of
+from atlas.store.sidecar import sidecar_of
 from atlas.store.tiles import read_tile, write_tile
-from atlas.store.zoom import make_plane, note_seen, seen_sheets, sheet_place, sheets
+from atlas.store.zoom import list_metatiles, make_plane, metatile_backend, read_view_times, write_view_times
 from tests.harm import flip
 from tests.orbits.curves.test_curves_table import BOTH
 
@@ -39,15 +39,17 @@ STARTS = {"attractors": {"starts": 4}, "solve": {"exponents": "none"}}
 def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A solved plane with curves, measures, a part of a search of both, and a sheet of a zoom level."""
     path = Path(shutil.copytree(solved_plane, tmp_path_factory.mktemp("groups") / "plane.zarr"))
-    handle = store.open_handle(path)
+    handle = store.open_store(path)
     write_curves(handle, BOTH)
     put_part(handle, CURVES, "seed-0", b'{"found": []}')
-    write_measures(handle, Stored(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    write_measures(
+        handle, StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}})
+    )
     put_part(handle, STABILITY, "linear-0.0-0", b"")
     make_plane(handle, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
-    sheet = making.create(sheet_place(handle, PLANE, "x0_y0_0_0"), handle.spec, handle.tile)
+    sheet = create.create_store(metatile_backend(handle, PLANE, "x0_y0_0_0"), handle.spec, handle.tile)
     write_tile(sheet, (0, 0), read_tile(handle, (0, 0)))
-    note_seen(handle, {(PLANE, "x0_y0_0_0"): 1.0})
+    write_view_times(handle, {(PLANE, "x0_y0_0_0"): 1.0})
     return path
 
 
@@ -55,7 +57,7 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def basins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of basins, none of its tiles solved, with a table of attractors."""
     spec = atlas.Spec("two-mass", {"x1": [0.0, 0.01], "v1": [0.0, 0.1]}, **STARTS)
-    handle = making.create(tmp_path_factory.mktemp("basins") / "basins.zarr", spec, (2, 2))
+    handle = create.create_store(tmp_path_factory.mktemp("basins") / "basins.zarr", spec, (2, 2))
     column = StoredArray(np.array([0.5, 0.25]), ("attractor",), {"long_name": "share", "units": "1"})
     points = StoredArray(np.arange(24.0).reshape(2, 3, 4), ("attractor", "point", "component"), {"units": "1"})
     write_table(handle, ATTRACTORS, {"share": column, "points": points}, {"title": "attractors by their labels"})
@@ -66,11 +68,13 @@ def basins(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of all attractors, none of its tiles solved, with labels."""
     spec = atlas.Spec("two-mass", {"omega": [1.0, 2.0], "b": [0.1, 0.2]}, **STARTS)
-    handle = making.create(tmp_path_factory.mktemp("labelled") / "labelled.zarr", spec, (2, 2))
+    handle = create.create_store(tmp_path_factory.mktemp("labelled") / "labelled.zarr", spec, (2, 2))
     one = np.array([1], dtype=np.int64)
     names = ("regime", "period", "impacts_upper", "impacts_lower", "symmetric")
     labels = np.zeros((2, 2, spec.attractors.keep if spec.attractors else 0), dtype=np.int64)
-    found = Labels(labels, one, np.array([1.0]), one, dict.fromkeys(names, one), Count(1, 1, 1, 1, 0, 0, 0, 0))
+    found = AttractorLabels(
+        labels, one, np.array([1.0]), one, dict.fromkeys(names, one), LabelCounts(1, 1, 1, 1, 0, 0, 0, 0)
+    )
     write_labels(handle, found)
     return handle.path
 
@@ -197,7 +201,7 @@ def test_reading_damaged_labels_names_the_store_and_the_remedy(labelled: Path, t
     flip(path / key, 0)
     with pytest.raises(ChunkError, match=rf"{path}: {key} is damaged .*: atlas attractors label {path} makes it anew"):
         atlas.open(path).label.load()
-    assert stored_count(store.open_handle(path)) is None
+    assert stored_count(store.open_store(path)) is None
 
 
 @pytest.mark.parametrize("lost", [True, False])
@@ -206,24 +210,24 @@ def test_reading_a_damaged_table_names_the_store_and_the_remedy(basins: Path, tm
     chunk = path / "attractors/share/c/0"
     chunk.unlink() if lost else flip(chunk, 3)
     with pytest.raises(ChunkError, match=rf"{path}: attractors/share/c/0 is .*: atlas verify --repair {path}"):
-        open_table(store.open_handle(path), ATTRACTORS).load()
+        open_table(store.open_store(path), ATTRACTORS).load()
 
 
 def test_damaged_curves_name_the_store_and_the_remedy(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
     flip(path / "curves/unstable/c/0", 3)
     with pytest.raises(ChunkError, match=rf"{path}: curves/unstable/c/0 is damaged .*: atlas find curves {path}"):
-        read_curves(store.open_handle(path))
+        read_curves(store.open_store(path))
 
 
 def test_damaged_metadata_of_a_zoom_level_stop_no_explorer(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
-    handle = store.open_handle(path)
+    handle = store.open_store(path)
     (path / "zoom" / PLANE / "zarr.json").write_text("{")
-    assert seen_sheets(handle) == {}
-    note_seen(handle, {(PLANE, "x0_y0_0_0"): 2.0})
+    assert read_view_times(handle) == {}
+    write_view_times(handle, {(PLANE, "x0_y0_0_0"): 2.0})
     verify(path, sample=0, repair=True)
-    assert sheets(handle) == []
+    assert list_metatiles(handle) == []
 
 
 def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: Path) -> None:
@@ -239,15 +243,17 @@ def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: P
 
 def test_a_repair_holds_the_claim_from_before_it_reads(whole: Path, tmp_path: Path) -> None:
     path, claims = copied(whole, tmp_path), []
-    verify(path, sample=0, repair=True, on_progress=lambda _: claims.append(notes_of(path).read(CLAIM) is not None))
+    verify(
+        path, sample=0, repair=True, on_progress=lambda _: claims.append(sidecar_of(path).read(LEASE_NAME) is not None)
+    )
     assert claims and all(claims)
-    assert notes_of(path).read(CLAIM) is None
+    assert sidecar_of(path).read(LEASE_NAME) is None
 
 
 def test_verifying_without_a_repair_takes_no_claim(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
 
     def watch(_: Progress) -> None:
-        assert notes_of(path).read(CLAIM) is None
+        assert sidecar_of(path).read(LEASE_NAME) is None
 
     assert verify(path, sample=0, on_progress=watch).faults == ()

@@ -15,9 +15,9 @@ from atlas.service.probe import with_time
 from atlas.spec.axis import MAX_POINTS
 from tests import naive
 from workers import Settings
-from workers.history import LONGEST
+from workers.history import MAX_TRACE_PERIODS
 from workers.results import CHAOTIC, FAILED, PERIODIC, empty_results, result_variables
-from workers.settings import LONGEST_ORBIT, MOST_PERIODS, MOST_SAMPLES
+from workers.settings import MAX_ORBIT_PERIOD, MAX_PERIODS, MAX_SAMPLES
 from workers.sweep import solve_lines
 
 pytestmark = pytest.mark.slow
@@ -35,10 +35,10 @@ SMALLEST: list[dict[str, Any]] = [
     BRIEF | {"max_period": 1, "max_periods": 1},
 ]
 LARGEST: list[dict[str, Any]] = [
-    {"max_period": LONGEST_ORBIT, "max_periods": 500},
+    {"max_period": MAX_ORBIT_PERIOD, "max_periods": 500},
     {"tolerance": 1.7e308},
     {"section_samples": 5000, "max_periods": 500},
-    BRIEF | {"max_period": LONGEST_ORBIT},
+    BRIEF | {"max_period": MAX_ORBIT_PERIOD},
 ]
 
 
@@ -59,16 +59,16 @@ def test_a_tolerance_of_next_to_nothing_takes_a_chaotic_cell_to_the_end_of_its_b
 
 def test_the_longest_schedules_and_budgets_fit_their_counter() -> None:
     """A schedule, and the search for its orbit within max_periods."""
-    assert np.iinfo(np.int32).max > 3 * MOST_PERIODS
-    Settings(max_periods=MOST_PERIODS, transient_periods=MOST_PERIODS, periods=MOST_PERIODS)
+    assert np.iinfo(np.int32).max > 3 * MAX_PERIODS
+    Settings(max_periods=MAX_PERIODS, transient_periods=MAX_PERIODS, periods=MAX_PERIODS)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("max_periods", 0), ("max_periods", MOST_PERIODS + 1), ("transient_periods", -1),
-        ("transient_periods", MOST_PERIODS + 1), ("periods", 0), ("periods", MOST_PERIODS + 1), ("max_period", 0),
-        ("max_period", LONGEST_ORBIT + 1), ("section_samples", -1), ("section_samples", MOST_SAMPLES + 1),
+        ("max_periods", 0), ("max_periods", MAX_PERIODS + 1), ("transient_periods", -1),
+        ("transient_periods", MAX_PERIODS + 1), ("periods", 0), ("periods", MAX_PERIODS + 1), ("max_period", 0),
+        ("max_period", MAX_ORBIT_PERIOD + 1), ("section_samples", -1), ("section_samples", MAX_SAMPLES + 1),
         ("tolerance", 0.0), ("tolerance", -1.0), ("tolerance", np.inf), ("tolerance", np.nan), ("tolerance", 10**400),
     ],
 )  # fmt: skip
@@ -103,9 +103,9 @@ def test_a_history_may_have_no_period_or_one(periods: int, exponents: str) -> No
     assert periods or not history.impacts.size
 
 
-@pytest.mark.parametrize("periods", [-1, LONGEST + 1, 10**12, 1.5, True, None])
+@pytest.mark.parametrize("periods", [-1, MAX_TRACE_PERIODS + 1, 10**12, 1.5, True, None])
 def test_a_history_of_another_length_is_refused_in_one_line(periods: Any) -> None:
-    with pytest.raises(ValueError, match=f"^periods: found .*, must be a whole number, 0 to {LONGEST}$"):
+    with pytest.raises(ValueError, match=f"^periods: found .*, must be a whole number, 0 to {MAX_TRACE_PERIODS}$"):
         workers.trace("two-mass", CHAOS, periods)
 
 

@@ -10,7 +10,7 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.service.notebook import NotebookReporter, reporting
+from atlas.service.notebook import NotebookReporter, progress_reporter
 from atlas.service.plan import make_plan
 from atlas.service.progress import Progress
 from tests.planes import plane_of
@@ -65,14 +65,14 @@ def test_a_function_of_the_users_own_takes_the_place_of_the_bar(
 
 
 def test_outside_of_a_notebook_nothing_is_shown() -> None:
-    with reporting(None) as report:
+    with progress_reporter(None) as report:
         assert report is None
 
 
 def test_ipython_in_a_terminal_is_no_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     ipython = SimpleNamespace(get_ipython=lambda: SimpleNamespace())
     monkeypatch.setitem(sys.modules, "IPython", ipython)  # type: ignore[arg-type]
-    with reporting(None) as report:
+    with progress_reporter(None) as report:
         assert report is None
 
 

@@ -3,25 +3,25 @@ import itertools
 import numpy as np
 import pytest
 
-from atlas.service.schedule import Order
+from atlas.service.tile_order import TileOrder
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3,), (17,), (2, 9), (13, 11)])
 def test_every_tile_due_comes_once_and_no_other(shape: tuple[int, ...]) -> None:
     due = np.random.default_rng(1).random(shape) < 0.7
-    given = list(Order(due))
+    given = list(TileOrder(due))
     assert len(given) == due.sum()
     assert set(given) == {tuple(map(int, index)) for index in np.argwhere(due)}
 
 
 def test_without_receipts_ever_finer_lattices_come_first() -> None:
-    given = list(Order(np.ones((8, 8), dtype=bool)))
+    given = list(TileOrder(np.ones((8, 8), dtype=bool)))
     assert given[:4] == [(2, 2), (2, 6), (6, 2), (6, 6)]
     assert set(given[:16]) == set(itertools.product(range(0, 8, 2), repeat=2))
 
 
 def test_what_is_known_late_still_counts() -> None:
-    order = Order(np.ones((16, 16), dtype=bool))
+    order = TileOrder(np.ones((16, 16), dtype=bool))
     given = iter(order)
     begun = [next(given) for _ in range(100)]
     for index in begun:
@@ -35,7 +35,7 @@ def test_after_a_coarse_lattice_the_costly_region_comes_first() -> None:
     def cost(index: tuple[int, ...]) -> float:
         return 100.0 if index[0] >= 8 and index[1] < 8 else 1.0
 
-    order = Order(np.ones((16, 16), dtype=bool))
+    order = TileOrder(np.ones((16, 16), dtype=bool))
     given = []
     for index in order:
         given.append(index)
@@ -47,7 +47,7 @@ def test_after_a_coarse_lattice_the_costly_region_comes_first() -> None:
 
 
 def test_of_the_tiles_of_known_cost_the_nearest_counts_most() -> None:
-    order = Order(np.ones((1, 16), dtype=bool))
+    order = TileOrder(np.ones((1, 16), dtype=bool))
     given = iter(order)
     for index in itertools.islice(given, 4):
         order.note(index, 100.0 if index == (0, 14) else 1.0)

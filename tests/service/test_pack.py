@@ -14,25 +14,25 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
-from atlas.query.reads import counted
-from atlas.service.lease import Record
+from atlas.query.read_counter import counted
+from atlas.service.lease import LeaseRecord
 from atlas.service.pack import pack
-from atlas.service.process import this_process
-from atlas.store import making, store
-from atlas.store.archive import write_zip
-from atlas.store.sidecar import CLAIM, notes_of
+from atlas.service.process_identity import this_process
+from atlas.store import create, store
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
+from atlas.store.zip_backend import write_zip
 from tests.interface.test_cli import call
 from tests.planes import plane_of
 from tests.synthetic import complete, fill, spec_of
 
 
 @pytest.fixture(scope="module")
-def handle(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
+def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
     return complete(tmp_path_factory.mktemp("pack") / "a.zarr", (19, 23))
 
 
 @pytest.fixture(scope="module")
-def packed(handle: store.Atlas) -> Path:
+def packed(handle: store.AtlasStore) -> Path:
     file = handle.path.with_name("a.zip")
     assert pack(handle.path, file).complete
     return file
@@ -51,12 +51,12 @@ def changed(packed: Path, into: Path, key: str) -> Path:
 # Reading
 
 
-def test_plain_xarray_opens_it_and_finds_what_the_store_holds(handle: store.Atlas, packed: Path) -> None:
+def test_plain_xarray_opens_it_and_finds_what_the_store_holds(handle: store.AtlasStore, packed: Path) -> None:
     with zarr.storage.ZipStore(packed, read_only=True) as zipped:
         xr.testing.assert_identical(xr.open_zarr(zipped).load(), xr.open_zarr(handle.path).load())
 
 
-def test_atlas_opens_it_and_reads_as_few_chunks_as_of_the_store(handle: store.Atlas, packed: Path) -> None:
+def test_atlas_opens_it_and_reads_as_few_chunks_as_of_the_store(handle: store.AtlasStore, packed: Path) -> None:
     found = []
     for place in (handle.path, packed):
         with counted() as reads:
@@ -65,14 +65,16 @@ def test_atlas_opens_it_and_reads_as_few_chunks_as_of_the_store(handle: store.At
     assert found[0] == found[1]
 
 
-def test_a_picture_of_it_is_that_of_the_store(handle: store.Atlas, packed: Path, tmp_path: Path) -> None:
+def test_a_picture_of_it_is_that_of_the_store(handle: store.AtlasStore, packed: Path, tmp_path: Path) -> None:
     for place, out in ((handle.path, "a.png"), (packed, "b.png")):
         assert call("plot", place, "-o", tmp_path / out, "--kind", "period").exit_code == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 @pytest.mark.parametrize("args", [("status", "STORE"), ("query", "STORE"), ("find", "regions", "STORE", "period")])
-def test_commands_that_read_answer_as_of_the_store(handle: store.Atlas, packed: Path, args: tuple[str, ...]) -> None:
+def test_commands_that_read_answer_as_of_the_store(
+    handle: store.AtlasStore, packed: Path, args: tuple[str, ...]
+) -> None:
     of_store, of_file = (
         json.loads(call(*(place if arg == "STORE" else arg for arg in args), "--json").stdout)
         for place in (handle.path, packed)
@@ -97,12 +99,12 @@ def test_a_packed_atlas_can_be_extended_into_a_folder(client: Client, tmp_path: 
 # The file
 
 
-def test_a_file_is_the_same_bytes_each_time(handle: store.Atlas, packed: Path, tmp_path: Path) -> None:
+def test_a_file_is_the_same_bytes_each_time(handle: store.AtlasStore, packed: Path, tmp_path: Path) -> None:
     pack(handle.path, tmp_path / "b.zip")
     assert (tmp_path / "b.zip").read_bytes() == packed.read_bytes()
 
 
-def test_chunks_are_stored_as_they_are(handle: store.Atlas, packed: Path) -> None:
+def test_chunks_are_stored_as_they_are(handle: store.AtlasStore, packed: Path) -> None:
     with zipfile.ZipFile(packed) as archive:
         members = archive.infolist()
     assert {member.compress_type for member in members} == {zipfile.ZIP_STORED}
@@ -121,7 +123,7 @@ def test_a_pack_that_fails_in_the_middle_leaves_the_old_file_and_nothing_else(tm
     assert os.listdir(tmp_path) == ["a.zip"]
 
 
-def test_a_file_that_is_there_is_replaced_only_by_force(handle: store.Atlas, tmp_path: Path) -> None:
+def test_a_file_that_is_there_is_replaced_only_by_force(handle: store.AtlasStore, tmp_path: Path) -> None:
     (tmp_path / "a.zip").write_bytes(b"mine")
     shown = call("pack", handle.path, tmp_path / "a.zip")
     assert (shown.exit_code, shown.stdout, len(shown.stderr.splitlines())) == (2, "", 1)
@@ -131,8 +133,8 @@ def test_a_file_that_is_there_is_replaced_only_by_force(handle: store.Atlas, tmp
     assert zipfile.is_zipfile(tmp_path / "a.zip")
 
 
-def test_a_replaced_file_is_read_anew(handle: store.Atlas, tmp_path: Path) -> None:
-    other = making.create(tmp_path / "b.zarr", spec_of(), (19, 23))
+def test_a_replaced_file_is_read_anew(handle: store.AtlasStore, tmp_path: Path) -> None:
+    other = create.create_store(tmp_path / "b.zarr", spec_of(), (19, 23))
     fill(other, seed=5)
     pack(handle.path, tmp_path / "a.zip")
     before = atlas.open(tmp_path / "a.zip").largest.values
@@ -143,7 +145,7 @@ def test_a_replaced_file_is_read_anew(handle: store.Atlas, tmp_path: Path) -> No
 
 
 def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> None:
-    half = making.create(tmp_path / "a.zarr", spec_of(), (19, 23))
+    half = create.create_store(tmp_path / "a.zarr", spec_of(), (19, 23))
     fill(half, skip=((0, 0),))
     shown = call("pack", half.path, tmp_path / "a.zip")
     assert shown.exit_code == 0
@@ -152,19 +154,19 @@ def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> Non
     assert not verify(tmp_path / "a.zip", sample=0).complete
 
 
-def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.Atlas, tmp_path: Path) -> None:
-    notes = notes_of(handle.path)
-    claim = Record("theirs", 1, "here", os.getpid(), this_process()).pack()
-    assert notes.put(CLAIM, claim, expected=None)
+def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore, tmp_path: Path) -> None:
+    notes = sidecar_of(handle.path)
+    claim = LeaseRecord("theirs", 1, "here", os.getpid(), this_process()).pack()
+    assert notes.put(LEASE_NAME, claim, expected=None)
     try:
         with pytest.raises(InputError, match="is at work on it; pack it when that has ended"):
             pack(handle.path, tmp_path / "b.zip")
     finally:
-        notes.remove(CLAIM, claim)
+        notes.remove(LEASE_NAME, claim)
     assert os.listdir(tmp_path) == []
 
 
-def test_progress_counts_the_objects(handle: store.Atlas, tmp_path: Path) -> None:
+def test_progress_counts_the_objects(handle: store.AtlasStore, tmp_path: Path) -> None:
     seen: list[str] = []
     made = pack(handle.path, tmp_path / "b.zip", on_progress=lambda progress: seen.append(progress.stage))
     assert seen[-1] == f"packing: {made.objects} of {made.objects} objects"
@@ -174,7 +176,9 @@ def test_progress_counts_the_objects(handle: store.Atlas, tmp_path: Path) -> Non
     ("name", "message"),
     [("a.tar", r"a.tar: must end in \.zip"), ("no/such/folder/a.zip", "cannot be packed: No such file or directory")],
 )
-def test_a_file_that_cannot_be_made_is_refused(handle: store.Atlas, tmp_path: Path, name: str, message: str) -> None:
+def test_a_file_that_cannot_be_made_is_refused(
+    handle: store.AtlasStore, tmp_path: Path, name: str, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         pack(handle.path, tmp_path / name)
     assert os.listdir(tmp_path) == []

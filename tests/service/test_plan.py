@@ -17,9 +17,9 @@ import atlas
 from atlas import Spec
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.overview.levels import LEAST, SIDE
+from atlas.overview.levels import MIN_SIDE, SIDE
 from atlas.service import plan
-from atlas.store.record import WIDTH
+from atlas.store.record_format import WIDTH
 from atlas.store.tiles import put_record
 from tests.paths import ROOT
 from tests.planes import plane_of
@@ -80,7 +80,7 @@ def disk_use(path: Path) -> int:
 
 @pytest.mark.parametrize(("spec", "tile"), [(wide(45, 38), (8, 8)), (wide(200, 9), (3, 50)), (wide(12, 10), (64, 64))])
 def test_a_store_takes_no_more_of_a_disk_than_its_plan_says(tmp_path: Path, spec: Spec, tile: tuple[int, int]) -> None:
-    handle = complete(tmp_path / "out.zarr", tile, spec, SIDE, LEAST)
+    handle = complete(tmp_path / "out.zarr", tile, spec, SIDE, MIN_SIDE)
     for index in (cells.index for cells in handle.tiling.tiles()):
         put_record(handle, index, np.zeros(WIDTH))
     bound = plan.make_plan(spec, 1, tile).bytes
@@ -125,7 +125,7 @@ def test_a_plan_prints_itself() -> None:
     [(0.9, 1.1, "about 20 s on 2 workers (probed on 256 cells)"), (0.5, 1.5, "10 s to 30 s on 2 workers (probed on")],
 )
 def test_a_plan_prints_a_range_of_time_where_the_probe_leaves_one(low: float, high: float, says: str) -> None:
-    probe = plan.Probe(cells=256, periods_per_cell=100.0, seconds_per_cell=1.0, low=low, high=high)
+    probe = plan.ProbeResult(cells=256, periods_per_cell=100.0, seconds_per_cell=1.0, low=low, high=high)
     made = replace(plan.make_plan(wide(8, 5), workers=2), probe=probe)
     assert says in str(made)
     assert made.as_dict()["seconds"] == 20.0

@@ -9,10 +9,10 @@ from distributed import Client
 
 import atlas
 from atlas.service import probe as probing
-from atlas.service.plan import Probe, make_plan
+from atlas.service.plan import ProbeResult, make_plan
 from tests import naive
 from workers import Settings, solve_tile
-from workers.cell.course import LEAST_PART
+from workers.cell.schedule import MIN_SURVIVAL_SHARE
 from workers.results import CHAOTIC
 from workers.sweep import solve_lines
 
@@ -32,7 +32,7 @@ def coarse(name: str, continuation: dict[str, str] | None = None) -> atlas.Spec:
     return atlas.Spec(spec.system, axes, spec.parameters, spec.settings, store)
 
 
-def probed(spec: atlas.Spec) -> Probe:
+def probed(spec: atlas.Spec) -> ProbeResult:
     return probing.probe(spec, make_plan(spec, workers=2).tiling.tile)
 
 
@@ -54,7 +54,7 @@ def test_on_a_processor_half_as_fast_the_same_periods_take_twice_the_seconds() -
     assert slow.seconds_per_cell == pytest.approx(2.0 * fast.seconds_per_cell, rel=1e-12)
 
 
-def pretended(monkeypatch: pytest.MonkeyPatch, first: float, each: float) -> Probe:
+def pretended(monkeypatch: pytest.MonkeyPatch, first: float, each: float) -> ProbeResult:
     """The probe of a plane whose cells cost this many seconds each, and the first to be solved ``first`` more."""
     now, more = [0.0], [first]
 
@@ -122,7 +122,7 @@ def test_no_probed_cell_costs_more_than_the_probe_allows() -> None:
     settings = Settings(tolerance=1e-9, max_periods=10_000_000)
     solved = solve_tile("two-mass", naive.FIGURES[5], probing.brief(settings)[0])
     assert solved["regime"] == CHAOTIC
-    assert solved["periods_used"] <= probing.LONGEST + probing.LONGEST_WATCH
+    assert solved["periods_used"] <= probing.MAX_PROBE_PERIODS + probing.MAX_SURVIVAL
     spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
     assert probed(spec).periods_per_cell == pytest.approx(0.9 * settings.max_periods, rel=0.01)
 
@@ -137,23 +137,23 @@ def test_a_long_schedule_is_probed_on_a_short_one() -> None:
 @pytest.mark.parametrize("exponents", ["none", "largest"])
 def test_the_periods_for_which_chaos_would_be_watched_are_told_from_fewer(exponents: str, zeta: float) -> None:
     """Truth: the cell solved with all of its survival. No stable orbit is known beside it: a part is required."""
-    settings = Settings(exponents=exponents, survival=20 * probing.LONGEST_WATCH, tolerance=0.03)
+    settings = Settings(exponents=exponents, survival=20 * probing.MAX_SURVIVAL, tolerance=0.03)
     cell = naive.FIGURES[5] if zeta == 0.5 else {"omega": 2.05, "b": 0.1, "zeta": zeta}
     fixed = {name: value for name, value in cell.items() if name != "omega"}
     truth = solve_tile("two-mass", cell, settings)
-    assert 0.5 * settings.survival > truth["survived"] >= LEAST_PART * settings.survival
+    assert 0.5 * settings.survival > truth["survived"] >= MIN_SURVIVAL_SHARE * settings.survival
     spec = atlas.Spec("two-mass", {"omega": [cell["omega"]]}, fixed, settings)
     assert probed(spec).periods_per_cell == pytest.approx(truth["periods_used"], rel=0.1)
 
 
 def test_a_survival_as_short_as_that_of_the_probe_adds_nothing() -> None:
-    settings = Settings(survival=probing.LONGEST_WATCH)
+    settings = Settings(survival=probing.MAX_SURVIVAL)
     spec = atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings)
     assert probed(spec).periods_per_cell == solve_tile("two-mass", naive.FIGURES[5], settings)["periods_used"]
 
 
 def test_a_cell_that_stays_undetermined_leaves_a_range_up_to_its_whole_budget() -> None:
     """Without exponents and unwatched, chaos stays undetermined: the full budget is a hundred times what was spent."""
-    settings = Settings(exponents="none", max_periods=100 * probing.LONGEST, survival=0)
+    settings = Settings(exponents="none", max_periods=100 * probing.MAX_PROBE_PERIODS, survival=0)
     found = probed(atlas.Spec("two-mass", {"omega": [naive.FIGURES[5]["omega"]]}, FIG_5, settings))
     assert found.high / found.low == pytest.approx(100.0, rel=0.01)

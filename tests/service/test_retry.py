@@ -20,17 +20,17 @@ import atlas
 from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.retry import checked_retry
-from atlas.store.machine import machine_of
-from atlas.store.machines import machines, record_machine
-from atlas.store.making import create
-from atlas.store.origin import Origin, Retry
-from atlas.store.place import LocalPlace, Place
-from atlas.store.store import chunk_key, done_tiles, find, open_handle
+from atlas.service.retry import validate_retry
+from atlas.store.backend import LocalBackend, StoreBackend
+from atlas.store.create import create_store
+from atlas.store.host import host_from_facts
+from atlas.store.host_records import read_hosts, record_host
+from atlas.store.origin import Origin, RetryRequest
+from atlas.store.store import chunk_key, done_tiles, find_store, open_store
 from atlas.store.tiles import read_tile
 from tests.waiting import until
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
-from workers.settings import MOST_PERIODS
+from workers.settings import MAX_PERIODS
 from workers.tile import solve_tile
 
 FEW, MORE = 40, 60
@@ -90,9 +90,9 @@ def test_the_chosen_cells_come_out_as_with_that_budget_and_all_others_as_before(
 
 
 def test_the_old_store_does_not_change(old: Path, client: Client, tmp_path: Path) -> None:
-    before = {key: (old / key).read_bytes() for key in LocalPlace(old).list_keys()}
+    before = {key: (old / key).read_bytes() for key in LocalBackend(old).list_keys()}
     atlas.retry(old, tmp_path / "new.zarr", ["undetermined"], max_periods=MORE, client=client)
-    assert {key: (old / key).read_bytes() for key in LocalPlace(old).list_keys()} == before
+    assert {key: (old / key).read_bytes() for key in LocalBackend(old).list_keys()} == before
 
 
 def test_the_store_says_what_each_cell_might_cost(old: Path, new: Path) -> None:
@@ -103,8 +103,8 @@ def test_the_store_says_what_each_cell_might_cost(old: Path, new: Path) -> None:
 
 
 def test_the_store_says_from_where_and_why(old: Path, new: Path) -> None:
-    handle = open_handle(new)
-    assert handle.origin == Origin(str(old), open_handle(old).run_id, Retry(("undetermined",), MORE))
+    handle = open_store(new)
+    assert handle.origin == Origin(str(old), open_store(old).run_id, RetryRequest(("undetermined",), MORE))
     noted = zarr.open_group(new, mode="r").attrs
     assert json.loads(str(noted["origin_retry"])) == {
         "regimes": ["undetermined"],
@@ -125,7 +125,7 @@ def test_the_new_store_is_sound_to_the_bit(new: Path) -> None:
 
 
 def test_tiles_without_such_cells_are_the_same_files(old: Path, new: Path) -> None:
-    handle = open_handle(old)
+    handle = open_store(old)
     shared = {index for index in done_tiles(handle) if not (read_tile(handle, index)["regime"] == UNDETERMINED).any()}
     assert 0 < len(shared) < 9
     for variable in handle.variables:
@@ -138,21 +138,21 @@ def test_tiles_without_such_cells_are_the_same_files(old: Path, new: Path) -> No
 def test_where_there_are_no_links_the_bytes_are_copied(
     old: Path, tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def link(self: LocalPlace, other: Place, key: str) -> None:
+    def link(self: LocalBackend, other: StoreBackend, key: str) -> None:
         raise PermissionError("no links")
 
-    monkeypatch.setattr(LocalPlace, "_link", link)
+    monkeypatch.setattr(LocalBackend, "_link", link)
     atlas.retry(old, tmp_path / "new.zarr", "undetermined", max_periods=MORE, client=client)
     assert verify(tmp_path / "new.zarr", sample=0).fine
 
 
 def test_the_machines_of_the_old_store_are_listed(old: Path, tmp_path: Path, client: Client) -> None:
-    another = machine_of({"processor": "Z80"})
+    another = host_from_facts({"processor": "Z80"})
     copy = tmp_path / "old.zarr"
     atlas.retry(old, copy, "undetermined", max_periods=MORE, client=client)
-    record_machine(open_handle(copy), another)
+    record_host(open_store(copy), another)
     atlas.retry(copy, tmp_path / "new.zarr", "undetermined", max_periods=MORE + 10, client=client)
-    assert another.name in {machine.name for machine in machines(open_handle(tmp_path / "new.zarr"))}
+    assert another.name in {machine.name for machine in read_hosts(open_store(tmp_path / "new.zarr"))}
 
 
 def test_a_retry_can_be_retried_and_keeps_what_cells_were_given(new: Path, tmp_path: Path, client: Client) -> None:
@@ -174,15 +174,20 @@ def test_an_interrupted_retry_goes_on_with_the_tiles_left(old: Path, tmp_path: P
     path = tmp_path / "new.zarr"
     with pytest.raises(KeyboardInterrupt):
         atlas.retry(old, path, "undetermined", max_periods=MORE, client=client, on_progress=interrupt)
-    begun = len(done_tiles(open_handle(path)))
+    begun = len(done_tiles(open_store(path)))
     assert 2 <= begun < 9
     again = atlas.retry(old, path, "undetermined", max_periods=MORE, client=client)
     assert (again.tiles_done, again.tiles_solved) == (9, 9 - begun)
 
 
 def test_a_run_of_the_spec_completes_a_retry_that_was_stopped(old: Path, tmp_path: Path, client: Client) -> None:
-    handle = open_handle(old)
-    create(tmp_path / "new.zarr", handle.spec, handle.tile, Origin(str(old), handle.run_id, Retry(("chaotic",), MORE)))
+    handle = open_store(old)
+    create_store(
+        tmp_path / "new.zarr",
+        handle.spec,
+        handle.tile,
+        Origin(str(old), handle.run_id, RetryRequest(("chaotic",), MORE)),
+    )
     assert atlas.run(plane_of_few(), tmp_path / "new.zarr", client=client).tiles_done == 9
     assert verify(tmp_path / "new.zarr", sample=0).fine
 
@@ -217,7 +222,7 @@ def test_without_the_old_store_a_tile_that_is_lost_later_stays_so_and_the_error_
 def test_damage_of_the_old_store_is_not_taken_over(old: Path, tmp_path: Path, client: Client) -> None:
     copy, path = tmp_path / "old.zarr", tmp_path / "new.zarr"
     atlas.retry(old, copy, "undetermined", max_periods=MORE, client=client)
-    damaged = copy / chunk_key(next(v for v in open_handle(copy).variables if v.name == "largest"), (0, 0))
+    damaged = copy / chunk_key(next(v for v in open_store(copy).variables if v.name == "largest"), (0, 0))
     data = bytearray(damaged.read_bytes())
     data[len(data) // 2] ^= 1
     damaged.unlink()
@@ -225,7 +230,7 @@ def test_damage_of_the_old_store_is_not_taken_over(old: Path, tmp_path: Path, cl
     summary = atlas.retry(copy, path, "undetermined", max_periods=MORE + 10, client=client)
     assert [failure.index for failure in summary.failures] == [(0, 0)]
     assert "largest/c/0/0 is damaged" in summary.failures[0].message
-    assert (0, 0) not in done_tiles(open_handle(path))
+    assert (0, 0) not in done_tiles(open_store(path))
 
 
 @pytest.mark.parametrize(
@@ -233,7 +238,7 @@ def test_damage_of_the_old_store_is_not_taken_over(old: Path, tmp_path: Path, cl
     [
         ("undetermined", None, f"within the same budget; give --max-periods above {FEW}"),
         ("undetermined", FEW, f"max_periods: found {FEW}, must exceed the {FEW} that such cells were given"),
-        ("undetermined", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
+        ("undetermined", MAX_PERIODS + 1, f"and be at most {MAX_PERIODS}"),
         ("undetermined", "many", "max_periods: found many"),
         ("periodic", MORE, "unknown regime to retry 'periodic'"),
         ("failed", MORE, "unknown regime to retry 'failed'"),
@@ -267,7 +272,7 @@ def test_arguments_of_a_wrong_kind_are_named(old: Path, tmp_path: Path, given: d
 
 def test_a_budget_that_a_retry_gave_before_could_change_nothing(new: Path) -> None:
     with pytest.raises(InputError, match=f"must exceed the {MORE} that such cells were given"):
-        checked_retry(open_handle(new), ("undetermined",), MORE)
+        validate_retry(open_store(new), ("undetermined",), MORE)
 
 
 def test_a_retry_of_what_no_cell_is_solves_none_and_makes_the_store(old: Path, tmp_path: Path, client: Client) -> None:
@@ -277,7 +282,7 @@ def test_a_retry_of_what_no_cell_is_solves_none_and_makes_the_store(old: Path, t
 
 
 def test_a_retry_of_an_incomplete_atlas_is_refused(tmp_path: Path) -> None:
-    create(tmp_path / "old.zarr", plane_of_few(), (2, 3))
+    create_store(tmp_path / "old.zarr", plane_of_few(), (2, 3))
     with pytest.raises(InputError, match="0 of 9 tiles done: complete it first, by the command that began it"):
         atlas.retry(tmp_path / "old.zarr", tmp_path / "new.zarr", "undetermined", MORE)
     assert not (tmp_path / "new.zarr").exists()
@@ -300,15 +305,15 @@ def test_a_store_that_is_no_retry_is_not_completed_by_one(old: Path, tmp_path: P
 
 
 def test_the_largest_budget_of_any_spec_is_one_of_a_retry_too(old: Path) -> None:
-    assert checked_retry(open_handle(old), ("undetermined",), MOST_PERIODS).max_periods == MOST_PERIODS
+    assert validate_retry(open_store(old), ("undetermined",), MAX_PERIODS).max_periods == MAX_PERIODS
 
 
 @pytest.mark.parametrize(("names", "setting"), [("undetermined", "max_periods"), ("chaotic", "survival")])
 def test_the_fixed_schedule_has_nothing_to_raise(tmp_path: Path, names: str, setting: str) -> None:
     spec = atlas.Spec("two-mass", {"omega": [2.0]}, solve={"method": "fixed"})
-    handle = create(tmp_path / "fixed.zarr", spec, (1,))
+    handle = create_store(tmp_path / "fixed.zarr", spec, (1,))
     with pytest.raises(InputError, match='method = "fixed" has no'):
-        checked_retry(handle, (names,), **{setting: 10**6})
+        validate_retry(handle, (names,), **{setting: 10**6})
 
 
 def call(*args: object) -> Result:
@@ -348,9 +353,9 @@ def test_a_retry_can_be_left_to_a_cluster(old: Path, tmp_path: Path, client: Cli
     assert shown.exit_code == 0
     assert "at work on the cluster" in shown.stdout
     new = tmp_path / "new.zarr"
-    until(lambda: find(new) is not None and atlas.status(new).fraction == 1.0 and atlas.status(new).run is None)
-    assert open_handle(tmp_path / "new.zarr").origin == Origin(
-        str(old), open_handle(old).run_id, Retry(("undetermined",), MORE)
+    until(lambda: find_store(new) is not None and atlas.status(new).fraction == 1.0 and atlas.status(new).run is None)
+    assert open_store(tmp_path / "new.zarr").origin == Origin(
+        str(old), open_store(old).run_id, RetryRequest(("undetermined",), MORE)
     )
 
 
@@ -447,14 +452,14 @@ def test_cells_watched_for_longer_are_not_taken_over_by_a_grown_atlas(
     ("names", "survival", "message"),
     [
         ("chaotic", 48_000, "survival: found 48000, must exceed the 48000 that such cells were given"),
-        ("chaotic", MOST_PERIODS + 1, f"and be at most {MOST_PERIODS}"),
+        ("chaotic", MAX_PERIODS + 1, f"and be at most {MAX_PERIODS}"),
         ("aperiodic", None, "aperiodic cells come out the same within the same survival; give --survival above 48000"),
     ],
 )
 def test_a_survival_that_could_change_nothing_is_refused_in_one_line(
     tmp_path: Path, names: str, survival: int | None, message: str
 ) -> None:
-    create(tmp_path / "out.zarr", atlas.Spec.from_toml("tiny"), (2, 2))
+    create_store(tmp_path / "out.zarr", atlas.Spec.from_toml("tiny"), (2, 2))
     before = sorted(tmp_path.rglob("*"))
     given = [] if survival is None else ["--survival", survival]
     shown = call("retry", tmp_path / "out.zarr", names, "-o", tmp_path / "new.zarr", *given)
@@ -465,4 +470,4 @@ def test_a_survival_that_could_change_nothing_is_refused_in_one_line(
 
 def test_a_survival_for_undetermined_cells_alone_is_refused(old: Path) -> None:
     with pytest.raises(InputError, match="survival: is for chaotic or aperiodic cells, found undetermined"):
-        checked_retry(open_handle(old), ("undetermined",), MORE, 9)
+        validate_retry(open_store(old), ("undetermined",), MORE, 9)

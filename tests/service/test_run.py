@@ -24,8 +24,8 @@ from atlas.platform import peak_memory
 from atlas.service.cluster import worker_memory
 from atlas.service.probe import CELLS, with_time
 from atlas.service.progress import Progress
-from atlas.store import making
-from atlas.store.store import done_tiles, open_handle
+from atlas.store import create
+from atlas.store.store import done_tiles, open_store
 from tests.paths import ROOT
 from tests.planes import plane_of
 from tests.pretended import Cluster
@@ -187,7 +187,7 @@ def test_a_tile_that_raises_is_reported_and_the_others_finish(
         ((0, 0), "ZeroDivisionError: two lines")
     ]
     assert summary.tiles_done == 8
-    assert len(done_tiles(open_handle(tmp_path / "out.zarr"))) == 8
+    assert len(done_tiles(open_store(tmp_path / "out.zarr"))) == 8
 
 
 def test_the_summary_says_how_many_cells_are_invalid_and_why(tmp_path: Path, client: Client) -> None:
@@ -345,7 +345,7 @@ def test_an_overview_that_fails_on_a_worker_is_told_and_made_at_the_end(
             raise failure
         make(pyramid, level, index)
 
-    handle = making.create(tmp_path / "out.zarr", spec, (2, 200))
+    handle = create.create_store(tmp_path / "out.zarr", spec, (2, 200))
     fill(handle)
     monkeypatch.setattr(Pyramid, "make", failing)
     notes = list[str]()

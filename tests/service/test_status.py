@@ -7,38 +7,38 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.service.lease import Observer, Record
-from atlas.service.process import this_process
+from atlas.service.lease import LeaseObserver, LeaseRecord
+from atlas.service.process_identity import this_process
 from atlas.service.progress import Progress
-from atlas.service.status import Holding, read_status
+from atlas.service.status import StoreCounts, read_status
 from atlas.service.timing import Timing
-from atlas.store import records
-from atlas.store.sidecar import CLAIM, Folder, notes_of
-from atlas.store.store import Atlas, open_handle
+from atlas.store import tile_records
+from atlas.store.sidecar import LEASE_NAME, LocalSidecar, sidecar_of
+from atlas.store.store import AtlasStore, open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.planes import plane_of
 
 
-def claim(progress: dict[str, object] | None = None) -> Record:
-    return Record("ours", 1, "here", os.getpid(), this_process(), progress=progress or {})
+def claim(progress: dict[str, object] | None = None) -> LeaseRecord:
+    return LeaseRecord("ours", 1, "here", os.getpid(), this_process(), progress=progress or {})
 
 
 def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_before_its_last_tile(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle, counted, notes = open_handle(finished), records.done_tiles, notes_of(finished)
+    handle, counted, notes = open_store(finished), tile_records.done_tiles, sidecar_of(finished)
     last = read_tile(handle, (1, 1))
     drop_tile(handle, (1, 1))
-    notes.put(CLAIM, claim().pack(), expected=None)
+    notes.put(LEASE_NAME, claim().pack(), expected=None)
 
-    def slow(of: Atlas) -> set[tuple[int, ...]]:
+    def slow(of: AtlasStore) -> set[tuple[int, ...]]:
         found = counted(of)
-        if notes.read(CLAIM):  # the run writes its last tile and ends, after the listing and before the next look
+        if notes.read(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
-            notes.remove(CLAIM, claim().pack())
+            notes.remove(LEASE_NAME, claim().pack())
         return found
 
-    monkeypatch.setattr(records, "done_tiles", slow)
+    monkeypatch.setattr(tile_records, "done_tiles", slow)
     status = read_status(handle)
     assert (status.tiles_done, status.run, status.trouble) == (9, None, "")
     assert "run      complete" in str(status)
@@ -47,28 +47,28 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
 def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counted, whole = records.done_tiles, Folder.read
+    counted, whole = tile_records.done_tiles, LocalSidecar.read
     looks: list[str] = []
 
-    def count(of: Atlas) -> set[tuple[int, ...]]:
+    def count(of: AtlasStore) -> set[tuple[int, ...]]:
         looks.append("tiles")
         return counted(of)
 
-    def read(notes: Folder, name: str) -> bytes | None:
+    def read(notes: LocalSidecar, name: str) -> bytes | None:
         looks.append(name)
         return whole(notes, name)
 
-    monkeypatch.setattr(records, "done_tiles", count)
-    monkeypatch.setattr(Folder, "read", read)
-    read_status(open_handle(finished))
+    monkeypatch.setattr(tile_records, "done_tiles", count)
+    monkeypatch.setattr(LocalSidecar, "read", read)
+    read_status(open_store(finished))
     assert looks == ["claim", "tiles", "claim", "ended"]
 
 
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
     trouble = "nothing has ended for 40 s: Dask has paused 1 worker for lack of memory: tcp://10.0.0.2:1 (limit 300 MB)"
     reported = {"workers": 1, "cells": 35, "cells_done": 30, "cells_solved": 30, "seconds": 3.0, "trouble": trouble}
-    notes_of(finished).put(CLAIM, claim(reported).pack(), expected=None)
-    status = read_status(open_handle(finished))
+    sidecar_of(finished).put(LEASE_NAME, claim(reported).pack(), expected=None)
+    status = read_status(open_store(finished))
     assert status.as_dict()["trouble"] == trouble
     assert (status.seconds_left, status.as_dict()["cells_per_second"]) == (None, 0.0)
     line = next(line for line in str(status).splitlines() if line.startswith("run "))
@@ -87,9 +87,9 @@ HELD = {"tiles": 4, "regimes": {"periodic": 15, "chaotic": 1}, "reasons": {}}
 def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(records, "done_tiles", lambda _: pytest.fail("the store was listed"))
-    notes_of(finished).put(CLAIM, claim({"holds": HELD}).pack(), expected=None)
-    status = read_status(open_handle(finished))
+    monkeypatch.setattr(tile_records, "done_tiles", lambda _: pytest.fail("the store was listed"))
+    sidecar_of(finished).put(LEASE_NAME, claim({"holds": HELD}).pack(), expected=None)
+    status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})
 
 
@@ -110,14 +110,14 @@ def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     ],
 )
 def test_a_claim_that_does_not_say_what_the_store_holds_is_not_believed(finished: Path, held: object) -> None:
-    notes_of(finished).put(CLAIM, claim({"holds": held}).pack(), expected=None)
-    assert read_status(open_handle(finished)).cells_done == 35
+    sidecar_of(finished).put(LEASE_NAME, claim({"holds": held}).pack(), expected=None)
+    assert read_status(open_store(finished)).cells_done == 35
 
 
 def test_a_claim_whose_holder_is_gone_is_not_believed(finished: Path) -> None:
-    gone = Record("ours", 1, "here", 2**31 - 1, this_process(), progress={"holds": HELD})
-    notes_of(finished).put(CLAIM, gone.pack(), expected=None)
-    assert read_status(open_handle(finished)).cells_done == 35
+    gone = LeaseRecord("ours", 1, "here", 2**31 - 1, this_process(), progress={"holds": HELD})
+    sidecar_of(finished).put(LEASE_NAME, gone.pack(), expected=None)
+    assert read_status(open_store(finished)).cells_done == 35
 
 
 def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Client) -> None:
@@ -125,7 +125,7 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
 
     def look(progress: Progress) -> None:
         if progress.stage == "solving" and 0 < progress.tiles_done < 9:
-            found = Holding.reported(Observer(notes_of(path)).look())
+            found = StoreCounts.reported(LeaseObserver(sidecar_of(path)).look())
             seen.append(found and (found.tiles, sum(found.regimes.values())))
 
     timing = Timing(tick=0.0, beat=0.001)

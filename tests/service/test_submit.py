@@ -16,14 +16,14 @@ from distributed import Client, LocalCluster
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service.lease import Record
+from atlas.service.lease import LeaseRecord
 from atlas.service.options import RunOptions
-from atlas.service.status import Census, read_status, watch
+from atlas.service.status import StatusReader, read_status, watch
 from atlas.service.submit import submit
 from atlas.service.timing import TIMING
-from atlas.store.making import create
-from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import open_handle
+from atlas.store.create import create_store
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
+from atlas.store.store import open_store
 from rig.faults import attempts, environment
 from tests.planes import plane_of
 from tests.waiting import until
@@ -51,10 +51,10 @@ class Service:
         return submit(plane, self.folder / name, RunOptions(scheduler=self.address))
 
     def tiles_done(self, name: str) -> int:
-        return read_status(open_handle(self.folder / name)).tiles_done
+        return read_status(open_store(self.folder / name)).tiles_done
 
     def ends(self, name: str) -> bool:
-        found = read_status(open_handle(self.folder / name))
+        found = read_status(open_store(self.folder / name))
         return found.fraction == 1 and found.run is None
 
 
@@ -111,7 +111,7 @@ def test_a_coordinator_that_dask_starts_again_on_a_worker_of_another_solver_goes
         until(lambda: service.ends("moved.zarr"))
     finally:
         service.client.run(pretend, SOLVER_VERSION, workers=[unfit])
-    assert read_status(open_handle(service.folder / "moved.zarr")).ended == ""
+    assert read_status(open_store(service.folder / "moved.zarr")).ended == ""
 
 
 def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(service: Service) -> None:
@@ -125,7 +125,7 @@ def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(ser
 def test_status_reports_the_run_at_work_and_cancel_stops_it(service: Service) -> None:
     store = service.folder / "cancelled.zarr"
     service.submit(store.name, plane_of((1, 1)))  # 35 tiles, about 6 s: a beat and a tick are 3 s
-    until(lambda: read_status(open_handle(store)).seconds_left is not None)
+    until(lambda: read_status(open_store(store)).seconds_left is not None)
     message = json.loads(call("status", store, "--json").stdout)
     assert message["workers"] == 2
     assert message["run"].startswith("process ")
@@ -137,13 +137,13 @@ def test_status_reports_the_run_at_work_and_cancel_stops_it(service: Service) ->
     assert kept < 35
     until(lambda: not service.client.processing() or not any(service.client.processing().values()))
     assert service.tiles_done(store.name) <= kept + 2
-    assert read_status(open_handle(store)).run is None
+    assert read_status(open_store(store)).run is None
     assert call("cancel", store).exit_code == 2
 
 
 def test_watch_ends_with_the_atlas_never_goes_back_and_reads_no_chunk(service: Service) -> None:
     service.submit("watched.zarr")
-    census = Census(open_handle(service.folder / "watched.zarr"))
+    census = StatusReader(open_store(service.folder / "watched.zarr"))
     seen = list(watch(census, seconds=0.1))
     assert len(seen) > 3
     assert [s.tiles_done for s in seen] == sorted(s.tiles_done for s in seen)
@@ -152,9 +152,11 @@ def test_watch_ends_with_the_atlas_never_goes_back_and_reads_no_chunk(service: S
 
 
 def test_watch_gives_up_on_a_claim_that_stands_still(tmp_path: Path) -> None:
-    store = create(tmp_path / "out.zarr", PLANE, (1, 3)).path
-    notes_of(store).put(CLAIM, Record("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack(), expected=None)
-    seen = list(watch(Census(open_handle(store)), seconds=4.0, sleep=lambda _: None))
+    store = create_store(tmp_path / "out.zarr", PLANE, (1, 3)).path
+    sidecar_of(store).put(
+        LEASE_NAME, LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack(), expected=None
+    )
+    seen = list(watch(StatusReader(open_store(store)), seconds=4.0, sleep=lambda _: None))
     assert all(status.run is not None for status in seen)
     assert len(seen) == 1 + TIMING.dead // 4 + 1
 
@@ -165,7 +167,7 @@ def test_status_reports_how_a_run_ended_that_nobody_watched(service: Service) ->
     script.write_text(json.dumps({"0-0": ["full"], "*": ["ok"]}))
     try:
         service.submit(store.name)
-        until(lambda: read_status(open_handle(store)).ended != "")
+        until(lambda: read_status(open_store(store)).ended != "")
     finally:
         script.write_text(before)
     message = json.loads(call("status", store, "--json").stdout)
@@ -203,8 +205,8 @@ def test_a_killed_scheduler_leaves_a_word_for_the_status(
     store = tmp_path / "lost.zarr"
     submit(plane_of((1, 1)), store, RunOptions(scheduler=address))
     scheduler.kill()
-    until(lambda: read_status(open_handle(store)).ended != "")
-    found = read_status(open_handle(store))
+    until(lambda: read_status(open_store(store)).ended != "")
+    found = read_status(open_store(store))
     assert found.fraction < 1
     assert "the cluster was lost; the same command resumes from the stored tiles" in str(found)
 

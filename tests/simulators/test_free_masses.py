@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rig.oracle import simulate
 from rig.oracle.machines import single_mass
-from rig.oracle.shaken_mass import Run, follow
+from rig.oracle.shaken_mass import ShakenMassHistory, follow
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, LOCKING, PERIODIC, UNDETERMINED
 
@@ -87,7 +87,7 @@ class Machine:
     upper: float
     R: float
 
-    def run(self, start: Array, periods: int) -> Run:
+    def run(self, start: Array, periods: int) -> ShakenMassHistory:
         """Its motion from a section state."""
         return follow(**vars(self), start=(float(start[0]), float(start[1])), periods=periods)
 
@@ -119,13 +119,13 @@ def machines(name: str, cells: dict[str, Array]) -> list[Machine]:
     return [Machine(-c["delta"], c["alpha"], 1.0, c["tau"], -c["nu"] / 2, c["nu"] / 2, c["R"]) for c in rows]
 
 
-def distances(run: Run, scale: float) -> Array:
+def distances(run: ShakenMassHistory, scale: float) -> Array:
     """Of each section from the first one, relative to the motion's size."""
     found: Array = np.max(np.abs(run.states - run.states[0]), axis=1) / scale
     return found
 
 
-def size(run: Run) -> float:
+def size(run: ShakenMassHistory) -> float:
     """The largest height or velocity at a section."""
     return float(np.nanmax(np.abs(run.states)))
 
@@ -191,7 +191,7 @@ def chaotic_faults(machine: Machine, cell: dict[str, Any], rng: np.random.Genera
     return [METASTABLE] if settled else []
 
 
-def recurs(run: Run) -> bool:
+def recurs(run: ShakenMassHistory) -> bool:
     """Whether the last sections repeat to rounding."""
     last = run.states[-1]
     away = np.max(np.abs(run.states[-MOST_PERIODS - 1 : -1] - last), axis=1)

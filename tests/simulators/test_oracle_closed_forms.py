@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from mpmath import mp
 
-from rig.oracle import Machine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
+from rig.oracle import OracleMachine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
 from rig.oracle.closed_form import ImpactOrbit
 from rig.oracle.free_mass import (
     FreeOrbit,
@@ -27,7 +27,7 @@ def distance(a: list, b: list) -> mp.mpf:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-def multipliers(machine: Machine, periods: int = 1) -> list:
+def multipliers(machine: OracleMachine, periods: int = 1) -> list:
     """Of the section's map at the machine's start, by differences of simulated orbits; largest modulus first."""
     J = mp.matrix(section_jacobian(machine, periods))
     return sorted(mp.eig(J, left=False, right=False), key=abs, reverse=True)
@@ -36,7 +36,7 @@ def multipliers(machine: Machine, periods: int = 1) -> list:
 # A ball on a shaken table
 
 
-def ball_in_flight(gamma: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> Machine:
+def ball_in_flight(gamma: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> OracleMachine:
     """Half a period after its impact: the ball is at the top of its parabola."""
     start = (2 * gamma * mp.sin(orbit.phase) + mp.pi**2 / 2, gamma * mp.cos(orbit.phase))
     return bouncing_ball(gamma, R, tau=orbit.phase + mp.pi, start=start)
@@ -122,7 +122,7 @@ def test_a_ball_at_rest_leaves_the_table_when_its_acceleration_is_that_of_gravit
 # A mass in a shaken box
 
 
-def pair_in_flight(clearance: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> Machine:
+def pair_in_flight(clearance: mp.mpf, R: mp.mpf, orbit: FreeOrbit) -> OracleMachine:
     """A quarter of a period after the upper impact: the mass is half way between the impacts."""
     rho = (1 + R) / (1 - R)
     start = (-mp.cos(orbit.phase), rho * mp.cos(orbit.phase) + mp.sin(orbit.phase))
@@ -177,7 +177,7 @@ def test_a_multiplier_of_the_impact_pair_is_one_at_the_fold() -> None:
 # A single mass with one stop: published points, arXiv 2510.16218
 
 
-def published(omega: str, amplitude: mp.mpf) -> Machine:
+def published(omega: str, amplitude: mp.mpf) -> OracleMachine:
     """x'' + 0.04 x' + x = amplitude cos(omega t), x <= 1, R = 0.9."""
     return single_mass(
         damping=mp.mpf("0.04"), stiffness=1, force_cos=amplitude, omega=mp.mpf(omega), R=mp.mpf("0.9"), upper=1
@@ -205,7 +205,7 @@ def test_the_closed_form_folds_at_the_published_point() -> None:
 # Impact orbits of several masses
 
 
-DENSE = Machine(
+DENSE = OracleMachine(
     mass=[[2.0, 0.5, 0.0], [0.5, 1.0, 0.25], [0.0, 0.25, 1.5]],
     damping=[[0.5, -0.25, 0.0], [-0.25, 0.25, 0.0], [0.0, 0.0, 0.125]],
     stiffness=[[3.0, -1.0, 0.0], [-1.0, 2.0, -0.5], [0.0, -0.5, 1.0]],
@@ -222,7 +222,7 @@ DENSE = Machine(
 """Neither its damping nor its gap is simple."""
 
 
-def seen_in_flight(machine: Machine, orbit: ImpactOrbit) -> Machine:
+def seen_in_flight(machine: OracleMachine, orbit: ImpactOrbit) -> OracleMachine:
     """The machine on the orbit, with its section a tenth of a period after the impact."""
     T = 2 * mp.pi / machine.omega
     start = flown(machine, orbit.after, T / 10, orbit.time)

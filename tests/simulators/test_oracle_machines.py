@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle import Machine, dense_violation, first_impact_dense, section_jacobian, simulate, two_mass
+from rig.oracle import OracleMachine, dense_violation, first_impact_dense, section_jacobian, simulate, two_mass
 from rig.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
 from rig.oracle.simulate import first_hit
 from tests.exponential import flown
@@ -21,7 +21,7 @@ EARLIER: dict[str, Any] = json.loads((DATA / "oracle_two_mass.json").read_text()
 FREE = {"upper": math.inf, "lower": -math.inf}
 
 
-def drawn(seed: int, n: int, **kind: Any) -> Machine:
+def drawn(seed: int, n: int, **kind: Any) -> OracleMachine:
     return random_machine(np.random.default_rng([seed, n]), n, **kind)
 
 
@@ -81,7 +81,7 @@ def test_a_flight_is_the_matrix_exponential(n: int, rigid: bool, damping: str) -
         assert distance(simulate(machine, 2).sections[2], exact) < 1e-34 * size
 
 
-def pressed(n: int, rigid: bool, side: int) -> Machine:
+def pressed(n: int, rigid: bool, side: int) -> OracleMachine:
     """A machine that a large load presses on a stop on which it lies."""
     free = replace(drawn(2, n, rigid=rigid, damping="general", one_sided=False), **FREE)
     g = mp.matrix([mp.mpf(value) for value in free.gap_row])
@@ -177,7 +177,7 @@ def test_elastic_impacts_keep_the_energy_of_an_undamped_machine_under_its_load(n
 def test_two_free_masses_collide_head_on_as_in_the_textbook() -> None:
     """Masses 1 and 3, speeds 2 and -1, R = 1/2: momentum stays, the relative velocity is halved and turned."""
     none = [[0, 0], [0, 0]]
-    pair = Machine([[1, 0], [0, 3]], none, none, [1, -1], [[0, 0]], [[0, 0]], [0, 0], 4.0, 0.0, 0.0, -math.inf, 0.5,
+    pair = OracleMachine([[1, 0], [0, 3]], none, none, [1, -1], [[0, 0]], [[0, 0]], [0, 0], 4.0, 0.0, 0.0, -math.inf, 0.5,
                    start=[-1, 1, 2, -1])  # fmt: skip
     run = simulate(pair, 1)
     with mp.workdps(40):
@@ -255,7 +255,7 @@ def test_dense_sampling_finds_the_multiprecision_impacts_of_any_machine(n: int, 
     assert np.all(missed[dense.side != 0] > 1e-12)
 
 
-def random_state(rng: np.random.Generator, machine: Machine) -> np.ndarray:
+def random_state(rng: np.random.Generator, machine: OracleMachine) -> np.ndarray:
     """Between the stops; every other one leaves a stop, on which it is to within rounding."""
     n, g = len(machine.gap_row), np.asarray(machine.gap_row)
     start = np.asarray(machine.start)

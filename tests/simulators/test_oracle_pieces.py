@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.pieces import Machine, Mode, bifurcation, measures, orbit, simulate
-from rig.oracle.pieces.rows import CRITICAL, GRAZES, belt, soft
-from rig.oracle.pieces.table import PATH, ZERO
+from rig.oracle.piecewise import PiecewiseMachine, PiecewiseMode, bifurcation, measures, orbit, simulate
+from rig.oracle.piecewise.reference_orbits import CRITICAL, GRAZES, belt, soft
+from rig.oracle.piecewise.write_table import PATH, ZERO
 
 RECORDS: dict[str, dict[str, Any]] = {record["name"]: record for record in json.loads(Path(PATH).read_text())}
 DRIVEN = [
@@ -157,8 +157,8 @@ def check_multipliers(found: list[list[float]], text: str) -> None:
             assert [0.0, 0.0] in found  # a lost direction, exactly
 
 
-def mode_of(record: dict[str, Any]) -> Mode:
-    return Mode(0, tuple(record["mode"]["contacts"]), tuple(record["mode"]["friction"]))
+def mode_of(record: dict[str, Any]) -> PiecewiseMode:
+    return PiecewiseMode(0, tuple(record["mode"]["contacts"]), tuple(record["mode"]["friction"]))
 
 
 # The record
@@ -203,7 +203,7 @@ def test_sums_measures_and_bifurcations_are_those_published() -> None:
 @pytest.mark.parametrize("name", DRIVEN)
 def test_a_motion_from_a_recorded_state_closes_after_the_recorded_events(name: str) -> None:
     record = RECORDS[name]
-    machine = Machine.of(record["machine"])
+    machine = PiecewiseMachine.of(record["machine"])
     run = simulate(machine, record["state"], record["periods"], mode=mode_of(record), digits=24, rest=1e-9)
     start, end = (np.array(state, dtype=float) for state in (run.sections[0], run.sections[-1]))
     away = end - start
@@ -222,7 +222,7 @@ def test_a_motion_from_a_recorded_state_closes_after_the_recorded_events(name: s
     assert record["symmetric"] is bool(opposite < 1e-11) or "row 26" in name
 
 
-def run_span(machine: Machine, periods: float) -> float:
+def run_span(machine: PiecewiseMachine, periods: float) -> float:
     return periods * 2 * math.pi / machine.omega
 
 
@@ -230,7 +230,7 @@ def run_span(machine: Machine, periods: float) -> float:
 @pytest.mark.parametrize("name", [name for name in DRIVEN if name in {**MULTIPLIERS, **HALF}])
 def test_orbit_multipliers_and_measures_come_out_again(name: str) -> None:
     record = RECORDS[name]
-    machine, mode = Machine.of(record["machine"]), mode_of(record)
+    machine, mode = PiecewiseMachine.of(record["machine"]), mode_of(record)
     if "bifurcation" not in record:
         start = [round(value, 5) for value in record["state"]]
         found = orbit(machine, start, record["periods"], mode=mode, drift=record["drift"])
@@ -272,7 +272,7 @@ def test_the_period_doubling_of_row_3_leaves_out_a_contact() -> None:
 def test_at_the_onset_of_stick_static_friction_would_just_hold_a_sliding_orbit(name: str) -> None:
     """Force and spring at the turns, 2 cos(omega t) - x, add up to the static friction."""
     record = RECORDS[name]
-    machine = Machine.of(record["machine"])
+    machine = PiecewiseMachine.of(record["machine"])
     (t, kind, _, x), *_ = record["events"]
     assert kind == "turn"
     applied = machine.forces[0].cos[0] * math.cos(machine.omega * t) - x
@@ -281,7 +281,7 @@ def test_at_the_onset_of_stick_static_friction_would_just_hold_a_sliding_orbit(n
 
 def test_the_cycle_on_a_belt_slips_and_sticks_for_the_published_times() -> None:
     record = RECORDS["row 17"]
-    run = simulate(belt(0.5), record["state"], 2, mode=Mode(0, (), ("slip-",)), digits=24)
+    run = simulate(belt(0.5), record["state"], 2, mode=PiecewiseMode(0, (), ("slip-",)), digits=24)
     for event, (t, kind, _, x) in zip(run.events, record["events"], strict=False):
         assert event.kind == kind
         assert abs(float(event.t) - t) < 1e-13
@@ -292,5 +292,5 @@ def test_the_cycle_on_a_belt_slips_and_sticks_for_the_published_times() -> None:
 def test_beyond_row_18_the_slip_no_longer_reaches_the_belt(factor: float, sticks: bool) -> None:
     velocity = RECORDS["row 18"]["bifurcation"]["value"] * factor
     start = [1 - 0.1 * velocity, velocity]
-    run = simulate(belt(velocity), start, span=6.0, mode=Mode(0, (), ("slip-",)), digits=24)
+    run = simulate(belt(velocity), start, span=6.0, mode=PiecewiseMode(0, (), ("slip-",)), digits=24)
     assert [e.kind for e in run.events] == (["stick"] if sticks else [])

@@ -6,16 +6,25 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.oracle.pieces import Contact, Force, Friction, Machine, Mode, Phase, orbit, simulate
-from rig.oracle.pieces.rows import oscillator, soft
+from rig.oracle.piecewise import (
+    HarmonicForce,
+    PiecewiseContact,
+    PiecewiseFriction,
+    PiecewiseMachine,
+    PiecewiseMode,
+    PiecewisePhase,
+    orbit,
+    simulate,
+)
+from rig.oracle.piecewise.reference_orbits import oscillator, soft
 
 
 @pytest.mark.parametrize("R", [0.0, 0.5])
 def test_two_coupled_masses_pressed_on_each_other_and_on_a_stop_both_come_to_rest(R: float) -> None:
     """x1 <= 0 and x2 <= x1, both pushed by 1: each impact of one parts the other, and the speeds fall to rounding."""
-    contacts = tuple(Contact(row, 0.0, restitution=R) for row in ([1.0, 0.0], [-1.0, 1.0]))
+    contacts = tuple(PiecewiseContact(row, 0.0, restitution=R) for row in ([1.0, 0.0], [-1.0, 1.0]))
     one = np.eye(2).tolist()
-    machine = Machine(one, (0.1 * np.eye(2)).tolist(), one, [1.0, 1.0], 1.0, contacts=contacts)
+    machine = PiecewiseMachine(one, (0.1 * np.eye(2)).tolist(), one, [1.0, 1.0], 1.0, contacts=contacts)
     run = simulate(machine, [-0.5, -1.3, 0.0, 0.0], span=9.0, digits=30, rest=1e-8)
     assert run.modes[-1].contacts == ("held+", "held+")
     np.testing.assert_allclose(np.array(run.sections[-1], dtype=float), 0.0, atol=1e-20)
@@ -27,21 +36,21 @@ def test_chatter_with_friction_on_its_row_takes_the_time_of_its_geometric_series
     From a rebound w they last w (1/(a + F) + 1/sqrt(a^2 - F^2)) / (1 - r) in all.
     """
     a, F, R, w = 1.0, 0.3, 0.6, 0.5
-    machine = Machine(
+    machine = PiecewiseMachine(
         [[1.0]], [[0.0]], [[0.0]], [a], 1.0,
-        contacts=(Contact([1.0], 0.0, restitution=R),), friction=(Friction([1.0], F, F),),
+        contacts=(PiecewiseContact([1.0], 0.0, restitution=R),), friction=(PiecewiseFriction([1.0], F, F),),
     )  # fmt: skip
     run = simulate(machine, [0.0, -w], span=3.0, digits=50, rest=1e-14)
     rest = next(event for event in run.events if event.kind == "rest")
     r = R * math.sqrt((a - F) / (a + F))
     assert float(rest.t) == pytest.approx(w * (1 / (a + F) + 1 / math.sqrt(a**2 - F**2)) / (1 - r), abs=1e-13)
-    assert run.modes[-1] == Mode(0, ("held+",), ("stick",))
+    assert run.modes[-1] == PiecewiseMode(0, ("held+",), ("stick",))
 
 
 def test_strong_friction_stops_a_mass_between_hops() -> None:
-    machine = Machine(
+    machine = PiecewiseMachine(
         [[1.0]], [[0.0]], [[0.0]], [1.0], 1.0,
-        contacts=(Contact([1.0], 0.0, restitution=0.6),), friction=(Friction([1.0], 0.3, 1.1),),
+        contacts=(PiecewiseContact([1.0], 0.0, restitution=0.6),), friction=(PiecewiseFriction([1.0], 0.3, 1.1),),
     )  # fmt: skip
     run = simulate(machine, [0.0, -0.5], span=3.0)
     assert [event.kind for event in run.events] == ["stick"]
@@ -50,21 +59,23 @@ def test_strong_friction_stops_a_mass_between_hops() -> None:
 
 def test_a_mass_at_rest_on_a_stop_with_friction_leaves_when_the_pull_exceeds_static_friction() -> None:
     """Pressed by cos t: the pull away from the stop is -cos t, and reaches the static friction .5 at 2 pi / 3."""
-    machine = Machine(
-        [[1.0]], [[0.1]], [[0.0]], [0.0], 1.0, (Force(1, [0.0], [1.0]),),
-        (Contact([1.0], 0.0, restitution=0.5),), (Friction([1.0], 0.4, 0.5),),
+    machine = PiecewiseMachine(
+        [[1.0]], [[0.1]], [[0.0]], [0.0], 1.0, (HarmonicForce(1, [0.0], [1.0]),),
+        (PiecewiseContact([1.0], 0.0, restitution=0.5),), (PiecewiseFriction([1.0], 0.4, 0.5),),
     )  # fmt: skip
     run = simulate(machine, [0.0, 0.0], span=3.0)
-    assert run.modes[0] == Mode(0, ("held+",), ("stick",))
+    assert run.modes[0] == PiecewiseMode(0, ("held+",), ("stick",))
     assert [event.kind for event in run.events] == ["leave"]
     assert float(run.events[0].t) == pytest.approx(2 * math.pi / 3, abs=1e-15)
-    assert run.modes[-1] == Mode(0, ("open",), ("slip-",))
+    assert run.modes[-1] == PiecewiseMode(0, ("open",), ("slip-",))
 
 
 def test_hops_on_the_edge_of_a_preload_slow_down_by_the_damper() -> None:
     """Outer load a below the preload p: the speed of the hops falls as exp(-c a t / (3 p)), unit mass, small c."""
     a, p, c = 0.3, 1.0, 0.5
-    machine = Machine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(Contact([1.0], 0.0, damping=c, preload=p),))
+    machine = PiecewiseMachine(
+        [[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(PiecewiseContact([1.0], 0.0, damping=c, preload=p),)
+    )
     run = simulate(machine, [0.0, 0.02], span=20.0, digits=30, rest=1e-8)
     hits = [event for event in run.events if event.kind == "hit"]
     first, last = hits[0], hits[-1]
@@ -77,9 +88,9 @@ def test_hops_on_the_edge_of_a_preload_slow_down_by_the_damper() -> None:
 )
 def test_an_edge_ends_where_its_force_reaches_the_preload_or_zero(sign: int, kind: str, time: float) -> None:
     """The outer load .4 + sin t, or .4 - sin t, stays between 0 and the preload 1 until then."""
-    machine = Machine(
-        [[1.0]], [[0.1]], [[0.0]], [0.4], 1.0, (Force(1, [float(sign)], [0.0]),),
-        (Contact([1.0], 0.0, stiffness=10.0, damping=0.1, preload=1.0),),
+    machine = PiecewiseMachine(
+        [[1.0]], [[0.1]], [[0.0]], [0.4], 1.0, (HarmonicForce(1, [float(sign)], [0.0]),),
+        (PiecewiseContact([1.0], 0.0, stiffness=10.0, damping=0.1, preload=1.0),),
     )  # fmt: skip
     run = simulate(machine, [0.0, 0.0], span=1.0)
     assert run.modes[0].contacts == ("edge+",)
@@ -89,10 +100,10 @@ def test_an_edge_ends_where_its_force_reaches_the_preload_or_zero(sign: int, kin
 
 def test_a_stiffness_switched_during_contact_changes_the_flow_and_nothing_else() -> None:
     """Against matrix exponentials of the two halves; the mass stays beyond the stop all the time."""
-    machine = Machine(
+    machine = PiecewiseMachine(
         [[1.0]], [[0.1]], [[1.0]], [2.0], 2 * math.pi,
-        contacts=(Contact([1.0], 0.0, stiffness=20.0, damping=0.3),),
-        phases=(Phase(0.0), Phase(0.3, contacts={0: {"stiffness": 5.0}})),
+        contacts=(PiecewiseContact([1.0], 0.0, stiffness=20.0, damping=0.3),),
+        phases=(PiecewisePhase(0.0), PiecewisePhase(0.3, contacts={0: {"stiffness": 5.0}})),
     )  # fmt: skip
     state = np.array([0.15, 0.2, 1.0])
     for k, time in ((21.0, 0.3), (6.0, 0.7)):
@@ -108,9 +119,9 @@ def test_the_order_of_impacts_decides_where_two_coupled_contacts_are_hit_at_once
     With R = .8 and v = (1, 2): x1 rebounds to (-.8, 2), then the gap x2 - x1 closing at 2.8 turns into -2.24.
     """
     rows = ([1.0, 0.0], [-1.0, 1.0])
-    machine = Machine(
+    machine = PiecewiseMachine(
         np.eye(2).tolist(), np.zeros((2, 2)).tolist(), np.zeros((2, 2)).tolist(), [0.0, 0.0], 1.0,
-        contacts=tuple(Contact(row, 0.0, restitution=0.8) for row in rows),
+        contacts=tuple(PiecewiseContact(row, 0.0, restitution=0.8) for row in rows),
     )  # fmt: skip
     run = simulate(machine, [-1.0, -2.0, 1.0, 2.0], span=1.0 + 1e-3)
     assert [(event.index, float(event.value)) for event in run.events[:2]] == [
@@ -124,8 +135,8 @@ def test_a_graze_of_a_damped_stop_that_releases_by_force_kicks_in_proportion_to_
     """A border collision: on the contact side the end differs from free flight by depth^1."""
 
     def end(d: float, c: float) -> float:
-        stop = Contact([1.0], 0.0, damping=c, stiffness=20.0, release="force")
-        machine = Machine([[1.0]], [[0.0]], [[0.0]], [-1.0], 1.0, contacts=(stop,) if c else ())
+        stop = PiecewiseContact([1.0], 0.0, damping=c, stiffness=20.0, release="force")
+        machine = PiecewiseMachine([[1.0]], [[0.0]], [[0.0]], [-1.0], 1.0, contacts=(stop,) if c else ())
         return float(simulate(machine, [-0.5 + d, 1.0], span=2.0, digits=40).sections[-1][1])
 
     c = 0.3
@@ -139,8 +150,8 @@ def test_a_detached_stop_engages_again_when_its_force_would_push() -> None:
     F = -.5 + (c a - 1.5 k) t + k a t^2 / 2 until it is zero.
     """
     a, k, c, depth, speed = 100.0, 10.0, 1.0, 0.1, -1.5
-    stop = Contact([1.0], 0.0, stiffness=k, damping=c, release="force")
-    machine = Machine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(stop,))
+    stop = PiecewiseContact([1.0], 0.0, stiffness=k, damping=c, release="force")
+    machine = PiecewiseMachine([[1.0]], [[0.0]], [[0.0]], [a], 1.0, contacts=(stop,))
     run = simulate(machine, [depth, speed], span=0.02)
     assert run.modes[0].contacts == ("detached+",)
     rise, bend = k * speed + c * a, k * a / 2
@@ -158,7 +169,7 @@ def test_at_the_onset_of_stick_with_higher_static_friction_the_multipliers_jump_
     """
     lengths = []
     for off in (1e-6, 1e-5):
-        machine = oscillator(0.655453162351025 * (1 - off), 2.0, friction=Friction([1.0], 1.0, 1.2))
+        machine = oscillator(0.655453162351025 * (1 - off), 2.0, friction=PiecewiseFriction([1.0], 1.0, 1.2))
         found = orbit(machine, [2.2959656, 1.5007525])
         stick, slip, *_ = found.run.events
         assert (stick.kind, slip.kind) == ("stick", "slip-")
@@ -167,15 +178,15 @@ def test_at_the_onset_of_stick_with_higher_static_friction_the_multipliers_jump_
         assert abs(found.multipliers[1]) < 1e-20
     assert lengths[1] / lengths[0] == pytest.approx(10.0, rel=1e-3)
     sliding = orbit(
-        oscillator(0.655453162351025 * (1 + 1e-6), 2.0, friction=Friction([1.0], 1.0, 1.2)), [2.296, 1.5007]
+        oscillator(0.655453162351025 * (1 + 1e-6), 2.0, friction=PiecewiseFriction([1.0], 1.0, 1.2)), [2.296, 1.5007]
     )
     assert sliding.multipliers[0] == pytest.approx(-0.05589 + 0.0067j, abs=1e-4)
 
 
 def test_soft_and_rigid_contacts_close_to_each_other_agree_in_the_limit() -> None:
     """A spring of 1e8 without damper turns a mass as R = 1 does, up to the time of contact, pi / sqrt(k)."""
-    hard = oscillator(0.95, 0.5, contact=Contact([1.0], 0.3, stiffness=1e8))
-    rigid = oscillator(0.95, 0.5, contact=Contact([1.0], 0.3, restitution=1.0))
+    hard = oscillator(0.95, 0.5, contact=PiecewiseContact([1.0], 0.3, stiffness=1e8))
+    rigid = oscillator(0.95, 0.5, contact=PiecewiseContact([1.0], 0.3, restitution=1.0))
     ends = [np.array(simulate(m, [0.0, 0.5], digits=24).sections[-1], dtype=float) for m in (hard, rigid)]
     np.testing.assert_allclose(*ends, atol=5e-3)
     assert soft(1.0).contacts[0].restitution is None

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.pieces import Contact, Friction, Machine, Mode, monodromy, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
-from rig.oracle.pieces.rows import oscillator
+from rig.oracle.piecewise import (
+    PiecewiseContact,
+    PiecewiseFriction,
+    PiecewiseMachine,
+    PiecewiseMode,
+    monodromy,
+    simulate,
+)
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.oracle.piecewise.reference_orbits import oscillator
 from tests.paths import ROOT
 
 AT_REST = 1e-11
@@ -22,14 +29,14 @@ SHORTEST = 1e-5  # legs of a chatter below this are not looked into
 class Watch:
     """An observer that holds each leg against the definitions, by plain sums of forces in double precision."""
 
-    machine: Machine
+    machine: PiecewiseMachine
     time: float = 0.0
     before: np.ndarray | None = None
     checked: int = 0
     rigid_hits: int = 0
     traces: list[tuple[Any, float]] = field(default_factory=list)
 
-    def leg(self, laws: Any, mode: Mode, law: Any, series: Any, u: Any, step: Any) -> None:
+    def leg(self, laws: Any, mode: PiecewiseMode, law: Any, series: Any, u: Any, step: Any) -> None:
         machine, n = self.machine.during(self.machine.phases[mode.phase]), self.machine.n
         start, end = (np.array(series.at(at)[: 2 * n], dtype=float) for at in (mp.zero, u))
         if self.before is not None:
@@ -44,7 +51,7 @@ class Watch:
         self.time += float(u * step)
         self.before = end
 
-    def check(self, machine: Machine, t: float, x: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+    def check(self, machine: PiecewiseMachine, t: float, x: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         """M a - F is made of the forces of held contacts and of sticking friction, and they are within their limits."""
         force = np.array(machine.load, dtype=float) - np.array(machine.stiffness) @ x - np.array(machine.damping) @ v
         for harmonic in machine.forces:
@@ -83,7 +90,7 @@ class Watch:
                 assert abs(value) <= limit
         self.checked += 1
 
-    def check_jump(self, machine: Machine, before: np.ndarray, after: np.ndarray) -> None:
+    def check_jump(self, machine: PiecewiseMachine, before: np.ndarray, after: np.ndarray) -> None:
         """Between legs nothing moves; velocities jump at rigid stops only, by the laws of impulse and restitution."""
         n = self.machine.n
         np.testing.assert_allclose(after[:n], before[:n], atol=1e-12)
@@ -136,11 +143,11 @@ def test_many_random_machines_obey_the_definitions_of_their_elements(block: int)
 def test_a_machine_survives_json() -> None:
     for seed in range(50):
         machine = random_machine(seed, switched_elements=True)
-        assert Machine.of(json.loads(json.dumps(machine.record()))) == machine
+        assert PiecewiseMachine.of(json.loads(json.dumps(machine.record()))) == machine
 
 
 def test_a_state_beyond_a_rigid_stop_is_refused() -> None:
-    machine = oscillator(1.0, 1.0, contact=Contact([1.0], 0.5, restitution=0.5))
+    machine = oscillator(1.0, 1.0, contact=PiecewiseContact([1.0], 0.5, restitution=0.5))
     with pytest.raises(ValueError, match=r"contact 0 is 0\.1 beyond its stop"):
         simulate(machine, [0.6, 0.0])
 
@@ -154,7 +161,7 @@ def test_the_oracle_imports_nothing_of_what_it_checks() -> None:
 # Volumes of the state space
 
 
-def volume_change(machine: Machine, state: list[float], periods: int) -> float | None:
+def volume_change(machine: PiecewiseMachine, state: list[float], periods: int) -> float | None:
     """ln |det DP| by the law of sums: what dampers take, and one factor an event; None where a direction is lost.
 
     -int tr(M^-1 C_mode) dt + sum of ln R^2 over impacts; det S = 1 at all events of soft contacts. No friction.
@@ -198,7 +205,7 @@ def test_volumes_change_by_dampers_and_restitution_alone_where_nothing_rubs_or_r
 
 def test_a_turn_changes_volumes_by_the_ratio_of_the_accelerations() -> None:
     """x'' + .1 x' + x + sgn x' = 2 cos .9 t: det S = a_r after / a_r before at each turn."""
-    machine = oscillator(0.9, 2.0, friction=Friction([1.0], 1.0, 1.2))
+    machine = oscillator(0.9, 2.0, friction=PiecewiseFriction([1.0], 1.0, 1.2))
     run = simulate(machine, [2.0, 3.0], span=6.0)
     expected = -0.1 * 6.0
     for event in run.events:

@@ -19,8 +19,8 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.spec.axis import Axis, StoredAxis
-from atlas.store import making, store
-from atlas.store.location import LocalPlace
+from atlas.store import create, store
+from atlas.store.object_backend import LocalBackend
 from tests.planes import plane_of
 from tests.synthetic import respare
 
@@ -68,7 +68,7 @@ def test_axes_that_differ_in_a_value_or_a_word_are_not_equal(other: dict[str, An
     assert StoredAxis(changed.outline(), lambda: {changed.name: changed.values}) != axis
 
 
-class Counted(LocalPlace):
+class Counted(LocalBackend):
     """A folder that notes which objects are read as they are."""
 
     def __init__(self, path: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_spec_has_the_digest_that_it_had_when_its_store_had_its_values_as_attr
 
 
 def test_a_store_has_the_values_of_its_spec_to_the_bit(spec: atlas.Spec, tmp_path: Path) -> None:
-    found = making.create(tmp_path / "a.zarr", spec, tile_of(spec)).spec
+    found = create.create_store(tmp_path / "a.zarr", spec, tile_of(spec)).spec
     assert found == atlas.Spec.from_resolved(spec.resolved())
     assert (found.digest, [axis.values for axis in found.axes]) == (spec.digest, [axis.values for axis in spec.axes])
     assert (found.described, found.shape, dict(found.points)) == (spec.described, spec.shape, dict(spec.points))
@@ -95,7 +95,7 @@ def test_a_store_has_the_values_of_its_spec_to_the_bit(spec: atlas.Spec, tmp_pat
 def test_the_attributes_do_not_grow_with_the_axes(tmp_path: Path) -> None:
     omega = np.sort(np.random.default_rng(0).uniform(2.0, 4.0, 100_000))
     spec = atlas.Spec("two-mass", {"omega": omega, "b": {"start": 0.1, "stop": 0.5, "num": 100_000}})
-    handle = making.create(tmp_path / "a.zarr", spec, (512, 512))
+    handle = create.create_store(tmp_path / "a.zarr", spec, (512, 512))
     assert json.loads(json.loads((handle.path / "zarr.json").read_text())["attributes"]["spec"])["axes"] == [
         {"name": "omega", "scale": "linear", "start": omega[0], "stop": omega[-1], "num": 100_000},
         {"name": "b", "scale": "linear", "start": 0.1, "stop": 0.5, "num": 100_000},
@@ -107,7 +107,7 @@ def test_the_attributes_do_not_grow_with_the_axes(tmp_path: Path) -> None:
 def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_once(
     spec: atlas.Spec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    making.create(tmp_path / "a.zarr", spec, tile_of(spec))
+    create.create_store(tmp_path / "a.zarr", spec, tile_of(spec))
     asked = []
     opened = zarr.open_array
 
@@ -117,7 +117,7 @@ def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_onc
 
     monkeypatch.setattr(zarr, "open_array", noted)
     place = Counted(tmp_path / "a.zarr")
-    handle = store.open_handle(place)
+    handle = store.open_store(place)
     cheap = handle.spec.shape, handle.spec.dims, handle.spec.described, handle.variables, store.done_tiles(handle)
     assert cheap[0] == spec.shape
     assert (asked, place.read) == ([], ["zarr.json", "regime/zarr.json", "component/spare"])  # type: ignore[attr-defined]
@@ -128,7 +128,7 @@ def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_onc
 
 def test_a_spec_of_a_store_can_be_sent_elsewhere(tmp_path: Path) -> None:
     for spec, name in ((plane_of(), "a"), (TABLE, "b")):
-        found = making.create(tmp_path / f"{name}.zarr", spec, tile_of(spec)).spec
+        found = create.create_store(tmp_path / f"{name}.zarr", spec, tile_of(spec)).spec
         again = pickle.loads(pickle.dumps(found))
         assert (again, again.digest) == (found, spec.digest)
 
@@ -152,10 +152,10 @@ def test_evenly_spaced_axes_are_made_again_to_the_bit(
 ) -> None:
     axes = {"omega": {"start": 2.1, "stop": 4.0, "num": 7, "scale": scale}, "b": [0.1, 0.15, 0.3]}
     spec = atlas.Spec("two-mass", axes)
-    path = making.create(tmp_path / "a.zarr", spec, (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", spec, (2, 3)).path
     whole = (path / "omega/c/0").read_bytes()
     damage(path / "omega/c/0")
-    assert store.open_handle(path).spec.axes[0].values == spec.axes[0].values
+    assert store.open_store(path).spec.axes[0].values == spec.axes[0].values
     (fault,) = verify(path, repair=True).faults
     assert str(fault).startswith("coordinate omega is ")
     assert (path / "omega/c/0").read_bytes() == whole
@@ -168,10 +168,10 @@ def test_evenly_spaced_axes_are_made_again_to_the_bit(
 def test_listed_values_outlive_damage_to_one_of_their_two_copies(
     spec: atlas.Spec, damage: Callable[[Path], None], key: str, tmp_path: Path
 ) -> None:
-    path = making.create(tmp_path / "a.zarr", spec, spec.shape).path
+    path = create.create_store(tmp_path / "a.zarr", spec, spec.shape).path
     whole = {path / name: (path / name).read_bytes() for name in ("omega/c/0", "omega/copy")}
     damage(path / key)
-    values = store.open_handle(path).spec.cell_params(tuple(slice(None) for _ in spec.shape))["omega"]
+    values = store.open_store(path).spec.cell_params(tuple(slice(None) for _ in spec.shape))["omega"]
     assert np.ravel(values).tolist() == [2.0, 2.5, 3.9]
     assert len(verify(path, repair=True).faults) == 1
     assert verify(path).faults == ()
@@ -183,11 +183,11 @@ def test_listed_values_outlive_damage_to_one_of_their_two_copies(
 def test_listed_values_of_which_both_copies_are_damaged_are_refused_in_one_line(
     spec: atlas.Spec, damage: str, tmp_path: Path, client: Client
 ) -> None:
-    path = making.create(tmp_path / "a.zarr", spec, spec.shape).path
+    path = create.create_store(tmp_path / "a.zarr", spec, spec.shape).path
     for key in ("omega/c/0", "omega/copy"):
         (path / key).unlink() if damage == "is missing" else (path / key).write_bytes(b"damaged")
     with pytest.raises(ChunkError, match=rf"^{path}: omega {damage}"):
-        store.open_handle(path).spec.cell_params(tuple(slice(0, 1) for _ in spec.shape))
+        store.open_store(path).spec.cell_params(tuple(slice(0, 1) for _ in spec.shape))
     (fault,) = verify(path, repair=True).faults
     assert str(fault).startswith(f"coordinate omega {damage}") and str(fault).endswith(": it cannot be made again")
     ended = CliRunner().invoke(main, ["verify", str(path)])
@@ -195,42 +195,42 @@ def test_listed_values_of_which_both_copies_are_damaged_are_refused_in_one_line(
 
 
 def test_evenly_spaced_axes_have_no_copy(tmp_path: Path) -> None:
-    path = making.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", LISTED, (2, 3)).path
     assert [key.parent.name for key in path.rglob("copy")] == ["omega"]
 
 
 def test_values_that_were_exchanged_for_others_are_not_used(tmp_path: Path) -> None:
-    path = making.create(tmp_path / "a.zarr", LISTED, (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", LISTED, (2, 3)).path
     (path / "omega/copy").write_bytes(np.array([2.0, 2.7, 3.9]).tobytes())
     zarr.open_group(path, mode="r+", use_consolidated=False)["omega"][1] = 2.6
     with pytest.raises(ChunkError, match="has a digest that does not match the spec and its coordinates"):
-        _ = store.open_handle(path).spec.axes[0].values
+        _ = store.open_store(path).spec.axes[0].values
     assert [str(fault) for fault in verify(path).faults] == ["zarr.json: the digest does not match the spec"]
 
 
 @pytest.mark.parametrize("key", ["start", "stop"])
 def test_an_end_that_is_not_that_of_the_coordinate_is_found(tmp_path: Path, key: str) -> None:
-    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     right = plane_of().outline()["axes"][0][key]
     change_spec(path, lambda spec: spec["axes"][0].update({key: 2.5}))
     (fault,) = verify(path).faults
     assert str(fault).startswith(f"zarr.json has attribute spec.axes[0].{key} 2.5, must be {right}: ")
     respare(path)
-    assert store.open_handle(path).spec.axes[0].values == plane_of().axes[0].values
+    assert store.open_store(path).spec.axes[0].values == plane_of().axes[0].values
     assert [str(fault) for fault in verify(path).faults] == ["zarr.json: axis omega differs from its coordinate"]
 
 
 def test_a_parameter_that_was_changed_in_the_attributes_is_found_before_a_value_is_used(tmp_path: Path) -> None:
-    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     change_spec(path, lambda spec: spec["parameters"].update(R=0.5))
     respare(path)
     with pytest.raises(ChunkError, match="has a digest that does not match the spec"):
-        store.open_handle(path).spec.cell_params((slice(0, 1), slice(0, 1)))
+        store.open_store(path).spec.cell_params((slice(0, 1), slice(0, 1)))
 
 
 @pytest.mark.parametrize("wrong", [{"num": 8}, {"num": "7"}, {"start": None}, {"scale": "cubic"}, {"name": "omgea"}])
 def test_a_wrong_outline_is_refused_in_one_line(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    path = making.create(tmp_path / "a.zarr", plane_of(), (2, 3)).path
+    path = create.create_store(tmp_path / "a.zarr", plane_of(), (2, 3)).path
     change_spec(path, lambda spec: spec["axes"][0].update(wrong))
     respare(path)
     ended = CliRunner().invoke(main, ["status", str(path)])
@@ -249,7 +249,7 @@ def change_spec(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 
 def test_an_opened_atlas_gives_its_spec(spec: atlas.Spec, tmp_path: Path) -> None:
-    path = making.create(tmp_path / "a.zarr", spec, tile_of(spec)).path
+    path = create.create_store(tmp_path / "a.zarr", spec, tile_of(spec)).path
     assert atlas.Spec.from_dataset(atlas.open(path)).digest == spec.digest
 
 
@@ -272,7 +272,7 @@ def test_a_part_of_an_atlas_gives_none(finished: Path) -> None:
 
 def test_a_store_is_copied_with_its_axes(finished: Path, tmp_path: Path) -> None:
     shutil.copytree(finished, tmp_path / "copy.zarr")
-    assert store.open_handle(tmp_path / "copy.zarr").spec == store.open_handle(finished).spec
+    assert store.open_store(tmp_path / "copy.zarr").spec == store.open_store(finished).spec
 
 
 @pytest.mark.parametrize("given", [(1, 4, 40), (1.0, 4.0)])

@@ -18,9 +18,9 @@ from atlas.cli.main import main as cli
 from atlas.errors import InputError
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
-from atlas.spec.system import checked_system
-from atlas.store import making
-from atlas.store.store import open_handle
+from atlas.spec.system import parse_system
+from atlas.store import create
+from atlas.store.store import open_store
 from tests.workers.model.test_systems import MACHINE, table
 from workers import System, solve_tile, trace
 from workers.model.system import find_system, identity
@@ -88,7 +88,7 @@ def test_its_states_and_parameters_are_those_of_the_definition(store: Path) -> N
 def test_the_store_has_the_whole_definition(store: Path) -> None:
     kept = json.loads(atlas.open(store).attrs["spec"])["system"]
     assert System.from_mapping(kept) == System.from_toml(MACHINE)
-    assert open_handle(store).spec.record == System.from_toml(MACHINE)
+    assert open_store(store).spec.record == System.from_toml(MACHINE)
 
 
 def test_verify_solves_a_sample_of_it_from_the_store_alone(store: Path) -> None:
@@ -100,20 +100,20 @@ def test_a_spec_with_the_definition_in_it_is_the_same_and_resumes_the_store(
     folder: Path, store: Path, client: Client
 ) -> None:
     spec = Spec.from_toml(folder / "spec.toml")
-    assert spec.digest == open_handle(store).digest
+    assert spec.digest == open_store(store).digest
     summary = atlas.run(spec, store, client)
     assert summary.cells_solved == 0
 
 
 def test_another_definition_under_the_name_is_refused_with_what_differs(store: Path, client: Client) -> None:
     other = System.from_mapping(table(stiffness=[[1.0, -1.0], [-1.0, "1.5 + k"]]))
-    stored = open_handle(store).spec
+    stored = open_store(store).spec
     with pytest.raises(InputError, match="system machine is defined differently in the store: stiffness"):
         atlas.run(Spec(other, {a.name: a for a in stored.axes}, stored.parameters, stored.settings), store, client)
 
 
 def test_other_words_are_the_same_system(store: Path) -> None:
-    stored = open_handle(store).spec
+    stored = open_store(store).spec
     worded = System.from_mapping(table(title="another title", source="a book"))
     assert Spec(worded, {a.name: a for a in stored.axes}, stored.parameters, stored.settings).digest == stored.digest
 
@@ -204,11 +204,11 @@ def test_a_path_in_a_store_is_not_followed(tmp_path: Path) -> None:
 
 
 def test_an_example_that_describes_its_own_system_has_its_name_and_others_have_none() -> None:
-    own = checked_system("shaken-base")
+    own = parse_system("shaken-base")
     assert (own.name, own.title) == ("shaken-base", "mass on a shaken base with a fixed stop")
     assert Spec.from_toml("shaken-base").record == own
     with pytest.raises(InputError, match="unknown system 'fig6'"):
-        checked_system("fig6")
+        parse_system("fig6")
 
 
 LONG = "1" + "+k" * 149  # 299 characters, 599 with blanks
@@ -217,8 +217,8 @@ LONG = "1" + "+k" * 149  # 299 characters, 599 with blanks
 def test_a_long_expression_without_blanks_makes_a_store_that_is_read(tmp_path: Path) -> None:
     spec = Spec(System.from_toml(MACHINE.replace('"1 + k"', f'"{LONG}"')), {"omega": [2.0, 3.0]})
     assert atlas.plan(spec, probe=False).tiling.cells == 2
-    making.create(tmp_path / "out.zarr", spec, (2,))
-    assert open_handle(tmp_path / "out.zarr").spec == spec
+    create.create_store(tmp_path / "out.zarr", spec, (2,))
+    assert open_store(tmp_path / "out.zarr").spec == spec
     assert verify(tmp_path / "out.zarr", sample=0).faults == ()
 
 

@@ -20,10 +20,10 @@ from atlas.check.rules import law_of
 from atlas.cli.main import main
 from atlas.errors import ChunkError, InputError
 from atlas.service.plan import make_plan
-from atlas.spec.points import checked_points
+from atlas.spec.points import parse_points
 from atlas.spec.resolved import resolved_digest
-from atlas.store import axes, making
-from atlas.store.store import done_tiles, open_handle
+from atlas.store import axes, create
+from atlas.store.store import done_tiles, open_store
 from workers import Settings
 from workers.model.system import find_system
 
@@ -55,7 +55,7 @@ def answered(*arguments: object, code: int = 0) -> str:
 def refused(path: Path, text: str) -> str:
     path.write_text(text)
     with pytest.raises(InputError) as caught:
-        checked_points({"file": path}, find_system("two-mass"))
+        parse_points({"file": path}, find_system("two-mass"))
     return str(caught.value).removeprefix(str(path))
 
 
@@ -81,7 +81,7 @@ def test_a_column_wins_over_a_parameter() -> None:
 
 
 def test_the_store_keeps_the_table(solved: Path) -> None:
-    assert open_handle(solved).spec == atlas.Spec("two-mass", points=TABLE, solve=SOLVE)
+    assert open_store(solved).spec == atlas.Spec("two-mass", points=TABLE, solve=SOLVE)
 
 
 def test_the_digest_has_the_rows_and_not_the_order_of_the_columns() -> None:
@@ -133,11 +133,11 @@ def test_a_bad_table_is_answered_in_one_line(tmp_path: Path, text: str, words: s
 
 
 def test_a_table_has_as_many_rows_as_it_wants_and_they_take_no_room_in_the_attributes(tmp_path: Path) -> None:
-    from atlas.store.making import create
+    from atlas.store.create import create_store
 
     rows = np.random.default_rng(0).uniform(1.0, 4.0, 250_000)
     (tmp_path / "t.csv").write_text("omega\n" + "\n".join(map(repr, rows.tolist())))
-    handle = create(tmp_path / "out.zarr", atlas.Spec("two-mass", points={"file": tmp_path / "t.csv"}), (512,))
+    handle = create_store(tmp_path / "out.zarr", atlas.Spec("two-mass", points={"file": tmp_path / "t.csv"}), (512,))
     assert np.array(handle.spec.points["omega"]).tobytes() == rows.tobytes()
     assert (handle.path / "zarr.json").stat().st_size < 60_000
 
@@ -236,7 +236,7 @@ def test_a_table_stopped_half_way_is_completed_to_the_same_bits(solved: Path, tm
     shutil.copytree(solved, tmp_path / "out.zarr")
     os.unlink(tmp_path / "out.zarr" / "regime" / "c" / "1")
     summary = atlas.run(table_of(), tmp_path / "out.zarr", client=client)
-    assert (summary.tiles_solved, len(done_tiles(open_handle(tmp_path / "out.zarr")))) == (1, 3)
+    assert (summary.tiles_solved, len(done_tiles(open_store(tmp_path / "out.zarr")))) == (1, 3)
     for name, values in atlas.open(solved).data_vars.items():
         np.testing.assert_array_equal(atlas.open(tmp_path / "out.zarr")[name].values, values.values, err_msg=name)
 
@@ -255,9 +255,9 @@ def test_a_table_is_drawn_as_a_sweep_over_its_rows(solved: Path, tmp_path: Path)
 def test_a_table_has_no_overviews(tmp_path: Path) -> None:
     spec = atlas.Spec("two-mass", points={"omega": np.linspace(1, 4, 500)})
     from atlas.overview.pyramid import Pyramid
-    from atlas.store.making import create
+    from atlas.store.create import create_store
 
-    assert Pyramid(create(tmp_path / "out.zarr", spec, (64,))).levels.count == 0
+    assert Pyramid(create_store(tmp_path / "out.zarr", spec, (64,))).levels.count == 0
 
 
 def test_a_table_that_never_ends_or_does_not_fit_in_memory_is_refused_at_once(tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_changed_columns_are_told_after_few_digests_and_a_repair_restores_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edited: tuple[str, ...]
 ) -> None:
     spec = atlas.Spec("two-mass", points={name: [0.1, 0.2, 0.3] for name in COLUMNS})
-    path = making.create(tmp_path / "out.zarr", spec, (2,)).path
+    path = create.create_store(tmp_path / "out.zarr", spec, (2,)).path
     for name in edited:
         zarr.open_group(path, mode="r+", use_consolidated=False)[name][1] = 0.25
     digests: list[object] = []

@@ -12,7 +12,7 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.spec.resolved import resolved_digest, with_values
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from tests.planes import plane_of
 from tests.synthetic import change_root
 from workers import Settings
@@ -26,7 +26,7 @@ def store(finished: Path) -> Path:
 def remove_from_spec(store: Path, table: str, name: str) -> None:
     """Make the store one from before there was that setting or parameter."""
 
-    values = open_handle(store).values
+    values = open_store(store).values
 
     def change(root: dict[str, Any]) -> None:
         outline = json.loads(root["attributes"]["spec"])

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import Observer, Record, cancel, claimed
-from atlas.service.process import this_process
+from atlas.service.lease import LeaseObserver, LeaseRecord, cancel, hold_lease
+from atlas.service.process_identity import this_process
 from atlas.service.timing import Timing
 from atlas.store import sidecar
-from atlas.store.making import remove_half_made
-from atlas.store.sidecar import CLAIM, Folder, claim_token, notes_of
+from atlas.store.create import remove_half_made
+from atlas.store.sidecar import LEASE_NAME, LocalSidecar, read_lease_token, sidecar_of
 from tests.paths import ROOT
 from tests.waiting import until
 
@@ -28,8 +28,8 @@ IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
 
 
 @pytest.fixture
-def notes(tmp_path: Path) -> Folder:
-    return Folder(tmp_path / "notes")
+def notes(tmp_path: Path) -> LocalSidecar:
+    return LocalSidecar(tmp_path / "notes")
 
 
 REPLACED = "the next run replaces it"
@@ -38,18 +38,18 @@ REPLACED = "the next run replaces it"
 within_20_s = partial(until, seconds=20.0)
 
 
-def elsewhere(beat: int = 7) -> Record:
+def elsewhere(beat: int = 7) -> LeaseRecord:
     """A claim from a machine that this one cannot look into."""
-    return Record("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
+    return LeaseRecord("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
 
 
-def test_a_note_is_put_only_where_there_is_none(notes: Folder) -> None:
+def test_a_note_is_put_only_where_there_is_none(notes: LocalSidecar) -> None:
     assert notes.put("a", b"1", expected=None)
     assert not notes.put("a", b"2", expected=None)
     assert notes.read("a") == b"1"
 
 
-def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
+def test_a_note_is_replaced_only_by_who_read_it_last(notes: LocalSidecar) -> None:
     notes.put("a", b"first, and longer", expected=None)
     assert notes.put("a", b"second", expected=b"first, and longer")
     assert not notes.put("a", b"third", expected=b"first, and longer")
@@ -57,7 +57,7 @@ def test_a_note_is_replaced_only_by_who_read_it_last(notes: Folder) -> None:
     assert notes.read("a") == b"second"
 
 
-def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> None:
+def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: LocalSidecar) -> None:
     notes.put("n", b"whole", expected=None)
     file = notes.path / "n"
     data = file.read_bytes()
@@ -69,7 +69,7 @@ def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: Folder) -> No
 
 
 def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lock(
-    notes: Folder, monkeypatch: pytest.MonkeyPatch
+    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Workers read the claim before each write; a reader that asked for the lock would hold up its renewal."""
     locked, lock, done = set(), sidecar.file_lock, threading.Event()
@@ -80,13 +80,13 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
 
     def renew() -> None:
         for beat in range(1, 200):
-            notes.put(CLAIM, note(beat), expected=note(beat - 1))
+            notes.put(LEASE_NAME, note(beat), expected=note(beat - 1))
         done.set()
 
     def read() -> int:
         count = 0
         while not done.is_set():
-            assert claim_token(notes) == "of the run"
+            assert read_lease_token(notes) == "of the run"
             count += 1
         return count
 
@@ -94,7 +94,7 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
         return json.dumps({"token": "of the run", "beat": beat}).encode()
 
     monkeypatch.setattr(sidecar, "file_lock", noted)
-    notes.put(CLAIM, note(0), expected=None)
+    notes.put(LEASE_NAME, note(0), expected=None)
     with ThreadPoolExecutor(20, thread_name_prefix="reader") as pool:
         readers = [pool.submit(read) for _ in range(20)]
         writer = threading.Thread(target=renew, name="run")
@@ -105,7 +105,7 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
     assert "run" in locked
 
 
-def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:
+def test_the_last_note_takes_its_folder_with_it(notes: LocalSidecar) -> None:
     notes.put("a", b"1", expected=None)
     assert notes.remove("a", b"1")
     assert not notes.path.exists()
@@ -113,7 +113,7 @@ def test_the_last_note_takes_its_folder_with_it(notes: Folder) -> None:
     assert not notes.put("a", b"2", expected=b"1")
 
 
-def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: Folder) -> None:
+def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: LocalSidecar) -> None:
     notes.put("count", b"0", expected=None)
 
     def count() -> None:
@@ -131,26 +131,26 @@ def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: Folde
     assert notes.read("count") == b"200"
 
 
-def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: Folder) -> None:
-    with claimed(notes, "out.zarr", timing=QUICK):
-        seen = notes.read(CLAIM)
-        within_20_s(lambda: notes.read(CLAIM) != seen)
-    assert notes.read(CLAIM) is None
+def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: LocalSidecar) -> None:
+    with hold_lease(notes, "out.zarr", timing=QUICK):
+        seen = notes.read(LEASE_NAME)
+        within_20_s(lambda: notes.read(LEASE_NAME) != seen)
+    assert notes.read(LEASE_NAME) is None
 
 
-def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: Folder) -> None:
-    with claimed(notes, "out.zarr", timing=QUICK) as first:
+def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalSidecar) -> None:
+    with hold_lease(notes, "out.zarr", timing=QUICK) as first:
         refusal = rf"^out.zarr: another run is at work on it \(process {os.getpid()} on "
-        with pytest.raises(InputError, match=refusal), claimed(notes, "out.zarr", timing=QUICK):
+        with pytest.raises(InputError, match=refusal), hold_lease(notes, "out.zarr", timing=QUICK):
             pass
         first.check()
 
 
-def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere().pack(), expected=None)
+def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
     said: list[str] = []
     begin = time.monotonic()
-    with claimed(notes, "out.zarr", said.append, IMPATIENT):
+    with hold_lease(notes, "out.zarr", said.append, IMPATIENT):
         assert time.monotonic() - begin >= IMPATIENT.dead
     assert said == [
         "another run may be at work (process 1 on far): watching for a sign of life",
@@ -158,62 +158,62 @@ def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: Folder) -> 
     ]
 
 
-def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere(0).pack(), expected=None)
     stop = threading.Event()
 
     def beat() -> None:
         now = elsewhere(0)
         while not stop.wait(0.05):
             after = replace(now, beat=now.beat + 1)
-            assert notes.put(CLAIM, after.pack(), expected=now.pack())
+            assert notes.put(LEASE_NAME, after.pack(), expected=now.pack())
             now = after
 
     thread = threading.Thread(target=beat)
     thread.start()
-    with pytest.raises(InputError, match="another run is at work"), claimed(notes, "out.zarr", timing=QUICK):
+    with pytest.raises(InputError, match="another run is at work"), hold_lease(notes, "out.zarr", timing=QUICK):
         pass
     stop.set()
     thread.join()
 
 
-def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Folder) -> None:
+def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: LocalSidecar) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path\n"
         "from atlas.service.lease import claimed; from atlas.store.sidecar import Folder\n"
         "with claimed(Folder(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=ROOT)
-    assert notes.read(CLAIM) is not None
-    seen = Observer(notes).look()
+    assert notes.read(LEASE_NAME) is not None
+    seen = LeaseObserver(notes).look()
     assert seen is not None
     assert (seen.alive, seen.trouble) == (False, f"{seen.record} is gone without releasing its claim; {REPLACED}")
     said: list[str] = []
-    with claimed(notes, "out.zarr", said.append):
+    with hold_lease(notes, "out.zarr", said.append):
         pass
     assert len(said) == 1
     assert said[0].endswith("which is gone")
 
 
-def test_a_torn_claim_is_replaced(notes: Folder) -> None:
-    notes.put(CLAIM, b'{"token": "thei', expected=None)
-    with claimed(notes, "out.zarr", timing=IMPATIENT):
+def test_a_torn_claim_is_replaced(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, b'{"token": "thei', expected=None)
+    with hold_lease(notes, "out.zarr", timing=IMPATIENT):
         pass
 
 
-def test_a_holder_that_was_asleep_finds_itself_replaced(notes: Folder) -> None:
-    with claimed(notes, "out.zarr", timing=QUICK) as slept:
-        within_20_s(lambda: notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM)))
+def test_a_holder_that_was_asleep_finds_itself_replaced(notes: LocalSidecar) -> None:
+    with hold_lease(notes, "out.zarr", timing=QUICK) as slept:
+        within_20_s(lambda: notes.put(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME)))
         within_20_s(lambda: slept.lost != "")
         with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
             slept.check()
-    assert notes.read(CLAIM) == elsewhere().pack()
+    assert notes.read(LEASE_NAME) == elsewhere().pack()
 
 
 def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
-    notes: Folder, monkeypatch: pytest.MonkeyPatch
+    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with claimed(notes, "out.zarr", timing=QUICK) as claim:
+    with hold_lease(notes, "out.zarr", timing=QUICK) as claim:
         with monkeypatch.context() as away:
             failed = threading.Event()
 
@@ -221,18 +221,18 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
                 failed.set()
                 raise OSError(28, "No space left on device")
 
-            away.setattr(Folder, "put", put)
+            away.setattr(LocalSidecar, "put", put)
             assert failed.wait(20)
-        seen = notes.read(CLAIM)
-        within_20_s(lambda: notes.read(CLAIM) != seen)
+        seen = notes.read(LEASE_NAME)
+        within_20_s(lambda: notes.read(LEASE_NAME) != seen)
         claim.check()
 
 
 @pytest.mark.parametrize("patience", [0.0, 1.0])
 def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itself(
-    notes: Folder, monkeypatch: pytest.MonkeyPatch, patience: float
+    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch, patience: float
 ) -> None:
-    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
+    with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
 
         def put(*_: object, **__: object) -> bool:
             raise OSError(5, "Input/output error")
@@ -240,7 +240,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
         claim.check()
         begin = time.monotonic()
         with monkeypatch.context() as away:
-            away.setattr(Folder, "put", put)
+            away.setattr(LocalSidecar, "put", put)
             with pytest.raises(
                 RunError,
                 match=r"could not renew its claim of the store for \d+ s \(Input/output error\), so that another run",
@@ -249,17 +249,17 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
                     claim.check()
                     time.sleep(0.02)
         assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
-    assert notes.read(CLAIM) is None  # the store is free again
+    assert notes.read(LEASE_NAME) is None  # the store is free again
 
 
 def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
-    notes: Folder, monkeypatch: pytest.MonkeyPatch
+    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object, **__: object) -> bool:
         raise PermissionError(13, "ExpiredToken")
 
-    with claimed(notes, "out.zarr", timing=Timing(beat=0.01, dead=0.05), patience=600.0) as claim:
-        monkeypatch.setattr(Folder, "put", refused)
+    with hold_lease(notes, "out.zarr", timing=Timing(beat=0.01, dead=0.05), patience=600.0) as claim:
+        monkeypatch.setattr(LocalSidecar, "put", refused)
         time.sleep(0.1)
         with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
             claim.check()
@@ -268,28 +268,33 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
 @pytest.fixture
 def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
     """A disk that lets nothing be written until it is told to be back."""
-    whole, back = Folder.put, threading.Event()
+    whole, back = LocalSidecar.put, threading.Event()
 
-    def put(notes: Folder, name: str, data: bytes, expected: bytes | None) -> bool:
-        if name == CLAIM and expected is not None and not back.is_set() and Record.unpack(data).token != "theirs":  # type: ignore[union-attr]
+    def put(notes: LocalSidecar, name: str, data: bytes, expected: bytes | None) -> bool:
+        if (
+            name == LEASE_NAME
+            and expected is not None
+            and not back.is_set()
+            and LeaseRecord.unpack(data).token != "theirs"
+        ):  # type: ignore[union-attr]
             raise OSError(5, "Input/output error")
         return whole(notes, name, data, expected)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Folder, "put", put)
+        patch.setattr(LocalSidecar, "put", put)
         yield back.set
 
 
 def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_claim(
-    notes: Folder, away: Callable[[], None]
+    notes: LocalSidecar, away: Callable[[], None]
 ) -> None:
     """Others may have replaced the claim by then, long before the run's patience ends."""
-    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
-        seen, waited = notes.read(CLAIM), []
+    with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+        seen, waited = notes.read(LEASE_NAME), []
 
         def waiting() -> None:
             if len(waited) < 5:  # after that the beat comes through at any moment
-                assert notes.read(CLAIM) == seen
+                assert notes.read(LEASE_NAME) == seen
             waited.append(time.monotonic())
             if len(waited) == 5:
                 away()
@@ -299,64 +304,67 @@ def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_cla
             claim.check(waiting)
         assert len(waited) >= 5
         assert waited[0] - begin >= IMPATIENT.dead - 2 * IMPATIENT.beat
-        assert notes.read(CLAIM) != seen
+        assert notes.read(LEASE_NAME) != seen
 
 
 def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_claim(
-    notes: Folder, away: Callable[[], None]
+    notes: LocalSidecar, away: Callable[[], None]
 ) -> None:
-    with claimed(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
+    with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
 
         def waiting() -> None:
-            notes.put(CLAIM, elsewhere().pack(), expected=notes.read(CLAIM))
+            notes.put(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME))
             away()
 
         with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
             while True:
                 claim.check(waiting)
-    assert notes.read(CLAIM) == elsewhere().pack()
+    assert notes.read(LEASE_NAME) == elsewhere().pack()
 
 
 def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
-    notes: Folder, monkeypatch: pytest.MonkeyPatch
+    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its holder could not move it meanwhile; it does as soon as the store is back."""
     holder = elsewhere()
-    notes.put(CLAIM, holder.pack(), expected=None)
-    whole, reads = Folder.read, []
+    notes.put(LEASE_NAME, holder.pack(), expected=None)
+    whole, reads = LocalSidecar.read, []
 
-    def read(folder: Folder, name: str) -> bytes | None:
+    def read(folder: LocalSidecar, name: str) -> bytes | None:
         reads.append(name)
         if len(reads) == 3:
             time.sleep(2 * IMPATIENT.dead)
             return whole(folder, name)
         if len(reads) == 5:
-            notes.put(CLAIM, replace(holder, beat=8).pack(), expected=holder.pack())
+            notes.put(LEASE_NAME, replace(holder, beat=8).pack(), expected=holder.pack())
         return whole(folder, name)
 
-    monkeypatch.setattr(Folder, "read", read)
-    with pytest.raises(InputError, match="another run is at work on it"), claimed(notes, "out.zarr", timing=IMPATIENT):
+    monkeypatch.setattr(LocalSidecar, "read", read)
+    with (
+        pytest.raises(InputError, match="another run is at work on it"),
+        hold_lease(notes, "out.zarr", timing=IMPATIENT),
+    ):
         pass
 
 
-def test_what_a_holder_reports_is_read_by_others(notes: Folder) -> None:
-    with claimed(notes, "out.zarr", timing=QUICK) as claim:
+def test_what_a_holder_reports_is_read_by_others(notes: LocalSidecar) -> None:
+    with hold_lease(notes, "out.zarr", timing=QUICK) as claim:
         claim.report({"workers": 3})
-        within_20_s(lambda: json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"workers": 3})
-        seen = Observer(notes).settle()
+        within_20_s(lambda: json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"workers": 3})
+        seen = LeaseObserver(notes).settle()
         assert seen is not None
         assert seen.record is not None
         assert (seen.record.pid, seen.record.progress) == (os.getpid(), {"workers": 3})
         assert (seen.alive, seen.trouble) == (True, "")
 
 
-def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder) -> None:
+def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: LocalSidecar) -> None:
     stopped = threading.Event()
 
     def work() -> None:
         with (
             pytest.raises(RunError, match="stopped by atlas cancel"),
-            claimed(notes, "out.zarr", timing=QUICK) as claim,
+            hold_lease(notes, "out.zarr", timing=QUICK) as claim,
         ):
             while True:
                 claim.check()
@@ -365,42 +373,42 @@ def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: Folder
 
     thread = threading.Thread(target=work)
     thread.start()
-    within_20_s(lambda: notes.read(CLAIM) is not None)
+    within_20_s(lambda: notes.read(LEASE_NAME) is not None)
     cancel(notes, "out.zarr", wait_seconds=20)
     thread.join()
     assert stopped.is_set()
-    assert notes.read(CLAIM) is None
+    assert notes.read(LEASE_NAME) is None
 
 
-def test_cancel_without_a_run_is_refused(notes: Folder) -> None:
+def test_cancel_without_a_run_is_refused(notes: LocalSidecar) -> None:
     with pytest.raises(InputError, match=r"out.zarr: no run is at work on it"):
         cancel(notes, "out.zarr", wait_seconds=1)
 
 
-def test_cancel_says_when_a_run_has_not_stopped(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere().pack(), expected=None)
+def test_cancel_says_when_a_run_has_not_stopped(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
     with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
         cancel(notes, "out.zarr", wait_seconds=0.1)
 
 
-def test_cancel_says_at_once_that_a_claim_stands_still(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere().pack(), expected=None)
+def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
     with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
-    assert notes.read(CLAIM) == replace(elsewhere(), cancelled=True).pack()
+    assert notes.read(LEASE_NAME) == replace(elsewhere(), cancelled=True).pack()
 
 
-def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: Folder) -> None:
+def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: LocalSidecar) -> None:
     boot, namespace, *_ = this_process().split()
     gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
-    notes.put(CLAIM, gone.pack(), expected=None)
+    notes.put(LEASE_NAME, gone.pack(), expected=None)
     with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far is gone"):
         cancel(notes, "out.zarr", wait_seconds=600)
 
 
-def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere().pack(), expected=None)
-    observer = Observer(notes, IMPATIENT)
+def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    observer = LeaseObserver(notes, IMPATIENT)
     first, settled = observer.look(), observer.settle()
     assert first is not None
     assert settled is not None
@@ -408,25 +416,25 @@ def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: F
     assert settled.trouble.startswith("no sign of life of process 1 on far for ")
 
 
-def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere(0).pack(), expected=None)
+def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere(0).pack(), expected=None)
 
     def beat(_: float) -> None:  # its holder moves it while the observer sleeps
-        assert notes.put(CLAIM, elsewhere(1).pack(), expected=elsewhere(0).pack())
+        assert notes.put(LEASE_NAME, elsewhere(1).pack(), expected=elsewhere(0).pack())
 
-    seen = Observer(notes, sleep=beat).settle()
+    seen = LeaseObserver(notes, sleep=beat).settle()
     assert seen is not None
     assert (seen.record, seen.trouble) == (elsewhere(1), "")
 
 
-def test_a_request_to_stop_is_no_sign_of_life(notes: Folder) -> None:
-    notes.put(CLAIM, elsewhere().pack(), expected=None)
+def test_a_request_to_stop_is_no_sign_of_life(notes: LocalSidecar) -> None:
+    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
 
     def ask(text: str) -> None:
         if "watching" in text:
-            notes.put(CLAIM, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
+            notes.put(LEASE_NAME, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
 
-    with claimed(notes, "out.zarr", ask, IMPATIENT) as claim:
+    with hold_lease(notes, "out.zarr", ask, IMPATIENT) as claim:
         claim.check()
 
 
@@ -442,27 +450,27 @@ DAMAGES: dict[str, object] = {
 
 
 @pytest.mark.parametrize("field", DAMAGES)
-def test_a_claim_with_a_field_of_another_type_is_damaged(notes: Folder, field: str) -> None:
+def test_a_claim_with_a_field_of_another_type_is_damaged(notes: LocalSidecar, field: str) -> None:
     data = json.dumps(json.loads(elsewhere().pack()) | {field: DAMAGES[field]}).encode()
-    notes.put(CLAIM, data, expected=None)
-    assert Record.unpack(data) is None
-    seen = Observer(notes, IMPATIENT).settle()
+    notes.put(LEASE_NAME, data, expected=None)
+    assert LeaseRecord.unpack(data) is None
+    seen = LeaseObserver(notes, IMPATIENT).settle()
     assert seen is not None
     assert seen.trouble == f"the claim is damaged; {REPLACED}"
     with pytest.raises(RunError, match=rf"^out.zarr: the claim is damaged; {REPLACED}$"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
-    with claimed(notes, "out.zarr", timing=IMPATIENT) as claim:
+    with hold_lease(notes, "out.zarr", timing=IMPATIENT) as claim:
         claim.check()
 
 
 @pytest.mark.parametrize("data", [b"[]", b"{}", b"7", b"null", b"\xff", b'{"pid": 1e400}', b"[" * 10**5])
 def test_bytes_that_are_no_claim_unpack_to_none(data: bytes) -> None:
-    assert Record.unpack(data) is None
+    assert LeaseRecord.unpack(data) is None
 
 
 @pytest.mark.parametrize("pid", [0, -1, 2**31, 10**30, True])
 def test_a_claim_of_a_number_that_no_process_has_is_damaged(pid: int) -> None:
-    assert Record.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
+    assert LeaseRecord.unpack(json.dumps(json.loads(elsewhere().pack()) | {"pid": pid}).encode()) is None
 
 
 def test_a_number_as_large_as_any_atlas_is_reported_as_it_is() -> None:
@@ -485,13 +493,13 @@ def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
-    notes = notes_of(tmp_path / "out.zarr")
-    assert notes == Folder(tmp_path / ".out.zarr.run")
+    notes = sidecar_of(tmp_path / "out.zarr")
+    assert notes == LocalSidecar(tmp_path / ".out.zarr.run")
 
 
-def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: Folder) -> None:
-    with claimed(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
+def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: LocalSidecar) -> None:
+    with hold_lease(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
         claim.report({"tiles": 3})
-        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}
+        assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
         claim.report({"tiles": 4})
-        assert json.loads(notes.read(CLAIM) or b"{}")["progress"] == {"tiles": 3}
+        assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}

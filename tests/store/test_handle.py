@@ -18,12 +18,12 @@ from zarr.storage import LocalStore
 import atlas
 from atlas.errors import InputError
 from atlas.query.open import handle_of
-from atlas.store.making import create
-from atlas.store.place import LocalPlace
-from atlas.store.store import Atlas, open_handle
-from atlas.task.attempt import run_job
-from atlas.task.site import Site
-from atlas.task.task import Job
+from atlas.store.backend import LocalBackend
+from atlas.store.create import create_store
+from atlas.store.store import AtlasStore, open_store
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
 
 ROOT, METADATA = "zarr.json", "regime/zarr.json"
@@ -35,13 +35,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[tuple[str, str]]]
     counts: Counter[tuple[str, str]] = Counter()
 
     def counting(name: str) -> None:
-        whole = getattr(LocalPlace, name)
+        whole = getattr(LocalBackend, name)
 
-        def call(place: LocalPlace, key: str) -> object:
+        def call(place: LocalBackend, key: str) -> object:
             counts[name, key] += 1
             return whole(place, key)
 
-        monkeypatch.setattr(LocalPlace, name, call)
+        monkeypatch.setattr(LocalBackend, name, call)
 
     for name in ("get", "version", "exists"):
         counting(name)
@@ -56,11 +56,11 @@ def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
     tmp_path: Path, asked: Counter[tuple[str, str]]
 ) -> None:
     """Before it is solved and before it is written; after the first tile of a process, which has read the handle."""
-    handle = create(tmp_path / "plane.zarr", plane_of(), (2, 3))
-    job = Job((0, 0), Site(handle.place, handle.run_id, handle.solver_version))
-    run_job(job)
+    handle = create_store(tmp_path / "plane.zarr", plane_of(), (2, 3))
+    job = RunJob((0, 0), StoreRef(handle.place, handle.run_id, handle.solver_version))
+    run_tile_job(job)
     asked.clear()
-    run_job(replace(job, index=(1, 1)))
+    run_tile_job(replace(job, index=(1, 1)))
     assert of_metadata(asked) == {("version", ROOT): 2}
 
 
@@ -99,7 +99,7 @@ def test_a_question_to_a_dataset_looks_at_its_store_by_one_object_and_opens_it_n
 
 
 def test_a_store_is_read_by_three_objects_when_it_is_opened(finished: Path, asked: Counter[tuple[str, str]]) -> None:
-    handle = open_handle(finished)
+    handle = open_store(finished)
     assert of_metadata(asked) == {("get", ROOT): 1, ("get", METADATA): 1, ("get", "component/spare"): 1}
     asked.clear()
     atlas.open(handle)
@@ -113,42 +113,42 @@ def test_a_run_of_a_finished_store_reads_its_header_once(finished: Path, asked: 
 
 
 def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(finished: Path) -> None:
-    handle = open_handle(finished)
-    site = Site(handle.place, handle.run_id, handle.solver_version)
+    handle = open_store(finished)
+    site = StoreRef(handle.place, handle.run_id, handle.solver_version)
     site.forget()
     handle = site.handle()
     assert handle.spec and "declared" not in handle.kept
 
 
 def test_what_jobs_open_for_writing_is_opened_once(tmp_path: Path) -> None:
-    handle = create(tmp_path / "plane.zarr", plane_of(), (2, 3))
-    job = Job((0, 0), Site(handle.place, handle.run_id, handle.solver_version))
+    handle = create_store(tmp_path / "plane.zarr", plane_of(), (2, 3))
+    job = RunJob((0, 0), StoreRef(handle.place, handle.run_id, handle.solver_version))
     assert job.handle().declared is replace(job, index=(1, 1)).handle().declared
 
 
 @pytest.mark.parametrize("through", [lambda ds: ds, lambda ds: ds.isel(omega=slice(2, 5)), deepcopy])
 def test_a_dataset_finds_what_was_read_of_its_store(finished: Path, through: object) -> None:
-    handle = open_handle(finished)
+    handle = open_store(finished)
     assert handle_of(through(atlas.open(handle))) is handle  # type: ignore[operator]
 
 
 def test_a_dataset_that_plain_xarray_opened_finds_its_store_by_name_and_run(finished: Path) -> None:
     import xarray as xr
 
-    assert handle_of(xr.open_zarr(finished)) == open_handle(finished)
+    assert handle_of(xr.open_zarr(finished)) == open_store(finished)
 
 
 def test_a_dataset_whose_store_has_been_replaced_is_told_so(finished: Path) -> None:
     ds = atlas.open(finished)
     shutil.rmtree(finished)
-    create(finished, plane_of(), (2, 3))
+    create_store(finished, plane_of(), (2, 3))
     with pytest.raises(InputError, match="another store than the one that this dataset is of; open it again"):
         handle_of(ds)
 
 
 def test_a_dataset_sees_what_its_store_has_got_since(finished: Path) -> None:
     """As the overviews that a run makes at its end."""
-    ds, handle = atlas.open(finished), open_handle(finished)
+    ds, handle = atlas.open(finished), open_store(finished)
     root = finished / ROOT
     root.write_bytes(root.read_bytes() + b"\n")
     found = handle_of(ds)
@@ -157,9 +157,9 @@ def test_a_dataset_sees_what_its_store_has_got_since(finished: Path) -> None:
 
 
 def test_a_header_that_is_sent_takes_along_nothing_that_it_has_opened(finished: Path) -> None:
-    handle = open_handle(finished)
+    handle = open_store(finished)
     assert handle.readable and handle.spec
-    sent: Atlas = pickle.loads(pickle.dumps(handle))
+    sent: AtlasStore = pickle.loads(pickle.dumps(handle))
     assert sent == handle
     assert not sent.kept
     assert sent.spec == handle.spec

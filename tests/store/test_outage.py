@@ -16,16 +16,16 @@ from obstore.exceptions import GenericError
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
-from atlas.service.lease import claimed
+from atlas.service.lease import hold_lease
 from atlas.store import outage
-from atlas.store.location import ObjectPlace
-from atlas.store.making import create
-from atlas.store.sidecar import CLAIM, notes_at_url, notes_of
-from atlas.store.store import done_tiles, open_arrays, open_handle
-from atlas.task.attempt import run_job
-from atlas.task.site import RefusedError, Site
-from atlas.task.task import Job
-from rig.loopback import ObjectStore, Trouble, object_store
+from atlas.store.create import create_store
+from atlas.store.object_backend import ObjectBackend
+from atlas.store.sidecar import LEASE_NAME, object_sidecar, sidecar_of
+from atlas.store.store import done_tiles, open_arrays, open_store
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef, WorkerRefusedError
+from atlas.task.tile_job import RunJob
+from rig.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from tests.planes import find, plane_of
 from workers.results import REGIME
 
@@ -34,15 +34,15 @@ URL = "s3://bucket/plane.zarr"
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ObjectStore]:
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeObjectStore]:
     with object_store() as served:
         for name, value in served.environment.items():
             monkeypatch.setenv(name, value)
         yield served
 
 
-def test_the_server_answers_after_its_delay_and_many_at_once(server: ObjectStore) -> None:
-    place, keys = ObjectPlace(URL), [f"x/{k}" for k in range(64)]
+def test_the_server_answers_after_its_delay_and_many_at_once(server: FakeObjectStore) -> None:
+    place, keys = ObjectBackend(URL), [f"x/{k}" for k in range(64)]
     server.put({f"bucket/plane.zarr/{key}": key.encode() for key in keys})
     server.delay(0.2)
     begin = time.perf_counter()
@@ -51,8 +51,8 @@ def test_the_server_answers_after_its_delay_and_many_at_once(server: ObjectStore
     assert server.counts == {"get": 64}
 
 
-def test_the_server_gives_parts_of_objects_and_pages_of_keys(server: ObjectStore) -> None:
-    place = ObjectPlace(URL)
+def test_the_server_gives_parts_of_objects_and_pages_of_keys(server: FakeObjectStore) -> None:
+    place = ObjectBackend(URL)
     server.put({f"bucket/plane.zarr/x/{k:04}": b"0123456789" for k in range(2001)})
     assert bytes(obstore.get_range(place.client, "x/0000", start=2, end=5)) == b"234"
     assert bytes(obstore.get(place.client, "x/0000", options={"range": {"suffix": 3}}).bytes()) == b"789"
@@ -66,11 +66,11 @@ def arrays_of(where: object) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("how", [503, 429, "drop", "lost"])
-def test_every_operation_of_a_place_outlives_an_outage(server: ObjectStore, how: int | str) -> None:
-    place = ObjectPlace(URL)
+def test_every_operation_of_a_place_outlives_an_outage(server: FakeObjectStore, how: int | str) -> None:
+    place = ObjectBackend(URL)
 
     def after_outage(operation: object, *args: object) -> object:
-        server.trouble = Trouble(0, 1, how)
+        server.trouble = InjectedFault(0, 1, how)
         done = operation(*args)  # type: ignore[operator]
         assert server.trouble.left == 0
         return done
@@ -91,61 +91,61 @@ def test_every_operation_of_a_place_outlives_an_outage(server: ObjectStore, how:
 
 
 @pytest.mark.parametrize("url", ["s3://bucket/plane.zarr", "gs://bucket/plane.zarr"])
-def test_objects_that_are_got_or_removed_together_outlive_an_outage(server: ObjectStore, url: str) -> None:
-    place, keys = ObjectPlace(url), [f"x/{k}" for k in range(5)]
+def test_objects_that_are_got_or_removed_together_outlive_an_outage(server: FakeObjectStore, url: str) -> None:
+    place, keys = ObjectBackend(url), [f"x/{k}" for k in range(5)]
     for key in keys:
         place.put(key, key.encode())
-    server.trouble = Trouble(0, 3)
+    server.trouble = InjectedFault(0, 3)
     assert place.get_all(keys) == {key: key.encode() for key in keys}
-    server.trouble = Trouble(0, 1, "lost")
+    server.trouble = InjectedFault(0, 1, "lost")
     place.remove_all([*keys, "x/none"])
     assert server.trouble.left == 0
     assert list(place.list_keys()) == []
 
 
-def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: ObjectStore) -> None:
-    notes = notes_of(URL)
-    notes.put(CLAIM, b"{}", expected=None)
+def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: FakeObjectStore) -> None:
+    notes = sidecar_of(URL)
+    notes.put(LEASE_NAME, b"{}", expected=None)
     server.put({f"bucket/.plane.zarr.run/started-{k}": b"1" for k in range(2500)})
     server.forget()
-    notes.clear(keep=CLAIM)
+    notes.clear(keep=LEASE_NAME)
     assert server.counts == {"list": 3, "delete many": 3}
-    assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
+    assert [*server.objects] == [f"bucket/.plane.zarr.run/{LEASE_NAME}"]
 
 
-def test_a_note_that_is_removed_leaves_nothing(server: ObjectStore) -> None:
-    notes = notes_of(URL)
+def test_a_note_that_is_removed_leaves_nothing(server: FakeObjectStore) -> None:
+    notes = sidecar_of(URL)
     notes.put("started-0-0", b"1", expected=None)
     assert notes.remove("started-0-0", b"1")
     assert not notes.remove("started-0-0", b"1")
     assert not server.objects
 
 
-def test_a_claim_that_is_released_leaves_nothing(server: ObjectStore) -> None:
-    with claimed(notes_of(URL), URL):
-        assert [*server.objects] == [f"bucket/.plane.zarr.run/{CLAIM}"]
+def test_a_claim_that_is_released_leaves_nothing(server: FakeObjectStore) -> None:
+    with hold_lease(sidecar_of(URL), URL):
+        assert [*server.objects] == [f"bucket/.plane.zarr.run/{LEASE_NAME}"]
     assert not server.objects
 
 
-def test_a_removal_whose_answer_is_lost_is_not_made_again(server: ObjectStore) -> None:
+def test_a_removal_whose_answer_is_lost_is_not_made_again(server: FakeObjectStore) -> None:
     """By then the note may be somebody else's."""
-    place = ObjectPlace(URL)
+    place = ObjectBackend(URL)
     place.put("note", b"mine")
     server.forget()
-    server.trouble = Trouble(0, 1, "lost")
+    server.trouble = InjectedFault(0, 1, "lost")
     assert not place.remove_once("note")
     assert server.counts.total() == 1
     assert not server.objects
 
 
-def test_a_process_has_one_client_of_a_place(server: ObjectStore) -> None:
-    assert ObjectPlace(URL).client is ObjectPlace(URL, patience=3.0).client
-    assert ObjectPlace(URL).client is ObjectPlace(URL).behind(lambda: None).client
+def test_a_process_has_one_client_of_a_place(server: FakeObjectStore) -> None:
+    assert ObjectBackend(URL).client is ObjectBackend(URL, patience=3.0).client
+    assert ObjectBackend(URL).client is ObjectBackend(URL).with_fence(lambda: None).client
 
 
-def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
-    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
-    server.trouble = Trouble(0, 7)
+def test_zarr_outlives_an_outage_too(server: FakeObjectStore) -> None:
+    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
+    server.trouble = InjectedFault(0, 7)
     array = open_arrays(handle)[REGIME.name]
     assert (np.asarray(array[...]) == -1).all()
     assert server.trouble.left == 0
@@ -153,9 +153,9 @@ def test_zarr_outlives_an_outage_too(server: ObjectStore) -> None:
 
 @pytest.mark.parametrize("how", [503, "drop"])
 def test_a_run_outlives_an_outage_and_has_the_bits_of_an_undisturbed_one(
-    server: ObjectStore, solved_plane: Path, client: Client, how: int | str
+    server: FakeObjectStore, solved_plane: Path, client: Client, how: int | str
 ) -> None:
-    server.trouble = Trouble(3, 8, how)
+    server.trouble = InjectedFault(3, 8, how)
     summary = atlas.run(plane_of(), URL, client=client)
     assert server.trouble.left == 0
     assert (summary.tiles_done, summary.failures, dict(summary.refused)) == (9, (), {})
@@ -163,38 +163,38 @@ def test_a_run_outlives_an_outage_and_has_the_bits_of_an_undisturbed_one(
 
 
 def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on(
-    server: ObjectStore, solved_plane: Path, client: Client
+    server: FakeObjectStore, solved_plane: Path, client: Client
 ) -> None:
-    server.trouble = Trouble(4, np.inf)
+    server.trouble = InjectedFault(4, np.inf)
     words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
     with pytest.raises(RunError, match=words):
-        atlas.run(plane_of(), ObjectPlace(URL, patience=0.1), client=client, options=atlas.RunOptions(patience=0.3))
-    server.trouble = Trouble()
-    kept = len(done_tiles(open_handle(URL)))
+        atlas.run(plane_of(), ObjectBackend(URL, patience=0.1), client=client, options=atlas.RunOptions(patience=0.3))
+    server.trouble = InjectedFault()
+    kept = len(done_tiles(open_store(URL)))
     assert kept == 3
-    notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    sidecar_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == 9 - kept
     assert arrays_of(URL) == arrays_of(solved_plane)
 
 
-def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: ObjectStore) -> None:
-    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
-    job = Job((0, 0), Site(URL, handle.run_id, handle.solver_version, patience=0.0))
-    server.trouble = Trouble(0, np.inf)
+def test_a_header_that_cannot_be_reached_is_a_fault_of_the_network_and_not_of_the_path(server: FakeObjectStore) -> None:
+    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
+    job = RunJob((0, 0), StoreRef(URL, handle.run_id, handle.solver_version, patience=0.0))
+    server.trouble = InjectedFault(0, np.inf)
     with pytest.raises(NetworkError, match=rf"^{URL}: no answer for 0 s \(.*503 Service Unavailable\)$"):
-        run_job(job)
+        run_tile_job(job)
     with pytest.raises(NetworkError):
-        find(ObjectPlace(URL, patience=0.0), plane_of())
+        find(ObjectBackend(URL, patience=0.0), plane_of())
 
 
-def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(server: ObjectStore) -> None:
-    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
-    server.trouble, before = Trouble(0, np.inf, 403), len(server.requests)
-    with pytest.raises(RefusedError, match=r"403 Forbidden$"):
-        run_job(Job((0, 0), Site(URL, handle.run_id, handle.solver_version)))
+def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(server: FakeObjectStore) -> None:
+    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
+    server.trouble, before = InjectedFault(0, np.inf, 403), len(server.requests)
+    with pytest.raises(WorkerRefusedError, match=r"403 Forbidden$"):
+        run_tile_job(RunJob((0, 0), StoreRef(URL, handle.run_id, handle.solver_version)))
     assert len(server.requests) == before + 1  # waiting would not mend it
     with pytest.raises(InputError, match=rf"{URL}: cannot be read: "):
-        open_handle(URL)
+        open_store(URL)
 
 
 @pytest.mark.parametrize(
@@ -208,25 +208,25 @@ def test_a_server_that_refuses_a_worker_is_named_without_a_word_about_paths(serv
     ],
     ids=["get", "put", "put_new", "remove_all", "list"],
 )
-def test_an_expired_credential_is_named_and_is_no_fault_of_an_object(server: ObjectStore, operation: Any) -> None:
-    server.trouble = Trouble(0, np.inf, "expired")
+def test_an_expired_credential_is_named_and_is_no_fault_of_an_object(server: FakeObjectStore, operation: Any) -> None:
+    server.trouble = InjectedFault(0, np.inf, "expired")
     said = r"400 Bad Request \(ExpiredToken: The provided token has expired\.\)$"
     with pytest.raises(PermissionError, match=said):
-        operation(ObjectPlace(URL))
+        operation(ObjectBackend(URL))
     with pytest.raises(PermissionError, match=r"400 Bad Request; are the credentials still valid\?$"):
-        ObjectPlace(URL).exists("a")  # the answer to HEAD has no body
+        ObjectBackend(URL).exists("a")  # the answer to HEAD has no body
 
 
 def test_a_credential_that_expires_gives_up_no_tile_and_the_same_line_goes_on(
-    server: ObjectStore, solved_plane: Path, client: Client
+    server: FakeObjectStore, solved_plane: Path, client: Client
 ) -> None:
-    server.trouble = Trouble(4, np.inf, "expired")
+    server.trouble = InjectedFault(4, np.inf, "expired")
     words = rf"no worker can do this run: inproc://\S+: {URL}: .*400 Bad Request.*; finished tiles are kept; the same"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of(), URL, client=client)
-    server.trouble = Trouble()
-    kept = len(done_tiles(open_handle(URL)))
-    notes_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
+    server.trouble = InjectedFault()
+    kept = len(done_tiles(open_store(URL)))
+    sidecar_of(URL).clear(keep="")  # this very process left its claim, so that nobody can tell that its run is over
     summary = atlas.run(plane_of(), URL, client=client)
     assert (summary.tiles_solved, summary.failures) == (9 - kept, ())
     assert arrays_of(URL) == arrays_of(solved_plane)
@@ -242,7 +242,7 @@ def test_a_request_that_a_server_timed_out_is_made_again() -> None:
             raise error
         return "done"
 
-    assert outage.persist(upload, URL, patience=30.0) == "done"
+    assert outage.retry_call(upload, URL, patience=30.0) == "done"
 
 
 def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,24 +261,24 @@ def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkey
 
     monkeypatch.setattr(outage.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(outage.time, "sleep", sleep)
-    assert outage.persist(upload, URL, patience=30.0) == "done"
+    assert outage.retry_call(upload, URL, patience=30.0) == "done"
     assert len(asked) == 2
 
 
 def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_each_other_write(
-    server: ObjectStore,
+    server: FakeObjectStore,
 ) -> None:
-    handle = create(ObjectPlace(URL), plane_of(), (2, 3))
-    job = Job((0, 0), Site(URL, handle.run_id, handle.solver_version))
+    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
+    job = RunJob((0, 0), StoreRef(URL, handle.run_id, handle.solver_version))
 
-    def requests(job: Job) -> list[tuple[str, str]]:
+    def requests(job: RunJob) -> list[tuple[str, str]]:
         before = len(server.requests)
-        run_job(job)
+        run_tile_job(job)
         return [(request.method, request.key) for request in server.requests[before:]]
 
     requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
     plain = requests(job)
-    notes_of(URL).put(CLAIM, b'{"token": "ours"}', expected=None)
+    sidecar_of(URL).put(LEASE_NAME, b'{"token": "ours"}', expected=None)
     fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
     looks = 3 + sum(variable.sparse for variable in handle.variables)  # all results, the record, the regime
     assert len(fenced) == len(plain) + looks
@@ -290,7 +290,7 @@ def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
         for name, value in gone.environment.items():
             monkeypatch.setenv(name, value)
     with pytest.raises(NetworkError, match=rf"{URL}: no answer for \d+ s \(.*error sending request\)"):
-        ObjectPlace(URL, patience=0.2).get("x")
+        ObjectBackend(URL, patience=0.2).get("x")
 
 
 @pytest.mark.parametrize("command", ["status", "query", "verify"])
@@ -304,7 +304,7 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
         for name, value in gone.environment.items():
             monkeypatch.setenv(name, value)
     for operation in ("exists", "get", "list_keys"):
-        monkeypatch.setattr(ObjectPlace, operation, away)
+        monkeypatch.setattr(ObjectBackend, operation, away)
     ended = CliRunner().invoke(main, [command, URL])
     assert (ended.exit_code, ended.stderr.splitlines()[-1]) == (1, f"Error: {URL}: no answer for 15 s (why)")
 
@@ -318,9 +318,9 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
     ],
 )
 def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
-    server: ObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
+    server: FakeObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
 ) -> None:
-    notes = notes_at_url(ObjectPlace(url))
+    notes = object_sidecar(ObjectBackend(url))
     key = "bucket/.plane.zarr.run/claim"
 
     def asked() -> dict[str, str]:
@@ -341,8 +341,8 @@ def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
     assert notes.put("claim", b"4", expected=None)
 
 
-def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: ObjectStore) -> None:
-    place = ObjectPlace("gs://bucket/conditions")
+def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: FakeObjectStore) -> None:
+    place = ObjectBackend("gs://bucket/conditions")
     place.put("x", b"1")
     found = place.get_tagged("x")
     assert found is not None
@@ -351,7 +351,7 @@ def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server
 
 
 def test_a_run_on_googles_store_has_the_bits_of_a_local_one(
-    server: ObjectStore, solved_plane: Path, client: Client
+    server: FakeObjectStore, solved_plane: Path, client: Client
 ) -> None:
     assert atlas.run(plane_of(), "gs://bucket/plane.zarr", client=client).tiles_done == 9
     assert arrays_of("gs://bucket/plane.zarr") == arrays_of(solved_plane)

@@ -20,18 +20,18 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.service.extend import extend
 from atlas.service.status import read_status
-from atlas.store import location as placing
-from atlas.store import making, store
-from atlas.store.location import LocalPlace, ObjectPlace, Place, place_of
-from atlas.store.records import put_together
-from atlas.store.remote import RemoteStore
-from atlas.store.sidecar import notes_at_url
-from atlas.store.spare import SPARE, read_spare
-from atlas.store.store import open_handle
+from atlas.store import create, store
+from atlas.store import object_backend as placing
+from atlas.store.metadata_backup import SPARE, read_backup
+from atlas.store.object_backend import LocalBackend, ObjectBackend, StoreBackend, open_backend
+from atlas.store.sidecar import object_sidecar
+from atlas.store.store import open_store
+from atlas.store.tile_records import compact_records
 from atlas.store.tiles import drop_tile
+from atlas.store.zarr_stores import RetryingObjectStore
 from tests.object_server import BUCKET, object_server
 from tests.planes import find, plane_of
-from workers.settings import MOST_PERIODS
+from workers.settings import MAX_PERIODS
 
 
 @pytest.fixture(scope="module")
@@ -47,12 +47,12 @@ def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture(params=["local", "s3"])
-def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> StoreBackend:
     """An empty place of each kind."""
     name = f"{tmp_path.name}/plane.zarr"
     if request.param == "s3":
-        return place_of(f"{request.getfixturevalue('bucket')}/{name}")
-    return place_of(str(tmp_path / "plane.zarr"))
+        return open_backend(f"{request.getfixturevalue('bucket')}/{name}")
+    return open_backend(str(tmp_path / "plane.zarr"))
 
 
 def arrays_of(where: Any) -> dict[str, bytes]:
@@ -60,12 +60,12 @@ def arrays_of(where: Any) -> dict[str, bytes]:
     return {str(name): ds[name].values.tobytes() for name in ds.variables}
 
 
-def test_each_kind_of_place_has_its_class(place: Place, request: pytest.FixtureRequest) -> None:
-    kinds = {"local": LocalPlace, "s3": ObjectPlace}
+def test_each_kind_of_place_has_its_class(place: StoreBackend, request: pytest.FixtureRequest) -> None:
+    kinds = {"local": LocalBackend, "s3": ObjectBackend}
     assert type(place) is kinds[request.node.callspec.params["place"]]
 
 
-def test_what_is_put_can_be_got_listed_and_removed(place: Place) -> None:
+def test_what_is_put_can_be_got_listed_and_removed(place: StoreBackend) -> None:
     assert (place.get("a/b/c"), place.exists("a/b/c"), list(place.list_keys())) == (None, False, [])
     place.put("a/b/c", b"one")
     place.put("a/d", b"two")
@@ -83,7 +83,7 @@ def test_what_is_put_can_be_got_listed_and_removed(place: Place) -> None:
     assert list(place.list_keys("a/")) == ["a/b/c"]
 
 
-def test_many_objects_are_got_and_removed_together(place: Place) -> None:
+def test_many_objects_are_got_and_removed_together(place: StoreBackend) -> None:
     for name in "abc":
         place.put(f"x/{name}", name.encode())
     assert place.get_all(["x/b", "x/none", "x/a"]) == {"x/b": b"b", "x/a": b"a"}
@@ -93,9 +93,11 @@ def test_many_objects_are_got_and_removed_together(place: Place) -> None:
     assert (list(place.list_keys()), place.get_all([])) == (["x/b"], {})
 
 
-def test_objects_are_taken_over_from_a_place_of_the_same_kind(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_objects_are_taken_over_from_a_place_of_the_same_kind(
+    place: StoreBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Truth: what is put. None of their bytes come through this process, and either place may replace its own."""
-    other = place_of(f"{place}.new")
+    other = open_backend(f"{place}.new")
     place.put_all({"a/0": b"zero", "a/1": b"one"})
     with monkeypatch.context() as patch:
         patch.setattr(type(place), "get", None)
@@ -110,20 +112,20 @@ def test_objects_are_taken_over_from_a_place_of_the_same_kind(place: Place, monk
 
 
 def test_objects_are_taken_over_from_a_place_of_another_kind(bucket: str, tmp_path: Path) -> None:
-    local, remote = place_of(tmp_path / "plane.zarr"), place_of(f"{bucket}/{tmp_path.name}.zarr")
+    local, remote = open_backend(tmp_path / "plane.zarr"), open_backend(f"{bucket}/{tmp_path.name}.zarr")
     local.put("a/0", b"zero")
     remote.take_all(local, ["a/0", "a/none"])
-    place_of(tmp_path / "back.zarr").take_all(remote, ["a/0", "a/none"])
-    assert place_of(tmp_path / "back.zarr").get("a/0") == b"zero"
+    open_backend(tmp_path / "back.zarr").take_all(remote, ["a/0", "a/none"])
+    assert open_backend(tmp_path / "back.zarr").get("a/0") == b"zero"
 
 
-def test_an_object_is_put_new_only_once(place: Place) -> None:
+def test_an_object_is_put_new_only_once(place: StoreBackend) -> None:
     assert [place.put_new("x", b"first"), place.put_new("x", b"second"), place.get("x")] == [True, False, b"first"]
 
 
 def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
-    place = ObjectPlace(f"{bucket}/notes/plane.zarr")
-    notes = notes_at_url(place)
+    place = ObjectBackend(f"{bucket}/notes/plane.zarr")
+    notes = object_sidecar(place)
     assert notes.read("claim") is None
     assert notes.put("claim", b"1", expected=None)
     assert not notes.put("claim", b"2", expected=None)
@@ -141,8 +143,8 @@ def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
 
 
 def test_of_two_that_replace_the_same_state_one_succeeds(bucket: str) -> None:
-    place = place_of(f"{bucket}/conditions")
-    assert isinstance(place, ObjectPlace)
+    place = open_backend(f"{bucket}/conditions")
+    assert isinstance(place, ObjectBackend)
     place.put("x", b"1")
     found = place.get_tagged("x")
     assert found is not None
@@ -153,14 +155,16 @@ def test_of_two_that_replace_the_same_state_one_succeeds(bucket: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, solved_plane: Path, client: Client) -> None:
+def test_the_whole_flow_gives_the_bits_of_a_local_store(
+    place: StoreBackend, solved_plane: Path, client: Client
+) -> None:
     url = str(place)
     summary = atlas.run(plane_of(), url, client=client)
     assert (summary.store, summary.tiles_done, summary.failures) == (url, 9, ())
     assert arrays_of(url) == arrays_of(solved_plane)
     assert verify(url, sample=4).fine
 
-    handle = store.open_handle(url)
+    handle = store.open_store(url)
     assert store.done_tiles(handle) == {(i, j) for i in range(3) for j in range(3)}
     drop_tile(handle, (1, 2))
     assert atlas.run(plane_of(), url, client=client).tiles_solved == 1
@@ -169,7 +173,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(place: Place, solved_pla
     assert extend(url, f"{url}-fine", refine={"b": 2}, client=client).cells_solved == 7 * 4
     fine = atlas.open(f"{url}-fine")
     assert fine.state.values[::2].tobytes() == arrays_of(url)["state"]
-    again = atlas.retry(url, f"{url}-again", "chaotic", survival=MOST_PERIODS // 100, client=client)
+    again = atlas.retry(url, f"{url}-again", "chaotic", survival=MAX_PERIODS // 100, client=client)
     assert 0 < again.cells_solved < 35
     assert verify(f"{url}-again", sample=4).fine
 
@@ -181,7 +185,7 @@ def test_worker_processes_write_to_a_url(bucket: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_corrupted_object_is_found_and_repaired(place: Place, client: Client) -> None:
+def test_a_corrupted_object_is_found_and_repaired(place: StoreBackend, client: Client) -> None:
     atlas.run(plane_of(), str(place), client=client)
     before = arrays_of(place)
     data = bytearray(place.get("state/c/0/1/0") or b"")
@@ -215,7 +219,7 @@ def test_every_command_takes_a_url(bucket: str, tmp_path: Path, client: Client) 
 
 def test_plain_xarray_opens_a_store_on_s3(bucket: str, client: Client) -> None:
     atlas.run(plane_of(), f"{bucket}/xarray/plane.zarr", client=client)
-    remote = placing.ObjectPlace(f"{bucket}/xarray/plane.zarr").client
+    remote = placing.ObjectBackend(f"{bucket}/xarray/plane.zarr").client
     ds = xr.open_zarr(zarr.storage.ObjectStore(remote, read_only=True))  # warnings are errors here
     assert (ds.regime.values >= 0).all()
 
@@ -223,41 +227,41 @@ def test_plain_xarray_opens_a_store_on_s3(bucket: str, client: Client) -> None:
 def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = place_of(f"{bucket}/short/plane.zarr")
+    place = open_backend(f"{bucket}/short/plane.zarr")
     order: list[str] = []
-    whole = ObjectPlace.put
+    whole = ObjectBackend.put
 
-    def dies(self: ObjectPlace, key: str, data: bytes) -> None:
+    def dies(self: ObjectBackend, key: str, data: bytes) -> None:
         order.append(key)
         if len(order) == 12:
             raise OSError("the network is gone")
         whole(self, key, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ObjectPlace, "put", dies)
+        patch.setattr(ObjectBackend, "put", dies)
         with pytest.raises(InputError, match="cannot be written: the network is gone"):
-            making.create(place, plane_of(), (2, 3))
+            create.create_store(place, plane_of(), (2, 3))
     assert "zarr.json" not in order and SPARE not in order
     with pytest.raises(InputError, match="no such store"):
-        store.open_handle(place)
+        store.open_store(place)
     assert find(place, plane_of()) is None  # what is left is in nobody's way
-    making.create(place, plane_of(), (2, 3))
-    assert find(place, plane_of()) == store.open_handle(place)
+    create.create_store(place, plane_of(), (2, 3))
+    assert find(place, plane_of()) == store.open_store(place)
 
 
 def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    place = place_of(f"{bucket}/race/plane.zarr")
-    whole = ObjectPlace.put_new
+    place = open_backend(f"{bucket}/race/plane.zarr")
+    whole = ObjectBackend.put_new
 
-    def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
+    def overtaken(self: ObjectBackend, key: str, data: bytes) -> bool:
         with monkeypatch.context() as patch:
-            patch.setattr(ObjectPlace, "put_new", whole)
-            making.create(place, plane_of(), (2, 3))
+            patch.setattr(ObjectBackend, "put_new", whole)
+            create.create_store(place, plane_of(), (2, 3))
         return whole(self, key, data)
 
-    monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
+    monkeypatch.setattr(ObjectBackend, "put_new", overtaken)
     with pytest.raises(InputError, match="another run has just made a store here"):
-        making.create(place, plane_of(), (2, 3))
+        create.create_store(place, plane_of(), (2, 3))
     assert verify(str(place), sample=0).faults == ()
 
 
@@ -265,44 +269,44 @@ def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The one that comes second has written all but the root when it is told."""
-    place = place_of(f"{bucket}/second/plane.zarr")
-    whole = ObjectPlace.put_new
+    place = open_backend(f"{bucket}/second/plane.zarr")
+    whole = ObjectBackend.put_new
 
-    def overtaken(self: ObjectPlace, key: str, data: bytes) -> bool:
+    def overtaken(self: ObjectBackend, key: str, data: bytes) -> bool:
         if key != "zarr.json":
             return whole(self, key, data)
         with monkeypatch.context() as patch:
-            patch.setattr(ObjectPlace, "put_new", whole)
+            patch.setattr(ObjectBackend, "put_new", whole)
             with pytest.raises(InputError, match="another run has just made a store here"):
                 assert whole(self, key, data)
-                making.create(place, plane_of(), (2, 3))
+                create.create_store(place, plane_of(), (2, 3))
         return True
 
-    monkeypatch.setattr(ObjectPlace, "put_new", overtaken)
-    handle, spare = making.create(place, plane_of(), (2, 3)), read_spare(place)
+    monkeypatch.setattr(ObjectBackend, "put_new", overtaken)
+    handle, spare = create.create_store(place, plane_of(), (2, 3)), read_backup(place)
     assert spare is not None and spare["attributes"]["run_id"] == handle.run_id
     assert verify(str(place), sample=0).faults == ()
 
 
 def test_what_is_not_ours_at_a_url_is_left_alone(bucket: str) -> None:
-    place = place_of(f"{bucket}/foreign")
+    place = open_backend(f"{bucket}/foreign")
     place.put("thesis.tex", b"mine")
     with pytest.raises(InputError, match=r"holds thesis.tex and is not an atlas"):
         find(place, plane_of())
-    zarr.create_group(zarr.storage.ObjectStore(place_of(f"{bucket}/group").client))  # type: ignore[attr-defined]
+    zarr.create_group(zarr.storage.ObjectStore(open_backend(f"{bucket}/group").client))  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="not an atlas"):
         find(f"{bucket}/group", plane_of())
 
 
 def test_the_ledger_is_one_listing(bucket: str, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     atlas.run(plane_of(), f"{bucket}/ledger", client=client)
-    handle = store.open_handle(f"{bucket}/ledger")
+    handle = store.open_store(f"{bucket}/ledger")
     asked: list[str] = []
-    whole = ObjectPlace.list_keys
+    whole = ObjectBackend.list_keys
     monkeypatch.setattr(
-        ObjectPlace, "list_keys", lambda self, prefix="": (asked.append(prefix), whole(self, prefix))[1]
+        ObjectBackend, "list_keys", lambda self, prefix="": (asked.append(prefix), whole(self, prefix))[1]
     )
-    monkeypatch.setattr(ObjectPlace, "exists", lambda *_: pytest.fail("a question for each tile"))
+    monkeypatch.setattr(ObjectBackend, "exists", lambda *_: pytest.fail("a question for each tile"))
     assert len(store.done_tiles(handle)) == 9
     assert asked == ["regime/c/"]
 
@@ -323,10 +327,10 @@ def test_a_status_of_a_finished_atlas_takes_ten_requests_at_most(
         monkeypatch.setattr(owner, name, counted)
 
     for name in ("get_tagged", "exists", "list_keys"):
-        count(ObjectPlace, name)
+        count(ObjectBackend, name)
     for name in ("get", "exists", "list_prefix", "list_dir"):
-        count(RemoteStore, name)
-    status = read_status(store.open_handle(f"{bucket}/few"))
+        count(RetryingObjectStore, name)
+    status = read_status(store.open_store(f"{bucket}/few"))
     assert (status.tiles_done, status.cells_done) == (9, 35)
     assert len(asked) <= 10, asked
     assert not status.run
@@ -350,23 +354,23 @@ def test_a_url_that_leads_nowhere_is_reported_in_one_line(bucket: str, url: str,
 def test_a_url_without_obstore_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore.store", None)
     with pytest.raises(InputError, match=r"s3://x/y: .*; needs obstore: pip install obstore"):
-        place_of("s3://x/y")
+        open_backend("s3://x/y")
 
 
 def test_a_store_that_may_only_be_read_is_refused_before_a_tile_is_solved(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = place_of(f"{bucket}/readonly/plane.zarr")
-    handle = making.create(place, plane_of(), (2, 3))
+    place = open_backend(f"{bucket}/readonly/plane.zarr")
+    handle = create.create_store(place, plane_of(), (2, 3))
     assert find(place, plane_of()) == handle
 
     def refused(*_: object) -> bool:
         raise PermissionError(13, "Access Denied")
 
-    monkeypatch.setattr(ObjectPlace, "put_new", refused)
+    monkeypatch.setattr(ObjectBackend, "put_new", refused)
     with pytest.raises(InputError, match="cannot be written: Access Denied"):
         find(place, plane_of())
-    assert store.open_handle(place) == handle
+    assert store.open_store(place) == handle
 
 
 @pytest.fixture
@@ -397,7 +401,7 @@ def test_a_finished_atlas_on_a_plain_web_server_has_the_status_and_the_answers_o
     web: str, finished: Path
 ) -> None:
     url = f"{web}/{finished.name}"
-    here, there = read_status(open_handle(finished)), read_status(open_handle(url))
+    here, there = read_status(open_store(finished)), read_status(open_store(url))
     assert (there.tiles_done, there.regimes, there.trouble) == (9, here.regimes, "")
     assert str(there) == str(here)
     answers = [CliRunner().invoke(main, ["query", str(where), "--json"]) for where in (finished, url)]
@@ -407,8 +411,8 @@ def test_a_finished_atlas_on_a_plain_web_server_has_the_status_and_the_answers_o
 
 @pytest.mark.parametrize("command", ["status", "verify"])
 def test_what_needs_a_listing_says_so_in_one_line_on_a_plain_web_server(web: str, finished: Path, command: str) -> None:
-    drop_tile(open_handle(finished), (1, 1))
-    put_together(open_handle(finished))
+    drop_tile(open_store(finished), (1, 1))
+    compact_records(open_store(finished))
     url = f"{web}/{finished.name}"
     ended = CliRunner().invoke(main, [command, url])
     said = f"Error: {url}: this web server does not list the objects of the store; copy the store to a disk"
@@ -418,14 +422,14 @@ def test_what_needs_a_listing_says_so_in_one_line_on_a_plain_web_server(web: str
 @pytest.mark.parametrize("given", ["x.zarr", "./x.zarr", "file:///tmp/a%20b/x.zarr"])
 def test_a_path_is_made_absolute_and_a_file_url_is_a_path(given: str) -> None:
     expected = "/tmp/a b/x.zarr" if given.startswith("file") else os.path.join(os.getcwd(), "x.zarr")
-    assert str(place_of(given)) == expected
+    assert str(open_backend(given)) == expected
 
 
 def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
     with pytest.raises(InputError, match="needs a name below the bucket"):
-        notes_at_url(ObjectPlace(bucket))
+        object_sidecar(ObjectBackend(bucket))
 
 
-def test_a_chunk_that_was_never_written_reads_as_pending(place: Place) -> None:
-    making.create(place, plane_of(), (2, 3))
+def test_a_chunk_that_was_never_written_reads_as_pending(place: StoreBackend) -> None:
+    create.create_store(place, plane_of(), (2, 3))
     assert (np.asarray(atlas.open(place).regime) == -1).all()

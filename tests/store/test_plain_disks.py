@@ -17,18 +17,18 @@ from distributed import Client
 
 import atlas
 from atlas.errors import InputError
+from atlas.overview.builder import OverviewBuilder
 from atlas.overview.pyramid import GROUP
-from atlas.overview.upkeep import Overviews
-from atlas.service.lease import claimed
+from atlas.service.lease import hold_lease
 from atlas.service.timing import Timing
 from atlas.store import sidecar
-from atlas.store.location import LocalPlace
-from atlas.store.making import create
-from atlas.store.sidecar import notes_of
-from atlas.store.store import done_tiles, is_done, open_handle
-from atlas.task.attempt import run_job
-from atlas.task.site import Site
-from atlas.task.task import Job
+from atlas.store.create import create_store
+from atlas.store.object_backend import LocalBackend
+from atlas.store.sidecar import sidecar_of
+from atlas.store.store import done_tiles, is_done, open_store
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
 
 
@@ -57,7 +57,7 @@ def test_an_object_is_put_new_only_once_where_there_are_no_links(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "link", partial(refused, errno.ENOTSUP))
-    place = LocalPlace(tmp_path)
+    place = LocalBackend(tmp_path)
     assert [place.put_new("a", b"1"), place.put_new("a", b"2")] == [True, False]
     assert place.get("a") == b"1"
     assert os.listdir(tmp_path) == ["a"]
@@ -71,10 +71,10 @@ def test_a_lock_that_a_stopped_process_holds_ends_a_run_in_one_line(
     words = f"{tmp_path}/.out.zarr.run/.lock has been locked for 0.1 s by another process, which may be stopped"
     with (tmp_path / ".out.zarr.run/.lock").open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        taken = claimed(notes_of(tmp_path / "out.zarr"), "out.zarr")
+        taken = hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr")
         with pytest.raises(InputError, match=f"^out.zarr: cannot be written: {words}"):
             taken.__enter__()
-    with claimed(notes_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(beat=60.0)):
+    with hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(beat=60.0)):
         pass
     assert os.listdir(tmp_path) == []
 
@@ -83,7 +83,7 @@ def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
     finished: Path, solved_plane: Path, client: Client
 ) -> None:
     (finished / "regime/c/1/1").write_bytes(b"")
-    handle = open_handle(finished)
+    handle = open_store(finished)
     assert not is_done(handle, (1, 1))
     assert len(done_tiles(handle)) == 8
     assert atlas.status(finished).tiles_done == 8
@@ -93,11 +93,11 @@ def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
 
 def test_an_overview_whose_regime_a_crash_has_emptied_is_made_again(finished: Path) -> None:
     shutil.rmtree(finished / GROUP, ignore_errors=True)
-    Overviews(open_handle(finished), side=2, least=1).finish()
-    (key, *_) = [key for key in LocalPlace(finished).list_keys(f"{GROUP}/") if "/regime/c/" in key]
+    OverviewBuilder(open_store(finished), side=2, least=1).finish()
+    (key, *_) = [key for key in LocalBackend(finished).list_keys(f"{GROUP}/") if "/regime/c/" in key]
     before = (finished / key).read_bytes()
     (finished / key).write_bytes(b"")
-    Overviews(open_handle(finished), side=2, least=1).finish()
+    OverviewBuilder(open_store(finished), side=2, least=1).finish()
     assert (finished / key).read_bytes() == before
 
 
@@ -115,8 +115,8 @@ def test_every_file_of_a_store_is_flushed_before_it_gets_its_name(
     monkeypatch.setattr(os, "fsync", lambda file: (fsync(file), flushed.add(os.fstat(file).st_ino)))
     monkeypatch.setattr(os, "replace", partial(look, replace))
     monkeypatch.setattr(os, "link", partial(look, link))
-    handle = create(tmp_path / "out.zarr", plane_of(), (2, 3))
-    run_job(Job((0, 0), Site(str(handle.place), handle.run_id, handle.solver_version)))
+    handle = create_store(tmp_path / "out.zarr", plane_of(), (2, 3))
+    run_tile_job(RunJob((0, 0), StoreRef(str(handle.place), handle.run_id, handle.solver_version)))
     assert all(named.values()), named
     names = {name.rpartition(".partial/")[2].removeprefix(f"{tmp_path}/out.zarr/") for name in named}
-    assert {*LocalPlace(tmp_path / "out.zarr").list_keys()} <= names
+    assert {*LocalBackend(tmp_path / "out.zarr").list_keys()} <= names

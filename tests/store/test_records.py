@@ -15,17 +15,17 @@ from distributed import Client
 import atlas
 from atlas.overview.pyramid import Pyramid
 from atlas.query.queries import fractions
-from atlas.query.reads import counted
-from atlas.service.status import Status, read_status
-from atlas.store import records
-from atlas.store.location import LocalPlace
-from atlas.store.record import BY_REASON, RECORD, RECORDS, WIDTH, digest_of, record_key
-from atlas.store.records import Records, RunRecords, put_together, single_records
-from atlas.store.store import Atlas, done_tiles, open_arrays, open_handle
+from atlas.query.read_counter import counted
+from atlas.service.status import StoreStatus, read_status
+from atlas.store import tile_records
+from atlas.store.object_backend import LocalBackend
+from atlas.store.record_format import BY_REASON, RECORD, RECORDS, WIDTH, digest_of, record_key
+from atlas.store.store import AtlasStore, done_tiles, open_arrays, open_store
+from atlas.store.tile_records import RunTileRecords, TileRecords, compact_records, single_records
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
-from atlas.task.attempt import run_job
-from atlas.task.site import Site
-from atlas.task.task import Job
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import RunJob
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
 from tests.synthetic import complete, indices, results, spec_of
@@ -34,7 +34,7 @@ from workers.results import FAILED, GAVE_UP, REGIMES, Variable
 TILES = 11 * 13
 
 
-def half_done(path: Path) -> Atlas:
+def half_done(path: Path) -> AtlasStore:
     """104 x 88 cells of which every other tile is done, so that no overview is."""
     handle = complete(path, (8, 8), spec_of(104, 88), side=32)
     missing = [index for index in indices(handle) if sum(index) % 2]
@@ -44,7 +44,7 @@ def half_done(path: Path) -> Atlas:
     return handle
 
 
-def record(handle: Atlas) -> None:
+def record(handle: AtlasStore) -> None:
     """Write the record of every finished tile, as its worker does."""
     arrays = open_arrays(handle)
     for index in sorted(done_tiles(handle)):
@@ -66,7 +66,7 @@ def test_a_digest_is_of_the_place_of_a_tile_and_of_the_names_and_values_of_its_r
 
 
 @pytest.fixture(scope="module")
-def handle(tmp_path_factory: pytest.TempPathFactory) -> Atlas:
+def handle(tmp_path_factory: pytest.TempPathFactory) -> AtlasStore:
     """The half-done atlas with a record of each tile, as a run that was killed leaves it."""
     made = half_done(tmp_path_factory.mktemp("records") / "half.zarr")
     record(made)
@@ -81,22 +81,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def whole(made: Path, tmp_path: Path) -> Atlas:
+def whole(made: Path, tmp_path: Path) -> AtlasStore:
     """A whole atlas in 9 tiles with a record of each, of its own for each test."""
-    return open_handle(shutil.copytree(made, tmp_path / "whole.zarr"))
+    return open_store(shutil.copytree(made, tmp_path / "whole.zarr"))
 
 
 @pytest.fixture
-def sound(whole: Atlas) -> Atlas:
+def sound(whole: AtlasStore) -> AtlasStore:
     """The same, with its records put together."""
-    put_together(whole)
+    compact_records(whole)
     return whole
 
 
 @pytest.fixture
-def copy(handle: Atlas, tmp_path: Path) -> Atlas:
+def copy(handle: AtlasStore, tmp_path: Path) -> AtlasStore:
     """The half-done atlas, of its own for each test."""
-    return open_handle(shutil.copytree(handle.path, tmp_path / "half.zarr"))
+    return open_store(shutil.copytree(handle.path, tmp_path / "half.zarr"))
 
 
 @pytest.fixture
@@ -112,19 +112,19 @@ def counts_of(path: Path) -> Counter[str]:
     return Counter({names[code]: int((codes == code).sum()) for code in names if (codes == code).any()})
 
 
-def assert_true(status: Status, path: Path) -> None:
+def assert_true(status: StoreStatus, path: Path) -> None:
     assert status.regimes == counts_of(path)
     assert status.cells_done == sum(status.regimes.values())
 
 
-def test_status_of_a_half_done_atlas_reads_no_cell(handle: Atlas, keys: list[str]) -> None:
+def test_status_of_a_half_done_atlas_reads_no_cell(handle: AtlasStore, keys: list[str]) -> None:
     status = read_status(handle)
     assert keys == []
     assert status.tiles_done == TILES // 2 + 1
     assert_true(status, handle.path)
 
 
-def test_shares_of_a_half_done_atlas_read_no_cell(handle: Atlas, keys: list[str]) -> None:
+def test_shares_of_a_half_done_atlas_read_no_cell(handle: AtlasStore, keys: list[str]) -> None:
     ds = atlas.open(handle.path)
     with counted() as reads:
         found = fractions(ds)
@@ -135,7 +135,7 @@ def test_shares_of_a_half_done_atlas_read_no_cell(handle: Atlas, keys: list[str]
 
 @pytest.mark.parametrize("part", [(3, 101, 2, 86), (8, 96, 16, 80), (17, 18, 5, 80), (0, 104, 16, 32)])
 def test_shares_in_a_window_of_a_half_done_atlas_read_its_border_alone(
-    handle: Atlas, keys: list[str], part: tuple[int, int, int, int]
+    handle: AtlasStore, keys: list[str], part: tuple[int, int, int, int]
 ) -> None:
     left, right, low, high = part
     block = atlas.open(handle.path).isel(omega=slice(left, right), b=slice(low, high))
@@ -163,10 +163,10 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
 
 
 @pytest.mark.parametrize("name", ["half", "put together"])
-def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: Atlas, keys: list[str], name: str) -> None:
+def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: AtlasStore, keys: list[str], name: str) -> None:
     put_record(copy, (4, 4), np.zeros(WIDTH))
     if name == "put together":
-        put_together(copy)
+        compact_records(copy)
         put_record(copy, (4, 4), np.zeros(WIDTH))
     keys.clear()
     assert_true(read_status(copy), copy.path)
@@ -175,7 +175,7 @@ def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: Atlas, keys: lis
     assert found == pytest.approx(fractions(atlas.open(copy.path).load().copy()), rel=1e-12)
 
 
-def test_records_of_tiles_that_are_no_longer_done_do_not_count(copy: Atlas) -> None:
+def test_records_of_tiles_that_are_no_longer_done_do_not_count(copy: AtlasStore) -> None:
     copy.path.joinpath("regime/c/4/4").unlink()
     assert_true(read_status(copy), copy.path)
     ds = atlas.open(copy.path)
@@ -198,7 +198,7 @@ def flip(path: Path) -> None:
 
 @pytest.mark.parametrize("harm", [remove, tear, flip])
 def test_records_put_together_that_are_missing_or_damaged_are_counted_again(
-    sound: Atlas, harm: Callable[[Path], None], keys: list[str]
+    sound: AtlasStore, harm: Callable[[Path], None], keys: list[str]
 ) -> None:
     harm(sound.path / RECORDS / "c.0.0.0")
     assert_true(read_status(sound), sound.path)
@@ -207,7 +207,7 @@ def test_records_put_together_that_are_missing_or_damaged_are_counted_again(
 
 @pytest.mark.parametrize("harm", [remove, tear])
 def test_records_are_read_by_the_roots_copy_of_their_metadata(
-    sound: Atlas, harm: Callable[[Path], None], keys: list[str]
+    sound: AtlasStore, harm: Callable[[Path], None], keys: list[str]
 ) -> None:
     harm(sound.path / RECORDS / "zarr.json")
     assert_true(read_status(sound), sound.path)
@@ -215,14 +215,14 @@ def test_records_are_read_by_the_roots_copy_of_their_metadata(
 
 
 @pytest.mark.parametrize("harm", [tear, flip])
-def test_a_damaged_record_is_counted_again(whole: Atlas, harm: Callable[[Path], None], keys: list[str]) -> None:
+def test_a_damaged_record_is_counted_again(whole: AtlasStore, harm: Callable[[Path], None], keys: list[str]) -> None:
     harm(whole.path / record_key((1, 1)))
     assert_true(read_status(whole), whole.path)
     assert keys.count("regime/c/1/1") == 2
 
 
-def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: Atlas, keys: list[str]) -> None:
-    row = Records(sound).rows[1, 1].copy()
+def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: AtlasStore, keys: list[str]) -> None:
+    row = TileRecords(sound).rows[1, 1].copy()
     row[BY_REASON.start] -= 1
     row[BY_REASON.stop] += 1
     put_record(sound, (1, 1), row)
@@ -232,7 +232,7 @@ def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: Atlas
 
 def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
     atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
-    handle = open_handle(tmp_path / "out.zarr")
+    handle = open_store(tmp_path / "out.zarr")
     assert sorted(handle.place.list_keys(f"{RECORD}/")) == [f"{RECORD}/zarr.json"]
     keys.clear()
     status = read_status(handle)
@@ -242,8 +242,8 @@ def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, clie
 
 
 def test_records_put_together_are_those_of_the_workers_and_of_the_cells(finished: Path) -> None:
-    handle = open_handle(finished)
-    rows = Records(handle).rows
+    handle = open_store(finished)
+    rows = TileRecords(handle).rows
     for index in done_tiles(handle):
         np.testing.assert_array_equal(rows[index], record_of(handle, index, read_tile(handle, index)))
 
@@ -254,22 +254,22 @@ def test_a_run_of_a_finished_atlas_writes_no_record(
     def put(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(records, "write_compaction", put)
+    monkeypatch.setattr(tile_records, "write_compaction", put)
     assert atlas.run(plane_of(), finished, client=client).tiles_solved == 0
 
 
 def test_the_next_run_records_what_an_earlier_one_did_not(finished: Path, client: Client) -> None:
-    handle = open_handle(finished)
-    before = Records(handle).rows
+    handle = open_store(finished)
+    before = TileRecords(handle).rows
     shutil.rmtree(finished / RECORDS / "c.0.0.0", ignore_errors=True)
     (finished / RECORDS / "c.0.0.0").unlink()
     drop_tile(handle, (2, 2))
     atlas.run(plane_of(), finished, client=client)
-    np.testing.assert_array_equal(Records(handle).rows[..., 2:], before[..., 2:])
-    np.testing.assert_array_equal(Records(handle).rows[2, 2], before[2, 2])
+    np.testing.assert_array_equal(TileRecords(handle).rows[..., 2:], before[..., 2:])
+    np.testing.assert_array_equal(TileRecords(handle).rows[2, 2], before[2, 2])
 
 
-def fail(handle: Atlas, index: tuple[int, ...]) -> None:
+def fail(handle: AtlasStore, index: tuple[int, ...]) -> None:
     """Make two cells of a tile failed ones."""
     arrays = read_tile(handle, index)
     arrays["regime"][0, :2] = FAILED
@@ -278,11 +278,11 @@ def fail(handle: Atlas, index: tuple[int, ...]) -> None:
 
 
 def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finished: Path) -> None:
-    handle = open_handle(finished)
+    handle = open_store(finished)
     fail(handle, (1, 1))
-    put_together(handle)
+    compact_records(handle)
     drop_tile(handle, (1, 1))
-    run_job(Job((1, 1), Site(str(finished), handle.run_id, handle.solver_version)))
+    run_tile_job(RunJob((1, 1), StoreRef(str(finished), handle.run_id, handle.solver_version)))
     assert_true(read_status(handle), finished)
 
 
@@ -302,11 +302,11 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, step: int) -> list[str]:
             raise Killed
         changes.append(key)
 
-    def put(place: LocalPlace, key: str, data: bytes) -> None:
+    def put(place: LocalBackend, key: str, data: bytes) -> None:
         counted(f"put {key}")
         whole_put(place, key, data)
 
-    def removed(place: LocalPlace, key: str) -> None:
+    def removed(place: LocalBackend, key: str) -> None:
         counted(f"remove {key}")
         whole_remove(place, key)
 
@@ -314,17 +314,19 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, step: int) -> list[str]:
         counted(f"put {key}")
         await whole_set(self, key, value)  # type: ignore[arg-type]
 
-    whole_put, whole_remove, whole_set = LocalPlace.put, LocalPlace.remove, zarr.storage.LocalStore.set
-    monkeypatch.setattr(LocalPlace, "put", put)
-    monkeypatch.setattr(LocalPlace, "remove", removed)
+    whole_put, whole_remove, whole_set = LocalBackend.put, LocalBackend.remove, zarr.storage.LocalStore.set
+    monkeypatch.setattr(LocalBackend, "put", put)
+    monkeypatch.setattr(LocalBackend, "remove", removed)
     monkeypatch.setattr(zarr.storage.LocalStore, "set", set_)
     return changes
 
 
-def killed_everywhere(handle: Atlas, act: Callable[[Atlas], None], holds: Callable[[Atlas], None]) -> list[str]:
+def killed_everywhere(
+    handle: AtlasStore, act: Callable[[AtlasStore], None], holds: Callable[[AtlasStore], None]
+) -> list[str]:
     """Do something in copies of a store, killed at each of its changes in turn; what it changes when it is not."""
     for step in range(1000):
-        copied = open_handle(shutil.copytree(handle.path, handle.path.parent / f"killed-{step}.zarr"))
+        copied = open_store(shutil.copytree(handle.path, handle.path.parent / f"killed-{step}.zarr"))
         with pytest.MonkeyPatch.context() as patch:
             changes = kill_at(patch, step)
             try:
@@ -339,36 +341,36 @@ def killed_everywhere(handle: Atlas, act: Callable[[Atlas], None], holds: Callab
     raise AssertionError
 
 
-def test_records_are_right_whenever_a_run_is_killed_that_puts_them_together(whole: Atlas) -> None:
+def test_records_are_right_whenever_a_run_is_killed_that_puts_them_together(whole: AtlasStore) -> None:
     row = record_of(whole, (1, 1), read_tile(whole, (1, 1)))
-    put_together(whole)
+    compact_records(whole)
     for index in ((0, 0), (1, 1), (2, 1)):
         write_tile(whole, index, results(whole, index, seed=1))
 
-    def true(handle: Atlas) -> None:
+    def true(handle: AtlasStore) -> None:
         status = read_status(handle)
         assert_true(status, handle.path)
-        assert not np.array_equal(Records(handle).rows[1, 1], row)
+        assert not np.array_equal(TileRecords(handle).rows[1, 1], row)
 
-    changes = killed_everywhere(whole, put_together, true)
+    changes = killed_everywhere(whole, compact_records, true)
     assert changes[0] == f"put {RECORDS}/c.0.0.0"
     assert sorted(changes[1:]) == [f"remove {record_key(index)}" for index in ((0, 0), (1, 1), (2, 1))]
 
 
-def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: Atlas) -> None:
+def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: AtlasStore) -> None:
     drop_tile(whole, (0, 1))
 
-    def write(handle: Atlas) -> None:
+    def write(handle: AtlasStore) -> None:
         write_tile(handle, (0, 1), results(handle, (0, 1), seed=1))
 
     changes = killed_everywhere(whole, write, lambda handle: assert_true(read_status(handle), handle.path))
     assert changes[-2:] == [f"put {record_key((0, 1))}", "put regime/c/0/1"]
 
 
-def test_records_of_tiles_that_workers_may_still_write_are_not_removed(sound: Atlas) -> None:
+def test_records_of_tiles_that_workers_may_still_write_are_not_removed(sound: AtlasStore) -> None:
     due = np.zeros(sound.tiling.grid, dtype=bool)
     due[0, 0] = due[1, 1] = True
-    run = RunRecords(sound, Records(sound), due)
+    run = RunTileRecords(sound, TileRecords(sound), due)
     for index in ((0, 0), (1, 1)):  # one receipt is lost
         row = write_tile(sound, index, results(sound, index, seed=1))
     run.add((1, 1), row.tolist())
@@ -378,23 +380,23 @@ def test_records_of_tiles_that_workers_may_still_write_are_not_removed(sound: At
 
 
 def test_a_reader_that_comes_while_records_are_put_together_finds_them_all(
-    whole: Atlas, monkeypatch: pytest.MonkeyPatch, keys: list[str]
+    whole: AtlasStore, monkeypatch: pytest.MonkeyPatch, keys: list[str]
 ) -> None:
-    listed = records.single_records
+    listed = tile_records.single_records
 
-    def slow(handle: Atlas) -> list[tuple[int, ...]]:
+    def slow(handle: AtlasStore) -> list[tuple[int, ...]]:
         found = listed(handle)
-        monkeypatch.setattr(records, "single_records", listed)
-        put_together(handle)
+        monkeypatch.setattr(tile_records, "single_records", listed)
+        compact_records(handle)
         return found
 
-    monkeypatch.setattr(records, "single_records", slow)
-    assert Records(whole).known.all()
+    monkeypatch.setattr(tile_records, "single_records", slow)
+    assert TileRecords(whole).known.all()
 
 
 def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -> None:
-    handle = open_handle(finished)
-    run = RunRecords(handle, Records(handle), np.ones(handle.tiling.grid, dtype=bool))
+    handle = open_store(finished)
+    run = RunTileRecords(handle, TileRecords(handle), np.ones(handle.tiling.grid, dtype=bool))
     fail(handle, (1, 1))
     run.add((1, 1), record_of(handle, (1, 1), read_tile(handle, (1, 1))).tolist())
     assert run.counts is not None
@@ -404,6 +406,6 @@ def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -
     assert run.counts is None
 
 
-def test_plain_xarray_does_not_see_the_records(handle: Atlas) -> None:
+def test_plain_xarray_does_not_see_the_records(handle: AtlasStore) -> None:
     assert not {"record", "records"} & {*xr.open_zarr(handle.path).variables}
     assert {"record", "records"} <= {*xr.open_zarr(handle.path, group="tiles", consolidated=False).variables}

@@ -12,15 +12,15 @@ from distributed import Client
 
 import atlas
 from atlas.cli.main import main
-from atlas.store.location import ObjectPlace
-from atlas.store.making import create
-from atlas.store.sidecar import CLAIM, notes_of
-from atlas.store.store import open_handle
+from atlas.store.create import create_store
+from atlas.store.object_backend import ObjectBackend
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
+from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile
-from atlas.task.attempt import run_job
-from atlas.task.site import Site
-from atlas.task.task import Job
-from rig.loopback import ObjectStore, object_store
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import RunJob
+from rig.fake_object_store import FakeObjectStore, object_store
 from tests.planes import plane_of
 
 pytestmark = pytest.mark.slow
@@ -28,7 +28,7 @@ URL = "s3://bucket/plane.zarr"
 
 
 @pytest.fixture(scope="module")
-def served() -> Iterator[ObjectStore]:
+def served() -> Iterator[FakeObjectStore]:
     with object_store() as server, pytest.MonkeyPatch.context() as patch:
         for name, value in server.environment.items():
             patch.setenv(name, value)
@@ -36,19 +36,19 @@ def served() -> Iterator[ObjectStore]:
 
 
 @pytest.fixture(scope="module")
-def solved(served: ObjectStore, client: Client) -> ObjectStore:
+def solved(served: FakeObjectStore, client: Client) -> FakeObjectStore:
     """The server with the finished store of a plane."""
     atlas.run(plane_of(), URL, client=client)
     return served
 
 
 @pytest.fixture
-def server(solved: ObjectStore) -> ObjectStore:
+def server(solved: FakeObjectStore) -> FakeObjectStore:
     solved.forget()
     return solved
 
 
-def listings(server: ObjectStore) -> Counter[str]:
+def listings(server: FakeObjectStore) -> Counter[str]:
     """How often each listing was asked for."""
     return Counter(request.key.removeprefix("bucket/") for request in server.requests if request.kind == "list")
 
@@ -59,18 +59,18 @@ def command(*words: Any) -> str:
     return ended.output
 
 
-def test_a_finished_atlas_is_opened_by_seven_requests(server: ObjectStore) -> None:
+def test_a_finished_atlas_is_opened_by_seven_requests(server: FakeObjectStore) -> None:
     atlas.open(URL)
     assert (sum(server.counts.values()), listings(server)) == (7, {})
 
 
-def test_the_status_of_a_finished_atlas_takes_at_most_nine_requests_and_one_listing(server: ObjectStore) -> None:
+def test_the_status_of_a_finished_atlas_takes_at_most_nine_requests_and_one_listing(server: FakeObjectStore) -> None:
     command("status", URL)
     assert sum(server.counts.values()) <= 9
     assert sum(listings(server).values()) <= 1
 
 
-def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: ObjectStore) -> None:
+def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: FakeObjectStore) -> None:
     command("query", URL)
     assert sum(server.counts.values()) <= 20
     assert sum(listings(server).values()) <= 1
@@ -78,17 +78,17 @@ def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: ObjectSto
 
 @pytest.mark.parametrize("lost", [0, 1])
 def test_a_run_that_resumes_lists_tiles_notes_and_records_once_and_new_records_at_its_end(
-    server: ObjectStore, client: Client, lost: int
+    server: FakeObjectStore, client: Client, lost: int
 ) -> None:
     for _ in range(lost):
-        drop_tile(open_handle(URL), (0, 0))
+        drop_tile(open_store(URL), (0, 0))
     server.forget()
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == lost
     assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1, "plane.zarr/tiles/record/": 1 + lost}
 
 
-def test_a_tile_is_written_without_the_metadata_of_each_array(server: ObjectStore, client: Client) -> None:
-    handle = open_handle(URL)
+def test_a_tile_is_written_without_the_metadata_of_each_array(server: FakeObjectStore, client: Client) -> None:
+    handle = open_store(URL)
     drop_tile(handle, (0, 0))
     server.forget()
     atlas.run(plane_of(), URL, client=client)
@@ -98,25 +98,25 @@ def test_a_tile_is_written_without_the_metadata_of_each_array(server: ObjectStor
     assert results.isdisjoint(request.key for request in server.requests)
 
 
-def test_the_objects_of_a_new_store_are_put_many_at_once(served: ObjectStore) -> None:
+def test_the_objects_of_a_new_store_are_put_many_at_once(served: FakeObjectStore) -> None:
     served.forget()
     served.delay(0.05)
     begin = time.perf_counter()
-    create(ObjectPlace("s3://bucket/new.zarr"), plane_of(), (2, 3))
+    create_store(ObjectBackend("s3://bucket/new.zarr"), plane_of(), (2, 3))
     seconds = time.perf_counter() - begin
     served.delay(0.0)
     assert seconds < 0.05 * served.counts["put"] / 2
 
 
-def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_note(served: ObjectStore) -> None:
+def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_note(served: FakeObjectStore) -> None:
     """After the first tile of a process, which read the handle and opened the arrays."""
     url = "s3://bucket/tiles.zarr"
-    handle = create(ObjectPlace(url), plane_of(), (2, 3))
-    notes_of(url).put(CLAIM, b'{"token": "ours"}', expected=None)
-    job = Job((0, 0), Site(url, handle.run_id, handle.solver_version, claim="ours"))
-    run_job(job)
+    handle = create_store(ObjectBackend(url), plane_of(), (2, 3))
+    sidecar_of(url).put(LEASE_NAME, b'{"token": "ours"}', expected=None)
+    job = RunJob((0, 0), StoreRef(url, handle.run_id, handle.solver_version, claim="ours"))
+    run_tile_job(job)
     served.forget()
-    run_job(replace(job, index=(1, 1)))
+    run_tile_job(replace(job, index=(1, 1)))
     read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
     looks = 3 + sum(variable.sparse for variable in handle.variables)  # before: all results, the record, the regime
     assert read == {".tiles.zarr.run/claim": looks, ".tiles.zarr.run/started-1-1": looks + 1}

@@ -13,10 +13,10 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError
-from atlas.query.reads import counted
+from atlas.query.read_counter import counted
 from atlas.service.extend import extend
-from atlas.store import making, store
-from atlas.store.store import done_tiles, open_handle
+from atlas.store import create, store
+from atlas.store.store import done_tiles, open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.tiling import part_side
 from tests.harm import flip
@@ -25,9 +25,9 @@ from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 CHEAP = {"max_periods": 300, "tolerance": 1.0, "exponents": "none"}
 
 
-def made(path: Path, skip: tuple[tuple[int, ...], ...] = ()) -> store.Atlas:
+def made(path: Path, skip: tuple[tuple[int, ...], ...] = ()) -> store.AtlasStore:
     """150 x 140 cells in tiles of 128 x 96: shards of 64 x 48, the last ones cut by the plane's ends."""
-    handle = making.create(path, spec_of(150, 140), (96, 128))
+    handle = create.create_store(path, spec_of(150, 140), (96, 128))
     for index in indices(handle):
         if index not in skip:
             write_tile(handle, index, results(handle, index))
@@ -40,8 +40,8 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def whole(original: Path, tmp_path: Path) -> store.Atlas:
-    return open_handle(shutil.copytree(original, tmp_path / "whole.zarr"))
+def whole(original: Path, tmp_path: Path) -> store.AtlasStore:
+    return open_store(shutil.copytree(original, tmp_path / "whole.zarr"))
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_parts_are_as_near_to_64_cells_as_divides(tile: int, side: int) -> None:
     assert part_side(tile) == side
 
 
-def test_a_large_tile_is_one_object_of_each_array_in_chunks_of_about_64(whole: store.Atlas) -> None:
+def test_a_large_tile_is_one_object_of_each_array_in_chunks_of_about_64(whole: store.AtlasStore) -> None:
     array = zarr.open_group(whole.path, mode="r", use_consolidated=False)["largest"]
     assert (array.shards, array.chunks) == ((96, 128), (48, 64))  # type: ignore[union-attr]
     keys = [key for key in whole.place.list_keys("largest/c/")]
@@ -73,7 +73,7 @@ def test_plain_xarray_opens_it_without_a_warning_half_done_too(
             np.testing.assert_array_equal(ds[variable.name].values[at], expected)
 
 
-def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.Atlas) -> None:
+def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.AtlasStore) -> None:
     ds = atlas.open(whole.path)
     size = (whole.path / "largest/c/0/0").stat().st_size
     taken: list[int] = []
@@ -91,7 +91,7 @@ def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.Atlas) -> No
 
 
 @pytest.mark.parametrize("tile", ["0/0", "1/1"])
-def test_verify_finds_a_flipped_byte_anywhere_in_a_shard_and_names_it(whole: store.Atlas, tile: str) -> None:
+def test_verify_finds_a_flipped_byte_anywhere_in_a_shard_and_names_it(whole: store.AtlasStore, tile: str) -> None:
     path = whole.path / "largest" / "c" / tile
     before = path.read_bytes()
     for byte in [0, 1, *np.linspace(2, len(before) - 1, 12).astype(int).tolist()]:
@@ -103,7 +103,7 @@ def test_verify_finds_a_flipped_byte_anywhere_in_a_shard_and_names_it(whole: sto
 
 @pytest.mark.parametrize("tile", [(0, 0), (1, 1)])
 @pytest.mark.parametrize("size", [0, 1, 3, 10, 400])
-def test_a_torn_shard_is_named_by_whatever_reads_it(whole: store.Atlas, tile: tuple[int, int], size: int) -> None:
+def test_a_torn_shard_is_named_by_whatever_reads_it(whole: store.AtlasStore, tile: tuple[int, int], size: int) -> None:
     key = f"largest/c/{tile[0]}/{tile[1]}"
     (whole.path / key).write_bytes((whole.path / key).read_bytes()[:size])
     y, x = (part.start for part in whole.tiling.at(tile).slices)
@@ -116,7 +116,7 @@ def test_a_torn_shard_is_named_by_whatever_reads_it(whole: store.Atlas, tile: tu
 
 
 @pytest.mark.parametrize("tile", [(0, 0), (1, 1)])
-def test_a_shard_that_is_gone_is_missing(whole: store.Atlas, tile: tuple[int, int]) -> None:
+def test_a_shard_that_is_gone_is_missing(whole: store.AtlasStore, tile: tuple[int, int]) -> None:
     key = f"largest/c/{tile[0]}/{tile[1]}"
     (whole.path / key).unlink()
     y, x = (part.start for part in whole.tiling.at(tile).slices)
@@ -125,7 +125,7 @@ def test_a_shard_that_is_gone_is_missing(whole: store.Atlas, tile: tuple[int, in
 
 
 @pytest.mark.parametrize("tile", [(0, 0), (0, 1), (1, 1)])
-def test_a_damaged_shard_is_written_over(whole: store.Atlas, tile: tuple[int, int]) -> None:
+def test_a_damaged_shard_is_written_over(whole: store.AtlasStore, tile: tuple[int, int]) -> None:
     path = whole.path / "largest" / "c" / str(tile[0]) / str(tile[1])
     path.write_bytes(b"torn")
     drop_tile(whole, tile)
@@ -137,7 +137,7 @@ def test_a_damaged_shard_is_written_over(whole: store.Atlas, tile: tuple[int, in
     assert path.read_bytes() == (other.path / path.relative_to(whole.path)).read_bytes()
 
 
-def test_overviews_are_of_the_cells_of_shards(whole: store.Atlas) -> None:
+def test_overviews_are_of_the_cells_of_shards(whole: store.AtlasStore) -> None:
     keep(whole, side=32, least=32)
     assert_view_is_true(whole)
 
@@ -153,7 +153,7 @@ def test_a_tile_solved_part_by_part_has_the_bits_of_small_tiles(tmp_path: Path, 
     large, small = (atlas.open(tmp_path / f"{name}.zarr").load() for name in ("large", "small"))
     for name in small.data_vars:
         assert large[name].values.tobytes() == small[name].values.tobytes(), name
-    assert open_handle(tmp_path / "large.zarr").tiling.count == 1
+    assert open_store(tmp_path / "large.zarr").tiling.count == 1
     assert verify(tmp_path / "large.zarr", sample=4).fine
     summary = extend(tmp_path / "large.zarr", tmp_path / "grown.zarr", refine={"b": 2}, client=client)
     assert summary.cells_solved == 66

@@ -17,11 +17,11 @@ import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
 from atlas.query.resample import view
-from atlas.robustness.table import LINEAR, Stored, empty, of_family, write_measures
-from atlas.store.making import create
-from atlas.store.records import Records, put_together, write_compaction
-from atlas.store.spare import SPARE
-from atlas.store.store import open_handle
+from atlas.robustness.table import LINEAR, StoredMeasures, empty, of_family, write_measures
+from atlas.store.create import create_store
+from atlas.store.metadata_backup import SPARE
+from atlas.store.store import open_store
+from atlas.store.tile_records import TileRecords, compact_records, write_compaction
 from atlas.store.tiles import read_tile, write_tile
 from tests.planes import plane_of
 from tests.synthetic import spec_of
@@ -30,10 +30,10 @@ from workers import solve_tile
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    handle = create(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
+    handle = create_store(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
     cells = handle.spec.cell_params((slice(0, 5), slice(0, 7)))
     write_tile(handle, (0, 0), solve_tile("two-mass", cells, handle.spec.settings))
-    put_together(handle)
+    compact_records(handle)
     assert verify(handle.path, sample=0).fine
     return handle.path
 
@@ -93,7 +93,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "records": (lambda at: (at / "tiles/records/zarr.json").unlink(), "tiles/records/zarr.json is missing"),
     "the spare is gone": (lambda at: (at / SPARE).unlink(), f"{SPARE} is missing or damaged"),
     "the spare is another store's": (
-        lambda at: shutil.copy(create(at.with_name("other"), spec_of(7, 5), (5, 7)).path / SPARE, at / SPARE),
+        lambda at: shutil.copy(create_store(at.with_name("other"), spec_of(7, 5), (5, 7)).path / SPARE, at / SPARE),
         f"{SPARE} is missing or damaged",
     ),
     "the spare is torn": (lambda at: (at / SPARE).write_bytes(b"{"), f"{SPARE} is missing or damaged"),
@@ -124,7 +124,7 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
 def test_a_store_without_its_root_is_refused_with_the_remedy(whole: Path, content: bytes | None) -> None:
     (whole / "zarr.json").unlink() if content is None else (whole / "zarr.json").write_bytes(content)
     with pytest.raises(InputError, match=rf"zarr.json is (missing|damaged .*): atlas verify --repair {whole} writes"):
-        open_handle(whole)
+        open_store(whole)
 
 
 def test_a_type_that_nobody_knows_is_named_with_its_array_and_the_remedy(whole: Path) -> None:
@@ -152,7 +152,7 @@ def big_endian(array: dict[str, Any]) -> None:
 
 def test_cells_are_not_read_by_metadata_that_differ_from_their_copy(whole: Path) -> None:
     changed(whole / "largest/zarr.json", big_endian)
-    handle = open_handle(whole)
+    handle = open_store(whole)
     for read in (lambda: read_tile(handle, (0, 0)), lambda: view(atlas.open(whole), ["largest"])):
         with pytest.raises(ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"):
             read()
@@ -181,7 +181,7 @@ def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Pa
     assert any(key.partition("/")[0] in str(fault) for fault in found.faults), found
     assert f"remedy: atlas verify --repair {whole}" in str(found)
     for index in verify(whole, sample=0, repair=True).repaired or ():
-        write_tile(open_handle(whole), index, read_tile(open_handle(made), index))
+        write_tile(open_store(whole), index, read_tile(open_store(made), index))
     assert verify(whole, sample=0).fine
     with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
         assert mended.identical(before)
@@ -189,17 +189,19 @@ def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Pa
 
 def test_records_are_read_and_written_whatever_their_own_metadata_say(whole: Path, made: Path) -> None:
     shutil.copy(whole / "omega/zarr.json", whole / "tiles/records/zarr.json")
-    handle = open_handle(whole)
-    rows = Records(handle).rows
-    assert np.array_equal(rows, Records(open_handle(made)).rows)
-    write_compaction(handle, rows, Records(handle).done)
+    handle = open_store(whole)
+    rows = TileRecords(handle).rows
+    assert np.array_equal(rows, TileRecords(open_store(made)).rows)
+    write_compaction(handle, rows, TileRecords(handle).done)
     key = "tiles/records/c.0.0.0"
     assert (whole / key).read_bytes() == (made / key).read_bytes()
 
 
 def test_measures_outlive_the_loss_of_the_root(whole: Path) -> None:
-    handle = open_handle(whole)
-    write_measures(handle, Stored(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}}))
+    handle = open_store(whole)
+    write_measures(
+        handle, StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}})
+    )
     before = atlas.open(whole).load()
     assert "reactivity" in before
     (whole / "zarr.json").unlink()

@@ -26,12 +26,12 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.resample import view
-from atlas.query.source import find_part
+from atlas.query.store_block import find_part
 from atlas.service.submit import submit
-from atlas.store.access import Access, access_by
-from atlas.store.location import LocalPlace, ObjectPlace, place_of
-from atlas.store.place import Place
-from atlas.store.zarr_place import ZarrPlace
+from atlas.store.access import StorageAccess, access_by
+from atlas.store.backend import StoreBackend
+from atlas.store.object_backend import LocalBackend, ObjectBackend, open_backend
+from atlas.store.zarr_backend import ZarrBackend
 from tests.object_server import BUCKET, object_server
 from tests.planes import plane_of
 from tests.synthetic import complete
@@ -100,7 +100,7 @@ class Session(Store):
 
 
 def objects_of(path: Path) -> dict[str, bytes]:
-    place = LocalPlace(path)
+    place = LocalBackend(path)
     return place.get_all(place.list_keys())
 
 
@@ -189,7 +189,7 @@ def test_what_is_no_store_is_refused_in_one_line() -> None:
 
 
 def test_an_obstore_store_of_a_folder_is_that_folder(solved_plane: Path) -> None:
-    assert place_of(obstores.LocalStore(solved_plane)) == LocalPlace(solved_plane)
+    assert open_backend(obstores.LocalStore(solved_plane)) == LocalBackend(solved_plane)
 
 
 # Servers
@@ -263,7 +263,7 @@ def test_a_command_reaches_a_url_by_its_storage_options_and_only_that_command(
     ):
         ended = CliRunner().invoke(main, [*words, *options], catch_exceptions=False)
         assert ended.exit_code == 0, (words, ended.output)
-    assert place_of(url) == ObjectPlace(url)
+    assert open_backend(url) == ObjectBackend(url)
 
 
 @pytest.mark.parametrize(("given", "says"), [("anon", "must be NAME=VALUE"), ("anon=1 anon=0", "given twice")])
@@ -318,10 +318,10 @@ def test_a_command_reads_a_public_bucket_by_the_environment(monkeypatch: pytest.
 def test_a_place_crosses_to_workers_with_its_access_and_never_shows_it() -> None:
     url = "s3://bucket/plane.zarr"
     options = {"secret": SECRET, "key": "k", "client_options": {"default_headers": {"x-team": SECRET}}}
-    place = place_of(url, storage_options=options)
-    assert isinstance(place, ObjectPlace)
+    place = open_backend(url, storage_options=options)
+    assert isinstance(place, ObjectBackend)
     again = pickle.loads(pickle.dumps(place))
-    assert (again, hash(again)) == (place, hash(place)) and again != place_of(url)
+    assert (again, hash(again)) == (place, hash(place)) and again != open_backend(url)
     assert again.client.config["secret_access_key"] == SECRET
     shown = [repr(place), str(place), repr(atlas.RunOptions(storage_options=options))]
     assert not [text for text in shown if SECRET in text]
@@ -339,8 +339,8 @@ def test_a_place_crosses_to_workers_with_its_access_and_never_shows_it() -> None
 )
 def test_an_obstore_store_of_a_server_has_its_url_and_its_settings(made: Any, url: str) -> None:
     given = made()
-    place: Place = place_of(given)
-    assert isinstance(place, ObjectPlace) and str(place) == url
+    place: StoreBackend = open_backend(given)
+    assert isinstance(place, ObjectBackend) and str(place) == url
     kept = getattr(given, "config", {})
     assert {name: getattr(place.client, "config", {}).get(name) for name in kept} == kept
 
@@ -382,6 +382,6 @@ def test_a_submitted_run_takes_no_options() -> None:
 
 def test_two_objects_are_two_places() -> None:
     one, other = memory({}), memory({})
-    assert ZarrPlace(one) == ZarrPlace(one) != ZarrPlace(other)
-    assert access_by({"anon": True}, "gs://b") == Access((("skip_signature", True),))
-    assert np.unique([hash(ZarrPlace(one)), hash(ZarrPlace(one))]).size == 1
+    assert ZarrBackend(one) == ZarrBackend(one) != ZarrBackend(other)
+    assert access_by({"anon": True}, "gs://b") == StorageAccess((("skip_signature", True),))
+    assert np.unique([hash(ZarrBackend(one)), hash(ZarrBackend(one))]).size == 1

@@ -13,11 +13,11 @@ import pytest
 import zarr
 
 import atlas
-from atlas.orbits.curves.table import Corner, Curve, Curves, write_curves
-from atlas.orbits.labels.table import Count, Labels, write_labels
+from atlas.orbits.curves.table import CodimTwoPoint, Curve, Curves, write_curves
+from atlas.orbits.labels.table import AttractorLabels, LabelCounts, write_labels
 from atlas.overview.coarsen import level_variables
-from atlas.robustness.table import MEASURES, Stored, write_measures
-from atlas.store import making, store
+from atlas.robustness.table import MEASURES, StoredMeasures, write_measures
+from atlas.store import create, store
 from atlas.store.origin import ALLOWANCES
 from tests.synthetic import complete
 from workers.model.system import find_system, system_names
@@ -52,19 +52,21 @@ def wrong(path: Path) -> list[tuple[str, Mapping[str, Any]]]:
 
 
 @pytest.fixture(scope="module")
-def handle(tmp_path_factory: pytest.TempPathFactory) -> store.Atlas:
+def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
     """A plane with overviews, curves and measures."""
     made = complete(tmp_path_factory.mktemp("units") / "a.zarr")
     counts, ends = np.zeros(2, dtype=np.int64), ("edge", "edge")
-    curve = Curve("fold", 1, counts, counts, False, np.zeros((2, 2)), counts, ends, (Corner("cusp", 0.0, 0.0, 0),))
+    curve = Curve(
+        "fold", 1, counts, counts, False, np.zeros((2, 2)), counts, ends, (CodimTwoPoint("cusp", 0.0, 0.0, 0),)
+    )
     write_curves(made, Curves(("omega", "b"), (curve,)))
     write_measures(
-        made, Stored({name: np.zeros(made.spec.shape, measure.dtype) for name, measure in MEASURES.items()}, {})
+        made, StoredMeasures({name: np.zeros(made.spec.shape, measure.dtype) for name, measure in MEASURES.items()}, {})
     )
     return made
 
 
-def test_every_array_of_every_group_has_a_meaning_and_a_unit(handle: store.Atlas) -> None:
+def test_every_array_of_every_group_has_a_meaning_and_a_unit(handle: store.AtlasStore) -> None:
     groups = {name.partition("/")[0] for name, *_ in arrays(handle.path) if "/" in name}
     assert groups == {"curves", "overviews", "stability", "tiles"}
     assert wrong(handle.path) == []
@@ -72,12 +74,12 @@ def test_every_array_of_every_group_has_a_meaning_and_a_unit(handle: store.Atlas
 
 def test_so_have_labels_and_the_variables_of_all_attractors(tmp_path: Path) -> None:
     spec = atlas.Spec("two-mass", {"omega": [3.0, 3.5], "b": [0.1, 0.2]}, attractors={"starts": 2, "keep": 2})
-    made = making.create(tmp_path / "a.zarr", spec, (2, 2))
+    made = create.create_store(tmp_path / "a.zarr", spec, (2, 2))
     kinds = {name: np.zeros(1, dtype=np.int64) for name in ("regime", "period", "impacts_upper", "impacts_lower")}
-    count = Count(*(0 for _ in Count.__dataclass_fields__))
+    count = LabelCounts(*(0 for _ in LabelCounts.__dataclass_fields__))
     one = np.zeros(1, dtype=np.int64)
     values = np.zeros((2, 2, 2), dtype=np.int64)
-    write_labels(made, Labels(values, one, np.ones(1), one, kinds | {"symmetric": one}, count))
+    write_labels(made, AttractorLabels(values, one, np.ones(1), one, kinds | {"symmetric": one}, count))
     assert any(name.startswith("labels/") for name, *_ in arrays(made.path))
     assert wrong(made.path) == []
 

@@ -14,15 +14,15 @@ from click.testing import CliRunner
 from fsspec.core import url_to_fs
 
 import atlas
-from atlas.arguments import checked_path
+from atlas.argument_checks import validate_path
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, without_secrets
 from atlas.query.export import export
 from atlas.service.extend import place_from
 from atlas.store.access import BY_ENVIRONMENT
-from atlas.store.location import LocalPlace, ObjectPlace, place_of, sendable
-from atlas.store.sidecar import UrlNotes, notes_of
-from atlas.store.store import open_handle
+from atlas.store.object_backend import LocalBackend, ObjectBackend, open_backend, picklable_backend
+from atlas.store.sidecar import ObjectSidecar, sidecar_of
+from atlas.store.store import open_store
 
 SECRET = "hunter2"
 WITH_SECRETS = [
@@ -43,17 +43,17 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     "url", ["file://data/plane.zarr", "file:///data/plane.zarr", "file://plane.zarr", "file://~/x"]
 )
 def test_a_file_url_leads_where_it_leads_xarray(url: str, home: Path) -> None:
-    assert str(place_of(url)) == url_to_fs(url)[1]
+    assert str(open_backend(url)) == url_to_fs(url)[1]
 
 
 def test_a_file_url_of_this_host_is_its_path() -> None:
-    assert place_of("file://localhost/data/a%20b.zarr") == LocalPlace(Path("/data/a b.zarr"))
+    assert open_backend("file://localhost/data/a%20b.zarr") == LocalBackend(Path("/data/a b.zarr"))
 
 
 @pytest.mark.parametrize("make", [str, Path])
 def test_a_tilde_is_the_home_of_the_user(make: Callable[[str], Any], home: Path) -> None:
-    assert place_of(make("~/new.zarr")) == LocalPlace(home / "new.zarr")
-    assert checked_path(make("~/a.png")) == home / "a.png"
+    assert open_backend(make("~/new.zarr")) == LocalBackend(home / "new.zarr")
+    assert validate_path(make("~/a.png")) == home / "a.png"
 
 
 def test_a_file_is_exported_to_the_home_of_the_user(home: Path, solved_plane: Path) -> None:
@@ -63,20 +63,20 @@ def test_a_file_is_exported_to_the_home_of_the_user(home: Path, solved_plane: Pa
 
 
 def test_a_user_and_a_password_become_the_header_of_each_request_and_leave_the_url() -> None:
-    place = place_of(f"https://me:{SECRET}%2F@127.0.0.1:9/out.zarr")
-    assert isinstance(place, ObjectPlace)
+    place = open_backend(f"https://me:{SECRET}%2F@127.0.0.1:9/out.zarr")
+    assert isinstance(place, ObjectBackend)
     header = "Basic " + b64encode(f"me:{SECRET}/".encode()).decode()
     assert place.url == "https://127.0.0.1:9/out.zarr"
     assert place.access.client == (("default_headers", (("authorization", header),)),)
     assert place.access != BY_ENVIRONMENT
-    assert sendable(place) == place
+    assert picklable_backend(place) == place
 
 
 @pytest.mark.parametrize("url", WITH_SECRETS)
 def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
-    place = place_of(url, patience=0.0)
-    notes = notes_of(place)
-    assert isinstance(notes, UrlNotes)
+    place = open_backend(url, patience=0.0)
+    notes = sidecar_of(place)
+    assert isinstance(notes, ObjectSidecar)
     ended = CliRunner().invoke(main, ["query", f"ftp{url.removeprefix('https')}"])
     assert ended.exit_code == 2
     texts = [str(place), repr(place.inner("a")), str(notes.place), ended.output]
@@ -87,11 +87,11 @@ def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
 
 
 def test_a_signature_stays_with_the_objects_within_a_store_and_beside_it() -> None:
-    place = place_of("https://host/a/out.zarr?sig=1")
-    assert isinstance(place, ObjectPlace)
+    place = open_backend("https://host/a/out.zarr?sig=1")
+    assert isinstance(place, ObjectBackend)
     assert place.inner("zoom/x").url == "https://host/a/out.zarr/zoom/x?sig=1"
-    notes = notes_of(place)
-    assert isinstance(notes, UrlNotes)
+    notes = sidecar_of(place)
+    assert isinstance(notes, ObjectSidecar)
     assert notes.place.url == "https://host/a/.out.zarr.run?sig=1"
 
 
@@ -100,7 +100,7 @@ def test_a_store_that_needs_a_secret_is_no_origin_of_one_that_lacks_it(
     url: str, solved_plane: Path, tmp_path: Path
 ) -> None:
     """The attribute ``origin`` has no secret, so that workers could not open it."""
-    old = open_handle(solved_plane).at(place_of(url))
+    old = open_store(solved_plane).at(open_backend(url))
     with pytest.raises(InputError, match="workers reach it by its name") as caught:
         place_from(old, tmp_path / "new.zarr")
     assert SECRET not in str(caught.value)
@@ -108,7 +108,7 @@ def test_a_store_that_needs_a_secret_is_no_origin_of_one_that_lacks_it(
 
 def test_a_password_in_the_url_of_a_bucket_is_refused_without_being_shown() -> None:
     with pytest.raises(InputError, match=r"^s3://\*\*\*@bucket/x: has a user or a password, which must be in"):
-        place_of(f"s3://key:{SECRET}@bucket/x")
+        open_backend(f"s3://key:{SECRET}@bucket/x")
 
 
 @pytest.mark.parametrize(

@@ -14,33 +14,33 @@ import pytest
 
 from atlas import Spec
 from atlas.errors import RunError
-from atlas.store.location import LocalPlace
-from atlas.store.making import create
-from atlas.store.sidecar import TileAttempt, notes_of, put_attempt
-from atlas.store.store import Atlas, chunk_key, done_tiles, open_handle
+from atlas.store.create import create_store
+from atlas.store.object_backend import LocalBackend
+from atlas.store.sidecar import TileAttempt, sidecar_of, start_attempt
+from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.tiles import read_tile, write_tile
 from atlas.task import attempt
-from atlas.task.attempt import run_job
-from atlas.task.site import Site
-from atlas.task.task import Job
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef
+from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
 from workers import tile as solving
 from workers.results import empty_results
 
 
 @pytest.fixture
-def handle(tmp_path: Path) -> Atlas:
-    return create(tmp_path / "out.zarr", plane_of(), (2, 3))
+def handle(tmp_path: Path) -> AtlasStore:
+    return create_store(tmp_path / "out.zarr", plane_of(), (2, 3))
 
 
-def job_of(handle: Atlas) -> Job:
-    return Job((1, 1), Site(str(handle.place), handle.run_id, handle.solver_version))
+def job_of(handle: AtlasStore) -> RunJob:
+    return RunJob((1, 1), StoreRef(str(handle.place), handle.run_id, handle.solver_version))
 
 
 class Sleeper:
     """A first attempt at a tile, in a thread, that falls asleep where ``asleep`` is called."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: RunJob) -> None:
         self._sleeping, self._awake, self.error = threading.Event(), threading.Event(), ""
         self._thread = threading.Thread(target=self._run, args=[job])
 
@@ -57,9 +57,9 @@ class Sleeper:
         self._awake.set()
         self._thread.join()
 
-    def _run(self, job: Job) -> None:
+    def _run(self, job: RunJob) -> None:
         try:
-            run_job(job)
+            run_tile_job(job)
         except RunError as error:
             self.error = str(error)
 
@@ -76,14 +76,14 @@ def before_it_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def between_two_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = LocalPlace.put
+    whole = LocalBackend.put
 
-    def slow(place: LocalPlace, key: str, data: bytes) -> None:
+    def slow(place: LocalBackend, key: str, data: bytes) -> None:
         whole(place, key, data)
         if key.startswith("largest/c"):
             sleeper.asleep()
 
-    monkeypatch.setattr(LocalPlace, "put", slow)
+    monkeypatch.setattr(LocalBackend, "put", slow)
 
 
 SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
@@ -91,7 +91,7 @@ SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
 
 @pytest.mark.parametrize(("when", "error"), [(before_it_writes, ""), (between_two_writes, SUPERSEDED)])
 def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
-    handle: Atlas, monkeypatch: pytest.MonkeyPatch, when: Callable[[Sleeper, pytest.MonkeyPatch], None], error: str
+    handle: AtlasStore, monkeypatch: pytest.MonkeyPatch, when: Callable[[Sleeper, pytest.MonkeyPatch], None], error: str
 ) -> None:
     """The second ends before the first wakes, so that its note is gone; one that has not begun to write is content."""
     job = job_of(handle)
@@ -99,7 +99,7 @@ def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
     when(sleeper, monkeypatch)
     sleeper.start()
 
-    assert run_job(job).cells > 0
+    assert run_tile_job(job).cells > 0
     before = {key: handle.place.version(key) for key in handle.place.list_keys()}
     sleeper.wake()
     assert sleeper.error.endswith(error)
@@ -108,12 +108,12 @@ def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
     read_tile(handle, (1, 1))
 
 
-def test_the_note_of_a_second_attempt_is_left_by_the_first(handle: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_note_of_a_second_attempt_is_left_by_the_first(handle: AtlasStore, monkeypatch: pytest.MonkeyPatch) -> None:
     job = job_of(handle)
     sleeper = Sleeper(job)
     before_it_writes(sleeper, monkeypatch)
     sleeper.start()
-    notes = notes_of(handle.place)
+    notes = sidecar_of(handle.place)
     assert notes.put(job.note, b'{"token": "second"}', expected=notes.read(job.note))
     sleeper.wake()
     assert sleeper.error.endswith(SUPERSEDED)
@@ -127,22 +127,22 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
 ) -> None:
     """As a first attempt that was cut off has left them: all but the regime, or all of them."""
     axes = {name: {"start": 0.1, "stop": 0.5, "num": side} for name in ("omega", "b")}
-    handle = create(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
+    handle = create_store(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
     arrays = empty_results(handle.spec.variables, (side, side), handle.spec.extra_sizes)
     write_tile(handle, (0, 0), arrays)
     handle.place.remove(chunk_key(handle.regime, (0, 0)))
     removed: list[str] = []
-    monkeypatch.setattr(LocalPlace, "remove", lambda _, key: removed.append(key))
-    whole = LocalPlace.put
+    monkeypatch.setattr(LocalBackend, "remove", lambda _, key: removed.append(key))
+    whole = LocalBackend.put
 
-    def put(place: LocalPlace, key: str, data: bytes) -> None:
+    def put(place: LocalBackend, key: str, data: bytes) -> None:
         assert place.exists(key) or key == chunk_key(handle.regime, (0, 0))
         whole(place, key, data)
 
-    monkeypatch.setattr(LocalPlace, "put", put)
+    monkeypatch.setattr(LocalBackend, "put", put)
     write_tile(handle, (0, 0), arrays)
     assert not {*removed} - {chunk_key(variable, (0, 0)) for variable in handle.variables if variable.sparse}
-    assert (0, 0) in done_tiles(open_handle(handle.path))
+    assert (0, 0) in done_tiles(open_store(handle.path))
 
 
 def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -154,30 +154,30 @@ def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_named(
-    handle: Atlas, monkeypatch: pytest.MonkeyPatch
+    handle: AtlasStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job, solved = job_of(handle), unfinished(monkeypatch)
     for _ in range(2):
-        run_job(job)
+        run_tile_job(job)
     for _ in range(2):
         with pytest.raises(RunError, match=rf"has died 2 times, the last was .*, process {os.getpid()}$"):
-            run_job(job)
+            run_tile_job(job)
     assert len(solved) == 2
 
 
-def test_attempts_of_another_run_do_not_count(handle: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attempts_of_another_run_do_not_count(handle: AtlasStore, monkeypatch: pytest.MonkeyPatch) -> None:
     """Truth: a run that somebody ends in the middle of a tile is no sign that the tile is at fault."""
     solved = unfinished(monkeypatch)
-    monkeypatch.setattr(Job, "handle", lambda job: handle)
+    monkeypatch.setattr(RunJob, "handle", lambda job: handle)
     for claim in ("first", "second", "third", "third"):
         job = job_of(handle)
-        run_job(replace(job, site=replace(job.site, claim=claim)))
+        run_tile_job(replace(job, site=replace(job.site, claim=claim)))
     assert solved == ["first", "second", "third", "third"]
 
 
-def test_a_note_is_that_of_the_attempt_alone(handle: Atlas) -> None:
-    notes, name = notes_of(handle.place), "started-0-0"
-    first, second = put_attempt(notes, name, "run", 9), put_attempt(notes, name, "run", 9)
+def test_a_note_is_that_of_the_attempt_alone(handle: AtlasStore) -> None:
+    notes, name = sidecar_of(handle.place), "started-0-0"
+    first, second = start_attempt(notes, name, "run", 9), start_attempt(notes, name, "run", 9)
     assert (first.number, second.number) == (1, 2)
     first.remove(notes, name)
     assert notes.read(name) is not None
@@ -186,7 +186,7 @@ def test_a_note_is_that_of_the_attempt_alone(handle: Atlas) -> None:
 
 
 @pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "run", "number": "many"}'])
-def test_a_note_that_makes_no_sense_counts_as_none(handle: Atlas, note: bytes) -> None:
-    notes = notes_of(handle.place)
+def test_a_note_that_makes_no_sense_counts_as_none(handle: AtlasStore, note: bytes) -> None:
+    notes = sidecar_of(handle.place)
     notes.put("started-0-0", note, expected=None)
-    assert put_attempt(notes, "started-0-0", "run", 1).number == 1
+    assert start_attempt(notes, "started-0-0", "run", 1).number == 1

@@ -16,15 +16,15 @@ from distributed import Client, get_worker
 
 import atlas
 from atlas.errors import NetworkError
-from atlas.service.batches import Labour
-from atlas.service.dispatch import Workers
+from atlas.service.batches import JobType
+from atlas.service.dispatch import WorkerStatus
 from atlas.service.timing import Timing
-from atlas.store.making import create
-from atlas.store.store import done_tiles, open_handle
-from atlas.task import known
-from atlas.task.attempt import run_job
-from atlas.task.site import RefusedError, Site
-from atlas.task.task import Job
+from atlas.store.create import create_store
+from atlas.store.store import done_tiles, open_store
+from atlas.task import handle_cache
+from atlas.task.attempt import run_tile_job
+from atlas.task.store_ref import StoreRef, WorkerRefusedError
+from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
 from tests.pretended import Numbered, outcomes
 from workers import tile as solving
@@ -56,9 +56,9 @@ def nothing() -> None:
 
 
 def run_steps(
-    client: Client, name: str, count: int = 20, tick: Callable[[Workers], None] = lambda _: None
+    client: Client, name: str, count: int = 20, tick: Callable[[WorkerStatus], None] = lambda _: None
 ) -> list[Any]:
-    labour: Labour[Numbered, str] = Labour(name, done, Prepared(name), nothing)
+    labour: JobType[Numbered, str] = JobType(name, done, Prepared(name), nothing)
     return list(outcomes(client, labour, (Numbered((k,)) for k in range(count)), tick, QUICK))
 
 
@@ -78,7 +78,7 @@ def test_the_setup_is_done_once_on_each_worker_and_taken_away_at_the_end(two_wor
 
 
 def test_it_is_taken_away_where_the_run_ends_by_an_error(two_workers: Client, tmp_path: Path) -> None:
-    def stop(_: Workers) -> None:
+    def stop(_: WorkerStatus) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -89,7 +89,7 @@ def test_it_is_taken_away_where_the_run_ends_by_an_error(two_workers: Client, tm
 def test_a_worker_that_joins_later_does_it_too(two_workers: Client, tmp_path: Path) -> None:
     name = str(tmp_path)
 
-    def join(workers: Workers) -> None:
+    def join(workers: WorkerStatus) -> None:
         if workers.threads == 2:
             two_workers.cluster.scale(3)
             two_workers.wait_for_workers(3, timeout=30)
@@ -104,7 +104,7 @@ def test_workers_answer_while_a_setup_takes_its_time_and_jobs_wait_for_it(two_wo
     def slow() -> None:
         over.append(answered.wait(timeout=30))
 
-    def ask(_: Workers) -> None:
+    def ask(_: WorkerStatus) -> None:
         assert len(two_workers.run(lambda: 1)) == 2  # by the event loops of both
         assert two_workers.call_stack() is not None
         answered.set()
@@ -121,7 +121,7 @@ def test_a_worker_whose_setup_fails_is_named_with_its_reason_and_does_no_job(
 
     def refuse() -> None:
         if next(turns) == 0:
-            raise RefusedError("sees no store")
+            raise WorkerRefusedError("sees no store")
 
     DOES[name] = refuse
     workers = {*run_steps(two_workers, name, tick=last.append)}
@@ -152,7 +152,7 @@ def test_a_setup_that_fails_for_a_while_is_tried_again_by_the_next_job(
 def test_a_run_reads_its_header_once_in_each_process(
     tmp_path: Path, two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read, whole = [], known.open_handle
+    read, whole = [], handle_cache.open_store
     first = threading.Lock()
 
     def reading(place: Any) -> Any:
@@ -160,34 +160,34 @@ def test_a_run_reads_its_header_once_in_each_process(
             read.append(place)
         return whole(place)
 
-    monkeypatch.setattr(known, "open_handle", reading)
+    monkeypatch.setattr(handle_cache, "open_store", reading)
     summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert summary.tiles_done == 35
     assert 1 <= len(read) <= 2  # the two workers of this process may begin at once
-    assert not [key for key in known._headers if str(key[0]) == str(tmp_path / "out.zarr")]
+    assert not [key for key in handle_cache._headers if str(key[0]) == str(tmp_path / "out.zarr")]
 
 
-def made(store: Path) -> Job:
-    handle = create(store, plane_of(), (2, 3))
-    return Job((1, 1), Site(str(handle.path), handle.run_id, handle.solver_version))
+def made(store: Path) -> RunJob:
+    handle = create_store(store, plane_of(), (2, 3))
+    return RunJob((1, 1), StoreRef(str(handle.path), handle.run_id, handle.solver_version))
 
 
 def test_a_store_that_is_replaced_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
-    run_job(job)
+    run_tile_job(job)
     shutil.rmtree(job.site.store)
     another = made(tmp_path / "out.zarr")
-    with pytest.raises(RefusedError, match=r"not the store of run .*; is the path the same on all hosts\?"):
-        run_job(replace(job, index=(0, 0)))
-    assert run_job(replace(another, index=(0, 0))).cells == 6
+    with pytest.raises(WorkerRefusedError, match=r"not the store of run .*; is the path the same on all hosts\?"):
+        run_tile_job(replace(job, index=(0, 0)))
+    assert run_tile_job(replace(another, index=(0, 0))).cells == 6
 
 
 def test_a_store_that_is_removed_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
-    run_job(job)
+    run_tile_job(job)
     shutil.rmtree(job.site.store)
-    with pytest.raises(RefusedError, match=r"no such store; is the path the same on all hosts\?"):
-        run_job(replace(job, index=(0, 0)))
+    with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
+        run_tile_job(replace(job, index=(0, 0)))
     assert not Path(job.site.store).exists()
 
 
@@ -195,7 +195,7 @@ def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job, whole = made(tmp_path / "out.zarr"), solving.solve_tile
-    run_job(job)
+    run_tile_job(job)
 
     def slow(*given: Any) -> Any:
         shutil.rmtree(job.site.store)
@@ -203,6 +203,6 @@ def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
         return whole(*given)
 
     monkeypatch.setattr(solving, "solve_tile", slow)
-    with pytest.raises(RefusedError, match="not the store of run"):
-        run_job(replace(job, index=(0, 0)))
-    assert done_tiles(open_handle(tmp_path / "out.zarr")) == set()
+    with pytest.raises(WorkerRefusedError, match="not the store of run"):
+        run_tile_job(replace(job, index=(0, 0)))
+    assert done_tiles(open_store(tmp_path / "out.zarr")) == set()

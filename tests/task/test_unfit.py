@@ -13,16 +13,16 @@ from distributed import Client, LocalCluster, Status, get_worker
 import atlas
 from atlas.errors import RunError
 from atlas.service import dispatch as fanout
-from atlas.service import fitness
 from atlas.service import run as running
+from atlas.service import worker_health
 from atlas.service.progress import Progress
 from atlas.service.status import read_status
 from atlas.service.timing import Timing
-from atlas.store.store import find
-from atlas.task import task as jobs
-from atlas.task.attempt import do_job
-from atlas.task.site import RefusedError
-from atlas.task.task import Job
+from atlas.store.store import find_store
+from atlas.task import tile_job as jobs
+from atlas.task.attempt import execute_job
+from atlas.task.store_ref import WorkerRefusedError
+from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
 from tests.service.test_faults import noted
 
@@ -55,17 +55,17 @@ def test_a_worker_at_which_tile_after_tile_fails_is_left_out_and_named_and_costs
     assert re.match(r"\d+ tiles in a row failed there, the first being \(\d, \d\): ", summary.refused[unfit])
     assert str(error) in summary.refused[unfit]
     # The tiles that make it unfit, and those given to it before it was.
-    assert fitness.FAILURES <= noted(name).count(unfit) <= fitness.FAILURES + 2 * fanout.IN_FLIGHT
+    assert worker_health.MAX_FAILURES <= noted(name).count(unfit) <= worker_health.MAX_FAILURES + 2 * fanout.IN_FLIGHT
 
 
 def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_and_reason(
     tmp_path: Path, two_workers: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(job: Job) -> None:
+    def fail(job: RunJob) -> None:
         noted(str(tmp_path)).append(job.index)
         raise ImportError("no numba")
 
-    monkeypatch.setattr(running, "do_job", fail)
+    monkeypatch.setattr(running, "execute_job", fail)
     words = r"^no worker can do this run: inproc://\S+: \d tiles in a row failed there, the first being .*: ImportError"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
@@ -83,11 +83,11 @@ def test_a_tile_given_to_a_worker_that_is_gone_is_given_to_another(
     ):
         unfit, leaving, _ = sorted(client.nthreads())
 
-        def picky(job: Job) -> jobs.Receipt:
+        def picky(job: RunJob) -> jobs.TileReport:
             if get_worker().address == unfit:
-                raise RefusedError("sees no store")
+                raise WorkerRefusedError("sees no store")
             noted(name).append(get_worker().address)
-            return do_job(job)
+            return execute_job(job)
 
         left: list[str] = []
 
@@ -96,7 +96,7 @@ def test_a_tile_given_to_a_worker_that_is_gone_is_given_to_another(
                 left.append(leaving)
                 client.retire_workers([leaving], close_workers=True)
 
-        monkeypatch.setattr(running, "do_job", picky)
+        monkeypatch.setattr(running, "execute_job", picky)
         timing = Timing(tick=0.05)
         options = atlas.RunOptions(on_progress=leave, timing=timing)
         summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=client, options=options)
@@ -157,7 +157,7 @@ def test_a_run_whose_workers_are_paused_says_so_to_its_user_and_to_the_status(
 
         def look(progress: Progress) -> None:
             said.append(progress.stage)
-            handle = find(tmp_path / "out.zarr") if "paused" in progress.stage else None
+            handle = find_store(tmp_path / "out.zarr") if "paused" in progress.stage else None
             if handle is None:
                 return
             status = read_status(handle)

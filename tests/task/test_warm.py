@@ -19,29 +19,36 @@ from atlas.cli.progress import LogReporter
 from atlas.service.progress import prepare_kernels
 from atlas.spec.examples import example_text
 from atlas.task import compile as warm
-from atlas.task.child import watched_together
+from atlas.task.child_process import run_python_parallel
 from rig.faults import ATLAS
 from tests.handmade import bouncing_ball, impact_pair
 from tests.paths import ROOT
 from tests.workers.attractors.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile
-from workers.attractors import cell, same
+from workers.attractors import cell_attractors, matching
 from workers.attractors.basins import solve_basins
-from workers.attractors.same import orbits_reached
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
-from workers.continuation import admissible, branch, curve, legs, motion
-from workers.kernel import cache, cells, jit
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
+from workers.attractors.matching import orbits_reached
+from workers.continuation import admissibility, branch, curve, legs, shooting
+from workers.kernel import cache, cell_loops, jit
 from workers.kernel.lanes import run
 from workers.orbit import newton
 from workers.orbit.map import iterate
 
-KERNELS = [value for module in (cells, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)]
+KERNELS = [
+    value for module in (cell_loops, run, newton) for value in vars(module).values() if isinstance(value, jit.Kernel)
+]
 """What Python calls, among others."""
 OF_ATTRACTORS = [
     *KERNELS,
-    *(value for module in (cell, same) for value in vars(module).values() if isinstance(value, jit.Kernel)),
+    *(
+        value
+        for module in (cell_attractors, matching)
+        for value in vars(module).values()
+        if isinstance(value, jit.Kernel)
+    ),
 ]
 
 OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
@@ -127,7 +134,7 @@ def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(warm, "warm_up_in_child", stopped)
         warm.compile_once()
-    assert warm.warming() == COMPILING
+    assert warm.compile_notice() == COMPILING
     warm.compile_once()
     assert compiled == ["cells"]
 
@@ -136,7 +143,7 @@ def test_what_attractors_and_orbits_take_is_compiled_where_it_is_asked_for_and_o
     for more in ((), (warm.ATTRACTORS,), (warm.ORBITS, warm.ATTRACTORS), (warm.ORBITS,)):
         warm.compile_once(*more)
     assert compiled == ["cells", "attractors", "orbits"]
-    assert warm.warming(warm.ATTRACTORS, warm.ORBITS) == LOADING
+    assert warm.compile_notice(warm.ATTRACTORS, warm.ORBITS) == LOADING
 
 
 def test_no_attractor_has_kernels_of_its_own() -> None:
@@ -145,16 +152,16 @@ def test_no_attractor_has_kernels_of_its_own() -> None:
     before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
     brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
     for twins in (TWINS, CHAOTIC_TWINS):
-        solve_attractors("two-mass", twins, brief, Starts(8))
-    solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, Starts(2))
+        solve_attractors("two-mass", twins, brief, AttractorSettings(8))
+    solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, AttractorSettings(2))
     assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
     assert all(before[kernel] for kernel in (orbits_reached, iterate))
 
 
 def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str]) -> None:
-    assert warm.warming() == COMPILING
+    assert warm.compile_notice() == COMPILING
     warm.compile_once()
-    assert warm.warming() == LOADING
+    assert warm.compile_notice() == LOADING
 
 
 def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
@@ -162,7 +169,7 @@ def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
 ) -> None:
     monkeypatch.setattr(warm, "processors", lambda: 2)
     spared = warm.SPARED[warm.CELLS]
-    assert warm.warming() == COMPILING.replace("45", str(45 - spared))
+    assert warm.compile_notice() == COMPILING.replace("45", str(45 - spared))
 
 
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
@@ -189,9 +196,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[list[str]]]:
 
     def counting(code: str, arguments: list[str], told: Callable[[int, str], None]) -> list[int]:
         stages.append([json.loads(argument) for argument in arguments])
-        return watched_together(COUNTING, arguments, told)
+        return run_python_parallel(COUNTING, arguments, told)
 
-    monkeypatch.setattr(warm, "watched_together", counting)
+    monkeypatch.setattr(warm, "run_python_parallel", counting)
     return stages
 
 
@@ -199,7 +206,7 @@ def test_who_waits_for_a_compilation_hears_of_it_every_tick(
     asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(warm, "processors", lambda: 1)
-    heard: list[warm.Compilation] = []
+    heard: list[warm.CompileProgress] = []
     assert warm.warm_up_in_child((warm.CELLS, warm.ATTRACTORS, warm.ORBITS), heard.append)
     assert asked == [[[warm.CELLS, warm.ATTRACTORS, warm.ORBITS]]]
     of = sum(warm.FUNCTIONS[part] for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS))
@@ -211,9 +218,13 @@ def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
     cells: str, asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(warm, "processors", lambda: 2)
-    heard: list[warm.Compilation] = []
-    assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
-    assert asked == [[[warm.APART, cells]], [[warm.BATCH, cells], [warm.SETTLE, cells]], [[cells, warm.ORBITS]]]
+    heard: list[warm.CompileProgress] = []
+    assert warm.warm_up_in_child((cell_loops, warm.ORBITS), heard.append)
+    assert asked == [
+        [[warm.APART, cell_loops]],
+        [[warm.BATCH, cell_loops], [warm.SETTLE, cell_loops]],
+        [[cell_loops, warm.ORBITS]],
+    ]
     assert [step.done for step in heard] == list(range(1, 9))
 
 
@@ -234,7 +245,7 @@ def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None
 
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        watched_together(code, ["", ""], give_up)
+        run_python_parallel(code, ["", ""], give_up)
     assert time.monotonic() - begin < 60.0
 
 
@@ -248,7 +259,7 @@ def test_pieces_are_the_kernels_that_cells_take() -> None:
 
 
 def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:
-    heard: list[warm.Compilation] = []
+    heard: list[warm.CompileProgress] = []
     first = threading.Thread(target=warm.compile_once)
     first.start()
     time.sleep(0.05)
@@ -263,7 +274,7 @@ def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
 ) -> None:
     def reports(parts: tuple[str, ...], report: warm.Report) -> bool:
         for done in (43, 86):
-            report(warm.Compilation(done, 215, done / 4.3))
+            report(warm.CompileProgress(done, 215, done / 4.3))
         return True
 
     monkeypatch.setattr(warm, "warm_up_in_child", reports)
@@ -332,7 +343,7 @@ def test_no_compilation_is_complete_before_it_has_ended(
 ) -> None:
     monkeypatch.setattr(warm, "FUNCTIONS", dict.fromkeys(warm.FUNCTIONS, 2))
     monkeypatch.setattr(warm, "IN_PIECES", dict.fromkeys(warm.IN_PIECES, 2))
-    heard: list[warm.Compilation] = []
+    heard: list[warm.CompileProgress] = []
     assert warm.warm_up_in_child((warm.CELLS,), heard.append)
     assert {(step.done, step.of) for step in heard} == {(1, 2)}
 
@@ -366,7 +377,7 @@ def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
 def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     """Of a ball, whose orbit folds and doubles, and of a pair, whose orbit breaks symmetry: most events."""
     warm.warm_up(warm.ORBITS)
-    modules = (legs, motion, admissible)
+    modules = (legs, shooting, admissibility)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
     before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))

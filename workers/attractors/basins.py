@@ -1,6 +1,6 @@
 """``solve_basins``: which attractor each of many initial states of one machine reaches, by one table of attractors.
 
-The table is made first, from a set of initial states that depends on the parameters and ``Starts`` alone. Attractors
+The table is made first, from a set of initial states that depends on the parameters and ``AttractorSettings`` alone. Attractors
 beyond the table are labelled by ``labels_beyond`` once all initial states are solved. So labels depend neither on the
 tiles in which the states were solved nor on their order.
 """
@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from workers.attractors.cell import attractor_of
-from workers.attractors.record import ON_ATTRACTOR, SHOWN, Attractor
-from workers.attractors.search import Search, motions_at_once
-from workers.attractors.starts import Starts
-from workers.attractors.waves import Coexistence
-from workers.cell.cells import Results
-from workers.cell.stretch import begin, sections_from
-from workers.model.clock import set_period
+from workers.attractors.attractor import ON_ATTRACTOR, SHOWN, Attractor
+from workers.attractors.cell_attractors import attractor_of
+from workers.attractors.coexistence import CoexistenceSearch
+from workers.attractors.initial_states import AttractorSettings
+from workers.attractors.search import MotionSearch, motions_at_once
+from workers.cell.cell_batch import Results
+from workers.cell.interval import begin, sections_from
+from workers.model.natural_period import set_period
 from workers.model.oscillator import Array, at_rows
 from workers.model.system import System, find_system
 from workers.results import BEYOND_TABLE, LABEL, NO_REASON, SETTLED, UNKNOWN_LABEL
@@ -28,24 +28,26 @@ from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
 
-class AttractorTable(Coexistence):
+class AttractorTable(CoexistenceSearch):
     """The attractors that the reference set of one machine reaches, the largest share first.
 
     A label is a place among these ``attractors``.
     """
 
-    def __init__(self, record: System, values: Mapping[str, float], settings: Settings, starts: Starts) -> None:
+    def __init__(
+        self, record: System, values: Mapping[str, float], settings: Settings, starts: AttractorSettings
+    ) -> None:
         super().__init__(record, {name: np.array([value]) for name, value in values.items()}, settings, starts)
         self.solve()
         (self.cell,) = self.cells
         self.attractors = self.cell.attractors
         self.attractors.sort(key=lambda attractor: attractor.order)
 
-    def mirrors(self) -> NDArray[np.int64]:
+    def mirror_labels(self) -> NDArray[np.int64]:
         """The labels of the attractors' mirror images, -1 where none is known; a symmetric attractor has its own."""
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
-    def solved(self, states: Array, references: bool) -> Search:
+    def solved(self, states: Array, references: bool) -> MotionSearch:
         """The search from physical states (N, 2n), compared with the attractors of the table."""
         search = self.search(np.zeros(len(states), dtype=np.int64), states)
         search.solve(references)
@@ -60,7 +62,7 @@ def solve_basins(
     system: str | System,
     params: Mapping[str, ArrayLike],
     settings: Settings | None = None,
-    starts: Starts | None = None,
+    starts: AttractorSettings | None = None,
 ) -> Results:
     """The attractor of every initial state, as arrays of the broadcast shape of the initial states; like solve_tile.
 
@@ -69,7 +71,7 @@ def solve_basins(
     in the table has the label BEYOND_TABLE and its own results; UNKNOWN_LABEL means that no attractor is known.
     Raises ValueError for a parameter, other than an initial state, of several values.
     """
-    record, settings, starts = find_system(system), settings or Settings(), starts or Starts()
+    record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
     for name, value in params.items():
         given = np.asarray(value, dtype=np.float64)
         if name not in record.states and given.size and np.ptp(given) > 0.0:
@@ -88,7 +90,7 @@ def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
 
 @lru_cache(maxsize=4)
 def reference_table(
-    system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: Starts
+    system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: AttractorSettings
 ) -> AttractorTable:
     """The table of a machine, kept for other tiles that this process solves; ``system`` is System.resolved as JSON."""
     return AttractorTable(System.from_resolved(json.loads(system)), dict(values), settings, starts)

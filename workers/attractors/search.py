@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from workers.attractors import same
-from workers.attractors.record import STATISTICAL, Attractor
-from workers.attractors.same import (
+from workers.attractors import matching
+from workers.attractors.attractor import STATISTICAL, Attractor
+from workers.attractors.matching import (
     KnownOrbits,
     batch_moments,
     nearest,
@@ -17,32 +17,32 @@ from workers.attractors.same import (
     periods_along,
     periods_to_settle,
 )
-from workers.cell.cells import Cells
-from workers.cell.course import NEAR_LATER
-from workers.cell.cycles import CycleCourse, convert_to_time, course_of, trails
-from workers.cell.measuring import explain, measure
-from workers.cell.observing import observe
+from workers.cell.autonomous import AutonomousSchedule, convert_to_time, course_of, trails
+from workers.cell.cell_batch import CellBatch
+from workers.cell.measures import explain, measure
+from workers.cell.observables import observe
 from workers.cell.outcome import end_impact_free, end_stopped
-from workers.kernel.cells import physical_states
+from workers.cell.schedule import NEAR_LATER
+from workers.kernel.cell_loops import physical_states
 from workers.model.oscillator import Array, Mask, Oscillator, Reasons, Rows
 from workers.model.system import System
 from workers.settings import Settings
-from workers.tile import MEMORY_AT_ONCE, result_arrays
+from workers.tile import MAX_SECTION_BYTES, result_arrays
 
-WATCHED_AT_ONCE = 1024
+WATCH_INTERVAL = 1024
 """Periods of a stretch of watching."""
 
-MOST_MOTIONS, LEAST_MOTIONS = 4096, 64
+MAX_MOTIONS, MIN_MOTIONS = 4096, 64
 """Most and fewest motions searched together; the memory for section states decides between them."""
 
 
 def motions_at_once(settings: Settings, size: int) -> int:
     """The number of motions of ``size`` state components that are searched together."""
-    room = MEMORY_AT_ONCE // (8 * size * (settings.max_period + settings.section_samples + 1))
-    return int(np.clip(room, LEAST_MOTIONS, MOST_MOTIONS))
+    room = MAX_SECTION_BYTES // (8 * size * (settings.max_period + settings.section_samples + 1))
+    return int(np.clip(room, MIN_MOTIONS, MAX_MOTIONS))
 
 
-class Known:
+class KnownAttractors:
     """The known attractors of many cells; a motion is compared with the attractors of its own cell.
 
     attractors   all attractors, cell by cell; a label is a place in this list
@@ -70,7 +70,7 @@ class Known:
         )
 
 
-class Search:
+class MotionSearch:
     """N motions compared with the known attractors of their cells, ``owner`` (N,), and their outcomes.
 
     The motions have parameters (N,). They begin at physical states (N, 2n), with contacts (N,) if they continue earlier
@@ -94,14 +94,14 @@ class Search:
         reasons: Reasons,
         states: Array,
         settings: Settings,
-        known: Known,
+        known: KnownAttractors,
         owner: Rows,
         mode: Rows | None = None,
     ) -> None:
         N = len(owner)
         self.record, self.params, self.variables = record, params, record.variables(settings)
         arrays = result_arrays(self.variables, settings, N, len(record.states), exponents=record.exponents)
-        self.cells = Cells(oscillators, reasons, states, settings, arrays, mode, record.definition.unforced)
+        self.cells = CellBatch(oscillators, reasons, states, settings, arrays, mode, record.definition.unforced)
         self.course = course_of(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
         self.label, self.arrival = np.full((2, N), -1)
@@ -114,7 +114,7 @@ class Search:
         """The results of one motion."""
         return {name: values[r].copy() for name, values in self.cells.results.items()}
 
-    def recognised(self, r: int) -> Attractor | None:
+    def recognised_attractor(self, r: int) -> Attractor | None:
         """The known attractor that one motion has reached."""
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
@@ -137,18 +137,18 @@ class Search:
         """Follow the motions for ``periods`` (N,): they are recognised, come to an orbit, or stay PENDING."""
         rows, flown = self.cells.ready, self.cells.flown
         while len(rows):
-            rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCHED_AT_ONCE))
+            rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCH_INTERVAL))
             rows = rows[flown[rows] < periods[rows]]
         self._measure()
 
     @np.errstate(all="ignore")
-    def sample(self, rows: Rows, batches: int = same.REFERENCE) -> tuple[Rows, Array]:
+    def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
         """The motions of ``rows`` that reach no orbit in this many batches, and their batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
-            rows = self._advance(rows, same.BATCH, look=not self.cells.unforced or k == batches - 1)
-            means[rows, k] = batch_moments(self.cells.batch.sections, rows, same.BATCH)
-        self.compared[rows] += batches * same.BATCH
+            rows = self._advance(rows, matching.BATCH, look=not self.cells.unforced or k == batches - 1)
+            means[rows, k] = batch_moments(self.cells.batch.sections, rows, matching.BATCH)
+        self.compared[rows] += batches * matching.BATCH
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
@@ -161,11 +161,11 @@ class Search:
         for r, period in zip(rows[reached], orbits.period[orbit[reached]], strict=True):
             known = sections[r, sections.shape[1] - kept[r] :]
             self.arrival[r] = periods_to_settle(blocks[r], known, cells.flown[r], period)
-        if isinstance(self.course, CycleCourse):
+        if isinstance(self.course, AutonomousSchedule):
             reached[~reached] = [self._is_on_cycle(self.course, r) for r in rows[~reached].tolist()]
         return np.asarray(reached)
 
-    def _is_on_cycle(self, course: CycleCourse, r: int) -> bool:
+    def _is_on_cycle(self, course: AutonomousSchedule, r: int) -> bool:
         """Whether a motion passes, to ONCE_ROUND, an event of a known cycle of its cell within a turn."""
         cells, cycles = self.cells, self.known.cycles[self.owner[r]]
         longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
@@ -192,7 +192,7 @@ class Search:
         longer than their periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
-        cells.aim(rows, periods)
+        cells.set_interval(rows, periods)
         rows = end_impact_free(cells, rows)
         cells.run(rows, to_end=True)
         rows = end_stopped(cells, rows)
@@ -203,7 +203,7 @@ class Search:
     def _compare(self) -> None:
         """Assign motions to the known chaos or torus that they are on, and continue the others."""
         rows, known = np.flatnonzero(self.to_compare), self.known
-        for batches in (same.FIRST_LOOK, same.SECOND_LOOK):
+        for batches in (matching.FIRST_LOOK, matching.SECOND_LOOK):
             rows, means = self.sample(rows, batches)
             for r, of_motion in zip(rows, means, strict=True):
                 attractor, away = nearest(known.references[self.owner[r]], of_motion)
@@ -211,7 +211,9 @@ class Search:
                     self.label[r], self.distance[r] = known.attractors.index(attractor), away
             rows = rows[self.label[rows] < 0]
         self.compared[rows] = 0
-        self.course.watched[rows] += (same.FIRST_LOOK + same.SECOND_LOOK) * same.BATCH  # these periods decide nothing
+        self.course.watched[rows] += (
+            matching.FIRST_LOOK + matching.SECOND_LOOK
+        ) * matching.BATCH  # these periods decide nothing
         self.cells.going[rows] = True
         self.course.observe(rows)
         self.course.take()

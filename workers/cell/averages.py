@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from workers.cell.cells import Average, Cells
+from workers.cell.cell_batch import CellBatch, GrowthAverage
 from workers.cell.exponents import impact_count
 from workers.kernel.averages import COUNT, MEAN
-from workers.kernel.cells import reset_frames, standard_errors
-from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, slanted
+from workers.kernel.cell_loops import reset_frames, standard_errors
+from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, STATUS, TALLIES, WORK, cosine_vectors
 from workers.model.oscillator import Array, Mask, Rows, at_rows
 
 CLEAR = 4.0
@@ -49,7 +49,7 @@ def periods_for(periods: Array, error: Array, wanted: Array | float) -> Array:
     return np.asarray(periods * np.minimum(error / wanted, FARTHEST) ** 2)
 
 
-def under_way(cells: Cells, rows: Rows) -> Average:
+def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
     """The current average of these cells; of no periods if growth does not count.
 
     Without tangent vectors it holds only impacts. If all directions are lost, the mean is exact.
@@ -59,7 +59,7 @@ def under_way(cells: Cells, rows: Rows) -> Average:
     lost = motions.tally[rows, LOST] >= cells.directions
     if cells.vectors:
         lost |= motions.growth[rows, 0] == -np.inf
-    return Average(
+    return GrowthAverage(
         mean=np.where(lost, -np.inf, levels[rows, 0, MEAN]),
         error=np.where(lost, 0.0, standard_errors(levels, rows)),
         periods=np.where(cells.averaging[rows], periods, 0.0),
@@ -68,20 +68,20 @@ def under_way(cells: Cells, rows: Rows) -> Average:
     )
 
 
-def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
+def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array]:
     """The earlier and the current average of these cells combined, with the error given in results.
 
     The error is at least the standard error from the difference of the two averages: far apart in time, each may be too
     short to show slow changes of the motion. The second result is the error without it, as for stationary motion.
     """
-    now, e = under_way(cells, rows), at_rows(cells.earlier, rows)
+    now, e = current_average(cells, rows), at_rows(cells.earlier, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # else too short to have an error
     mean, error, count, growth, impacts = (np.where(counts, field.T, 0.0).T for field in now)
     total = e.periods + count
     both = (count > 0.0) & (e.periods > 0.0)
     apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
     plain = np.hypot(e.error * e.periods, error * count) / total
-    whole = Average(
+    whole = GrowthAverage(
         mean=(e.mean * e.periods + mean * count) / total,
         error=np.maximum(plain, apart),
         periods=total,
@@ -91,34 +91,34 @@ def whole_average(cells: Cells, rows: Rows) -> tuple[Average, Array]:
     return whole, plain
 
 
-def has_changed(cells: Cells, rows: Rows) -> Mask:
+def has_changed(cells: CellBatch, rows: Rows) -> Mask:
     """Mask of cells whose earlier and current average differ."""
-    now, e = under_way(cells, rows), at_rows(cells.earlier, rows)
+    now, e = current_average(cells, rows), at_rows(cells.earlier, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 
 
-def close(cells: Cells, rows: Rows) -> None:
+def close(cells: CellBatch, rows: Rows) -> None:
     """Keep the current average as the earlier one, in its place."""
     reset_frames(cells.oscillators.gap.blocks, cells.batch.motions, rows)
-    for earlier, now in zip(cells.earlier, under_way(cells, rows), strict=True):
+    for earlier, now in zip(cells.earlier, current_average(cells, rows), strict=True):
         earlier[rows] = now
 
 
-def forget(cells: Cells, rows: Rows) -> None:
+def restart_first(cells: CellBatch, rows: Rows) -> None:
     """Restart the current average of these cells as their first, and drop all earlier counts."""
     for field in cells.earlier:
         field[rows] = 0.0
     cells.tallied[rows], cells.first[rows] = NOTHING_COUNTED, cells.began[rows]
 
 
-def lose_all(cells: Cells, rows: Rows) -> None:
+def lose_all(cells: CellBatch, rows: Rows) -> None:
     """Set the averages of these cells to the limit of lost directions: -inf, all directions."""
     close(cells, rows[cells.averaging[rows] & (cells.earlier.periods[rows] == 0.0)])
     cells.averaging[rows] = False
     cells.earlier.mean[rows], cells.earlier.error[rows], cells.earlier.growth[rows] = -np.inf, 0.0, -np.inf
 
 
-def counts(cells: Cells, rows: Rows) -> tuple[Array, Rows]:
+def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
     """Counts of these cells since the first average that counts, (rows, TALLIES), and the periods (rows,)."""
     before, now = cells.tallied[rows], cells.batch.motions.tally[rows]
     both = before + now
@@ -128,19 +128,19 @@ def counts(cells: Cells, rows: Rows) -> tuple[Array, Rows]:
     return both, cells.flown[rows] - cells.first[rows]
 
 
-def begin(cells: Cells, rows: Rows) -> None:
+def begin(cells: CellBatch, rows: Rows) -> None:
     """Let the growth of these cells count from now on; without an earlier average, all counts."""
     restart(cells, rows)
     cells.averaging[rows] = True
-    forget(cells, rows[cells.earlier.periods[rows] == 0.0])
+    restart_first(cells, rows[cells.earlier.periods[rows] == 0.0])
 
 
-def restart(cells: Cells, rows: Rows) -> None:
+def restart(cells: CellBatch, rows: Rows) -> None:
     """Average these cells from now on, and continue to count. Frames that lost directions are renewed."""
     motions, batch = cells.batch.motions, cells.batch
     cells.tallied[rows], _ = counts(cells, rows)
     cells.began[rows] = cells.flown[rows]
-    motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = slanted(motions.h.shape[1])[: cells.vectors]
+    motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = cosine_vectors(motions.h.shape[1])[: cells.vectors]
     motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
     reset_frames(cells.oscillators.gap.blocks, motions, rows)
     motions.growth[rows], batch.levels[rows], batch.weighted[rows] = 0.0, 0.0, 0.0

@@ -4,23 +4,23 @@ from typing import Any
 
 import numpy as np
 
-from workers.cell.cells import Cells
+from workers.cell.cell_batch import CellBatch
+from workers.cell.interval import batch_of, run
 from workers.cell.outcome import put_periodic
-from workers.cell.stretch import batch_of, run
 from workers.model.hybrid_machines import HybridMachines
-from workers.model.hybrid_modes import OPEN, SIGNALS, Code, pieces_of
+from workers.model.hybrid_modes import OPEN, SIGNALS, ModeCode, build_modes
 from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
-NEAR = 1e-2
+NEAR_ORBIT = 1e-2
 """Distance of a return, relative to the motion's scale, up to which it may lead to a stable orbit."""
 
-LONG_PERIOD, LONG_AT_ONCE = 1000, 64
+LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
 """Longest orbit sought if an average indicates one; cells whose sections are kept for that together."""
 
 
-def end_on_orbits(cells: Cells, rows: Rows, budget: Rows, near: Array) -> Rows:
+def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Rows:
     """Write the results of cells proved to converge to a stable orbit; returns the others.
 
     An orbit is sought if the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
@@ -48,19 +48,19 @@ def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
     return proved[rows]
 
 
-def end_on_long_orbits(cells: Cells, rows: Rows) -> Rows:
+def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
     """As ``end_on_orbits``, for orbits of up to LONG_PERIOD periods: motions continue as long to close them.
 
     Cells without the budget for that are not tried.
     """
     tried = rows[cells.budget()[rows] > LONG_PERIOD + 1]
-    for first in range(0, len(tried), LONG_AT_ONCE):
-        some = tried[first : first + LONG_AT_ONCE]
+    for first in range(0, len(tried), LONG_ORBIT_BATCH):
+        some = tried[first : first + LONG_ORBIT_BATCH]
         put_periodic(cells, some[_prove_long(cells, some)])
     return rows[cells.going[rows]]
 
 
-def _prove_long(cells: Cells, rows: Rows) -> Mask:
+def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
     """Prove long orbits; motions that rest are compared after a rest, where rounding has grown least."""
     every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
     batch = batch_of(at_rows(cells.oscillators, rows), at_rows(cells.bare.motions, rows), length)
@@ -72,7 +72,7 @@ def _prove_long(cells: Cells, rows: Rows) -> Mask:
     flown = batch.done + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)
     through = every[kept > 0]
     proved[through] = _settled(
-        through, batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR), LONG_PERIOD,
+        through, batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR_ORBIT), LONG_PERIOD,
         budget - flown, orbits, spent,
     )  # fmt: skip
     cells.used[rows] += flown + spent
@@ -81,7 +81,7 @@ def _prove_long(cells: Cells, rows: Rows) -> Mask:
     return proved
 
 
-def has_coexisting_orbit(cells: Cells, rows: Rows) -> Mask:
+def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
     """Mask of cells with a known stable orbit beside their motion.
 
     Motion without impact is one if |Y| stays inside the stops, every mode is damped and no load moves a rigid mode. An
@@ -106,7 +106,7 @@ def moves_freely(machines: HybridMachines) -> Mask:
     P, C, F = machines.sizes
     if F > 0 or machines.drifting >= 0:
         return np.zeros(len(machines.omega), dtype=np.bool_)
-    (pieces, wrong), *others = (pieces_of(machines, Code(p, (OPEN,) * C, ())) for p in range(P))
+    (pieces, wrong), *others = (build_modes(machines, ModeCode(p, (OPEN,) * C, ())) for p in range(P))
     free = (wrong == 0) & np.all(pieces.blocks[:, 0, :, COLUMN.slow] > 0.0, axis=1)
     for other, _ in others:
         free &= np.all(other.acceleration == pieces.acceleration, axis=(1, 2))

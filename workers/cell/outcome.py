@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers import results
-from workers.cell.averages import clearly_positive, counts, whole_average
-from workers.cell.cells import Average, Cells
+from workers.cell.averages import clearly_positive, combined_average, counts
+from workers.cell.cell_batch import CellBatch, GrowthAverage
 from workers.cell.exponents import (
     free_exponents,
     impact_count,
@@ -20,20 +20,20 @@ from workers.cell.exponents import (
     sum_law_holds,
     sum_of_exponents,
 )
+from workers.cell.interval import sections_from, stop_reasons
 from workers.cell.ranges import FOLLOWED, free_range, impact_range, steady_state
-from workers.cell.stretch import sections_from, stop_reasons
 from workers.kernel import motion
-from workers.kernel.cells import impact_free, physical_states, reset_frames
+from workers.kernel.cell_loops import impact_free, physical_states, reset_frames
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.orbit.escape import escaping
 from workers.orbit.linear import GROWS, STAYS, UNKNOWN, contact_free, linear_orbits
-from workers.orbit.newton import Orbits, no_orbits
+from workers.orbit.newton import PeriodicOrbits, no_orbits
 
 REGIME_OF = np.array([reason.regime for reason in results.REASONS])
 """Regime of cells by their reason."""
 
 
-def put(cells: Cells, rows: Rows, **values: Any) -> None:
+def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
     """Write the requested result variables of these cells. Cells with a regime have ended."""
     for name, value in values.items():
         if name in cells.results:
@@ -42,13 +42,13 @@ def put(cells: Cells, rows: Rows, **values: Any) -> None:
         cells.going[rows] = False
 
 
-def end_stopped(cells: Cells, rows: Rows) -> Rows:
+def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
     """Write the results of cells whose motion cannot continue, by their reason; returns the others.
 
     A cell that has spent its evaluations is judged by its average, see ``put_by_average``.
     """
     reasons = stop_reasons(cells.batch.motions, rows)
-    away = cells.run_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
+    away = cells.is_running_away(rows) | cells.are_far(rows) & np.isin(reasons, (results.NO_REASON, results.NOT_FINITE))
     reasons = np.where(away, np.int8(results.RUNS_AWAY), reasons)
     off = cells.fly_off(rows) & (reasons == results.NO_REASON)
     reasons = np.where(off, np.int8(results.FLIES_OFF), reasons)
@@ -56,17 +56,17 @@ def end_stopped(cells: Cells, rows: Rows) -> Rows:
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
     why, some = reasons[failed], rows[failed]
-    put(cells, some, regime=REGIME_OF[why], periods_used=cells.used[some], reason=why)
+    write_results(cells, some, regime=REGIME_OF[why], periods_used=cells.used[some], reason=why)
     return rows[~(failed | spent)]
 
 
-def end_impact_free(cells: Cells, rows: Rows) -> Rows:
+def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
     """Write the results of cells whose motion cannot impact any more; returns the others."""
     motions = cells.batch.motions
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
         gone = growing[escaping(cells.oscillators, motions, growing)]
-        put(cells, gone, regime=results.FAILED, periods_used=cells.used[gone], reason=results.RUNS_AWAY)
+        write_results(cells, gone, regime=results.FAILED, periods_used=cells.used[gone], reason=results.RUNS_AWAY)
         rows = rows[cells.going[rows]]
     if cells.oscillators.has_modes:
         return _end_linear(cells, rows)
@@ -75,7 +75,7 @@ def end_impact_free(cells: Cells, rows: Rows) -> Rows:
     return rows[~free]
 
 
-def _end_linear(cells: Cells, rows: Rows) -> Rows:
+def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
     """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; returns the others.
 
     Growing motion is unbounded: nothing holds it.
@@ -96,11 +96,11 @@ def _end_linear(cells: Cells, rows: Rows) -> Rows:
     cells.used[rows] += spent[rows]
     put_periodic(cells, rows[verdicts[rows] == STAYS])
     grows = rows[verdicts[rows] == GROWS]
-    put(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
+    write_results(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
     return rows[verdicts[rows] == UNKNOWN]
 
 
-def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
+def put_impact_free(cells: CellBatch, rows: Rows, h: Array) -> None:
     """Write the results of cells that move without impact, from block states h on."""
     if not len(rows):
         return
@@ -115,7 +115,7 @@ def put_impact_free(cells: Cells, rows: Rows, h: Array) -> None:
     _put_orbits(cells, rows, oscillators, orbits, regime=results.NO_IMPACT, sum_law_defect=defect, peak_to_peak=reach)
 
 
-def put_periodic(cells: Cells, rows: Rows) -> None:
+def put_periodic(cells: CellBatch, rows: Rows) -> None:
     """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet exponents.
 
     The error of the largest exponent is that of rounding, but at least the deviation of the sum of all from its exact
@@ -156,11 +156,11 @@ def put_periodic(cells: Cells, rows: Rows) -> None:
     _put_orbits(cells, rows, oscillators, orbits, regime=regime, sum_law_defect=defect, peak_to_peak=reach)
 
 
-def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbits, **more: Any) -> None:
+def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: PeriodicOrbits, **more: Any) -> None:
     """Write the results of the orbits of these cells, and ``more`` results; ``oscillators`` has a row per cell."""
     exponents, tally, period = orbits.exponents, orbits.tally, orbits.period
     impacts = np.where(rests_on_stop(tally)[:, None], -1.0, tally[:, [motion.UPPER, motion.LOWER]])
-    put(
+    write_results(
         cells,
         rows,
         largest=exponents[:, 0],
@@ -178,7 +178,7 @@ def _put_orbits(cells: Cells, rows: Rows, oscillators: Oscillator, orbits: Orbit
     put_states(cells, rows, oscillators, orbits.h, orbits.mode, period)
 
 
-def put_averaged(cells: Cells, rows: Rows) -> None:
+def put_averaged(cells: CellBatch, rows: Rows) -> None:
     """Write the averages of these cells, leaving their class open.
 
     Impacts are counted over the periods of the averages, for the sum law; rests and speeds over all periods since: a
@@ -188,7 +188,7 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
         return
     motions = cells.batch.motions
     reset_frames(cells.oscillators.gap.blocks, motions, rows[cells.averaging[rows]])
-    average, _ = whole_average(cells, rows)
+    average, _ = combined_average(cells, rows)
     counted = np.flatnonzero(average.periods > 0.0)
     some, average = rows[counted], at_rows(average, counted)
     tally, periods = counts(cells, some)
@@ -196,13 +196,13 @@ def put_averaged(cells: Cells, rows: Rows) -> None:
     if cells.vectors:
         put_growth(cells, some, tally, average)
     reach = impact_range(oscillators, tally, motions.h[some], motions.mode[some], followed)
-    put(cells, some, peak_to_peak=reach)
+    write_results(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
-    put(cells, rows, periods_used=cells.used[rows])
+    write_results(cells, rows, periods_used=cells.used[rows])
     put_states(cells, rows, at_rows(cells.oscillators, rows), motions.h[rows], motions.mode[rows], 0 * rows)
 
 
-def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
+def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
     """Write rest and impacts from tallies (N, TALLIES) over some periods (N,), with ``hits`` (N,) per period.
 
     An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; the impact that completes a chatter to rest loses gap_mass
@@ -211,7 +211,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
     impacts, sticks, rests = impact_count(tally), tally[:, motion.STUCK] > 0.0, rests_on_stop(tally)
     gap_mass = cells.oscillators.gap_mass[rows]
     slowest, fastest = tally[:, motion.MIN_SPEED], tally[:, motion.MAX_SPEED]
-    put(
+    write_results(
         cells,
         rows,
         sticks=sticks,
@@ -225,7 +225,7 @@ def put_contacts(cells: Cells, rows: Rows, tally: Array, periods: Rows, hits: Ar
     )
 
 
-def put_growth(cells: Cells, rows: Rows, tally: Array, average: Average) -> None:
+def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverage) -> None:
     """Write the exponents of these cells from an average.
 
     Directions lost in the ``tally`` of the whole motion are lost, even if not in the average.
@@ -233,36 +233,36 @@ def put_growth(cells: Cells, rows: Rows, tally: Array, average: Average) -> None
     spectrum = -np.sort(-average.growth / average.periods[:, None], axis=1)
     spectrum[np.arange(spectrum.shape[1]) >= cells.directions - tally[:, motion.LOST, None]] = -math.inf
     whole = cells.settings.exponents == "spectrum"
-    put(cells, rows, largest=average.mean, error=average.error, average=spectrum if whole else average.mean)
+    write_results(cells, rows, largest=average.mean, error=average.error, average=spectrum if whole else average.mean)
     if whole:
         total, hits = np.sum(average.growth, axis=1) / average.periods, average.impacts / average.periods
         defect = _defect(at_rows(cells.oscillators, rows), total, tally, hits)
-        put(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum), sum_law_defect=defect)
+        write_results(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum), sum_law_defect=defect)
 
 
-def put_chaotic(cells: Cells, rows: Rows, reason: NDArray[np.int8] | int = results.NO_REASON) -> None:
+def put_chaotic(cells: CellBatch, rows: Rows, reason: NDArray[np.int8] | int = results.NO_REASON) -> None:
     """Write the results of cells that look chaotic to the end; a reason explains an uncertain average.
 
     Without exponents they are aperiodic: no stable orbit is known.
     """
     put_averaged(cells, rows)
     regime = results.CHAOTIC if cells.vectors else results.APERIODIC
-    put(cells, rows, regime=regime, reason=reason, survived=cells.survived(rows))
+    write_results(cells, rows, regime=regime, reason=reason, survived=cells.survived_periods(rows))
 
 
-def put_quasiperiodic(cells: Cells, rows: Rows, weighted: Array, spread: Array) -> None:
+def put_quasiperiodic(cells: CellBatch, rows: Rows, weighted: Array, spread: Array) -> None:
     """Write the results of tori, their largest exponent from weighted averages."""
     put_averaged(cells, rows)
-    put(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
+    write_results(cells, rows, regime=results.QUASIPERIODIC, largest=weighted, error=spread)
     if "spectrum" in cells.results:
         spectrum = cells.results["spectrum"][rows]
         cells.results["spectrum"][rows, 0] = weighted
         spectrum[:, 0] = 0.0  # rounding must not decide the dimension of a torus
-        put(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
+        write_results(cells, rows, kaplan_yorke=kaplan_yorke(-np.sort(-spectrum, axis=1)))
 
 
 def put_by_average(
-    cells: Cells,
+    cells: CellBatch,
     rows: Rows,
     unclear: int = results.PERIODS_SPENT,
     clear: NDArray[np.int8] | int = results.NO_REASON,
@@ -275,29 +275,29 @@ def put_by_average(
     """
     if not len(rows):
         return
-    whole, plain = whole_average(cells, rows)
+    whole, plain = combined_average(cells, rows)
     chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
     chaotic, recurs = chaotic & recurs, np.broadcast_to(recurs, rows.shape)
     unclear_reasons = np.where(recurs, np.int8(unclear), np.int8(results.NEVER_RECURS))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
     put_chaotic(cells, rows[chaotic], reasons[chaotic])
     put_averaged(cells, rows[~chaotic])
-    put(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_reasons[~chaotic])
+    write_results(cells, rows[~chaotic], regime=results.UNDETERMINED, error=math.nan, reason=unclear_reasons[~chaotic])
 
 
-def put_states(cells: Cells, rows: Rows, oscillators: Oscillator, h: Array, mode: Rows, period: Rows) -> None:
+def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, mode: Rows, period: Rows) -> None:
     """Write the physical state of these cells, given in blocks, and the K section states from it on.
 
     An orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
     """
     motions, every = motion.motions_at(h, mode), np.arange(len(rows))
     cells.mode[rows] = mode[:, 0]
-    put(cells, rows, state=physical_states(oscillators, motions, every))
+    write_results(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples
     if K:
         kept = np.where(period > 0, np.minimum(period, K), K)
         states = sections_from(oscillators, motions, kept)
-        put(cells, rows, section=states[every[:, None], np.arange(K) % kept[:, None]])
+        write_results(cells, rows, section=states[every[:, None], np.arange(K) % kept[:, None]])
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:

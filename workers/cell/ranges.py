@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from workers.kernel.cells import excursions
+from workers.kernel.cell_loops import excursions
 from workers.kernel.motion import FLIGHT, LOWER, UPPER
-from workers.model.oscillator import Array, Mode, Oscillator, Rows
+from workers.model.oscillator import Array, GuardedFlow, Oscillator, Rows
 
 FOLLOWED = 64
 """Periods over which the range is sought of a motion that neither closes nor reaches both stops."""
@@ -49,7 +49,7 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _free_amplitude(gap: Mode, h: Array) -> Array:
+def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
     """Sum of the amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); NaN for other motion."""
     w = np.sqrt(gap.lam)
     swing = np.hypot(gap.c0 * h[..., 0] + gap.c1 * h[..., 1], gap.c0 * h[..., 1] / w - gap.c1 * h[..., 0] * w)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.cell.averages import counts
-from workers.cell.cells import RETURNS, Cells
+from workers.cell.cell_batch import RETURNS, CellBatch
 from workers.cell.exponents import impact_count
 from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
@@ -28,7 +28,7 @@ class Recurrence:
         self.same, self.strikes = np.ones((2, count), dtype=np.bool_)
         self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
-    def look(self, cells: Cells, rows: Rows, settled: Mask) -> None:
+    def look(self, cells: CellBatch, rows: Rows, settled: Mask) -> None:
         """Compare the last stretch of these cells with earlier ones; the look counts once the transient is over.
 
         The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
@@ -49,7 +49,7 @@ class Recurrence:
         self.hits[rows], self.until[rows] = hits, periods
 
 
-def _energy_ranges(cells: Cells, rows: Rows) -> tuple[Array, Array]:
+def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
     """The least and the greatest energy (rows,) at the last sections of these cells; kinetic energy for rigid modes."""
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
     weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)

@@ -7,17 +7,17 @@ not depend on the others.
 import numpy as np
 
 from workers.cell import averages
-from workers.cell.cells import Cells
-from workers.cell.course import none_of
-from workers.cell.cycles import course_of
-from workers.cell.orbits import NEAR, end_on_orbits
-from workers.cell.outcome import end_impact_free, end_stopped, put, put_averaged, put_chaotic
+from workers.cell.autonomous import course_of
+from workers.cell.cell_batch import CellBatch
+from workers.cell.orbits import NEAR_ORBIT, end_on_orbits
+from workers.cell.outcome import end_impact_free, end_stopped, put_averaged, put_chaotic, write_results
 from workers.cell.recurrence import Recurrence
+from workers.cell.schedule import none_of
 from workers.model.oscillator import Rows
 from workers.results import NEVER_RECURS, PERIODS_SPENT, UNDETERMINED
 
 
-def solve(cells: Cells) -> None:
+def solve(cells: CellBatch) -> None:
     """Take cells to their results, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
@@ -26,7 +26,7 @@ def solve(cells: Cells) -> None:
             _solve_fixed(cells)
 
 
-def _solve_fixed(cells: Cells) -> None:
+def _solve_fixed(cells: CellBatch) -> None:
     """The paper's schedule: a transient, then plain averages over ``Settings.periods``.
 
     The averages of a cell with a proved orbit may include earlier chaos: they are kept as ``average``, and its
@@ -44,19 +44,21 @@ def _solve_fixed(cells: Cells) -> None:
     kept = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
     averaged = {name: cells.results[name].copy() for name in kept}
     rest = end_impact_free(cells, ready)
-    rest = end_on_orbits(cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR))
+    rest = end_on_orbits(
+        cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR_ORBIT)
+    )
     known = np.setdiff1d(ready, rest)
-    put(cells, known, **{name: values[known] for name, values in averaged.items()})
-    mean, error, periods, _, _ = averages.under_way(cells, rest)
+    write_results(cells, known, **{name: values[known] for name, values in averaged.items()})
+    mean, error, periods, _, _ = averages.current_average(cells, rest)
     recurs = recurrence.recurred[rest]
     chaotic = averages.clearly_positive(mean, error, periods) & recurs
     put_chaotic(cells, rest[chaotic])
     unclear, reason = rest[~chaotic], np.where(recurs, np.int8(PERIODS_SPENT), np.int8(NEVER_RECURS))[~chaotic]
-    put(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=reason)
+    write_results(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=reason)
 
 
-def _through(cells: Cells, ready: Rows, periods: int) -> Rows:
+def _through(cells: CellBatch, ready: Rows, periods: int) -> Rows:
     """Take these cells through this many periods; returns the cells that can continue."""
-    cells.aim(ready, periods)
+    cells.set_interval(ready, periods)
     cells.run(ready, to_end=True)
     return end_stopped(cells, ready)

@@ -12,24 +12,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.borders import leaving, nearly_lost
+from workers.continuation.beyond_events import is_continuous, is_same_event, orbits_beyond
 from workers.continuation.events import (
     Event,
     LocatedEvent,
-    Point,
-    TestFunctions,
-    changed,
+    MonitoredPoint,
+    SolutionPoint,
+    find_origin,
     halves_met,
-    located,
-    monitored,
-    origin,
+    locate_event,
+    monitor_point,
+    sign_changes,
 )
-from workers.continuation.extended import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, Extended, solve
+from workers.continuation.extended_system import ANGLE, MINUS_ONE, PAIR, UNIT, Condition, ExtendedSystem, solve
+from workers.continuation.families import Family
 from workers.continuation.itinerary import Orbit
-from workers.continuation.onward import is_continuous, is_same_event, orbits_beyond
-from workers.continuation.oscillator import Family
-from workers.continuation.same import doubled, is_minimal
-from workers.continuation.walk import PseudoArclength, Step
+from workers.continuation.orbit_equality import double_orbit, is_minimal
+from workers.continuation.pseudo_arclength import ContinuationStep, PseudoArclength
+from workers.continuation.termination import leaving, nearly_lost
 from workers.model.oscillator import Array
 
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
@@ -38,13 +38,13 @@ EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
 """How a direction ends if not at an event: at the window's edge; as a closed loop; its points are spent; no step
 converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
 
-RESOLUTION, MOST_POINTS = 0.02, 2000
+RESOLUTION, MAX_POINTS = 0.02, 2000
 """The longest step as a share of the window; most points of either direction, BUDGET if these are spent."""
 
-MOST_BACK = 200
+MAX_BACK_POINTS = 200
 """Most points for which an orbit beyond a change of itinerary is followed back to the change."""
 
-SHORTEST = 1e-3
+MIN_STEP_SHARE = 1e-3
 """Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
 
 DOUBT = 1e-4
@@ -63,7 +63,7 @@ class BranchRun(NamedTuple):
     Points beyond an event at which the orbit continues with other contacts or slides have another itinerary.
     """
 
-    points: list[Point]
+    points: list[SolutionPoint]
     events: list[Event]
     ends: tuple[str, str]
     newton_steps: int
@@ -81,7 +81,7 @@ Until = Callable[[Event], bool]
 """Whether a run ends at an event."""
 
 
-class Start(NamedTuple):
+class BranchStart(NamedTuple):
     """An orbit to start another branch from: the orbit and the parameter there."""
 
     orbit: Orbit
@@ -95,7 +95,7 @@ def branch(
     window: tuple[float, float],
     *,
     resolution: float = RESOLUTION,
-    budget: int = MOST_POINTS,
+    budget: int = MAX_POINTS,
     until: Until | None = None,
 ) -> BranchRun:
     """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
@@ -111,15 +111,15 @@ def branch(
     if not window[0] <= value <= window[1]:
         raise ValueError(f"{family.free[0]}: found {value:g}, the branch is followed in {window[0]:g}..{window[1]:g}")
     values = np.array([value])
-    equations = Extended(family, orbit, (), values, bounds[1] - bounds[0])
+    equations = ExtendedSystem(family, orbit, (), values, bounds[1] - bounds[0])
     row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
     solved = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
     if not solved.converged:
         raise ValueError(f"Newton's method finds no orbit at {family.free[0]} = {value:g}")
-    return follow(equations, solved.X, bounds, resolution, budget, until)
+    return follow_both_ways(equations, solved.X, bounds, resolution, budget, until)
 
 
-def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> Start:
+def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
     """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
     ``amplitude``: distance along the critical direction, in units of the scale of state and times; ``width`` of the
@@ -129,12 +129,12 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     if event.conditions != (Condition(MINUS_ONE),):
         raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
-    square = Extended(family, orbit, event.conditions, values, widths)
+    square = ExtendedSystem(family, orbit, event.conditions, values, widths)
     critical = square.critical(square.pack(orbit, none, values))
     sizes = np.abs(critical)  # either sign is a null vector: the first entry above rounding decides
     critical = critical * np.sign(critical[np.argmax(sizes > NOISE * np.max(sizes))])
-    whole = doubled(orbit, orbit.span(square.model(values)))
-    equations = Extended(family, whole, (), values, widths)
+    whole = double_orbit(orbit, orbit.span(square.model(values)))
+    equations = ExtendedSystem(family, whole, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
     if whole.itinerary.is_cycle:  # times count from the first event, and a turn is as long
         unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
@@ -143,11 +143,11 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     solved = solve(equations, X, unit / equations.scale)
     if not solved.converged:
         raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
-    return Start(equations.orbit(solved.X), float(equations.values(solved.X)[0]))
+    return BranchStart(equations.orbit(solved.X), float(equations.values(solved.X)[0]))
 
 
-def follow(
-    equations: Extended, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
+def follow_both_ways(
+    equations: ExtendedSystem, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
 ) -> BranchRun:
     """Both directions from a solution ``start`` (N,) of the equations within bounds (2, free) of the parameters,
     at most ``budget`` points each.
@@ -155,7 +155,7 @@ def follow(
     ``resolution`` is the longest step, as a share of the window; either direction ends at the first event of which
     ``until`` is true. ValueError where the orbit to start from is not admissible or another one repeated.
     """
-    first = monitored(equations, start)
+    first = monitor_point(equations, start)
     if first.fault is not None:
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
     if not is_minimal(equations.motion(start)):
@@ -175,20 +175,20 @@ def follow(
     )
 
 
-class _Passage(NamedTuple):
+class _StepOutcome(NamedTuple):
     """The result of a step: events, points with events included, the end of the direction, if it ends there, and the
     test functions at the last point.
     """
 
     end: str
     events: tuple[Event, ...] = ()
-    points: tuple[Point, ...] = ()
-    after: TestFunctions | None = None
+    points: tuple[SolutionPoint, ...] = ()
+    after: MonitoredPoint | None = None
 
 
 def _one_direction(
     walk: PseudoArclength,
-    first: TestFunctions,
+    first: MonitoredPoint,
     bounds: Array,
     budget: int,
     until: Until | None,
@@ -201,7 +201,7 @@ def _one_direction(
     points, events, end, seen = [first.point], list[Event](), "", first
     begun, steps = walk, 0
     while not end:
-        passage = _next(walk, seen, bounds, until) if len(points) <= budget else _Passage(BUDGET)
+        passage = _next(walk, seen, bounds, until) if len(points) <= budget else _StepOutcome(BUDGET)
         if passage is None:
             walk.back()
             continue
@@ -219,22 +219,22 @@ def _one_direction(
     return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), steps + walk.newton_steps)
 
 
-class _Beyond(NamedTuple):
+class _ContinuedWalk(NamedTuple):
     """A branch or a curve beyond a change of itinerary: points up to where ``walk`` leaves, and what is seen there."""
 
     walk: PseudoArclength
-    seen: TestFunctions
-    points: list[Point]
+    seen: MonitoredPoint
+    points: list[SolutionPoint]
     newton_steps: int
 
 
-def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | None:
+def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _ContinuedWalk | None:
     """The branch or curve that continues from an event at which another one ends; None if none is found.
 
     Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameters.
     """
     for equations, X in orbits_beyond(walk.equations, event, bounds):
-        seen = monitored(equations, X)
+        seen = monitor_point(equations, X)
         if seen.fault is not None or not is_minimal(equations.motion(X)):
             continue
         away = seen.point.values - event.point.values
@@ -247,35 +247,35 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _Beyond | Non
             np.maximum(event.point.values + margin, seen.point.values),
         ])  # fmt: skip
         back = PseudoArclength(seen.equations, X, share, -direction)
-        run = _one_direction(back, seen, near, MOST_BACK, None, goes_on=False)
+        run = _one_direction(back, seen, near, MAX_BACK_POINTS, None, goes_on=False)
         if run.events and run.events[-1].point is run.points[-1] and is_same_event(equations, event, run.events[-1]):
             on = PseudoArclength(seen.equations, X, walk.longest, direction)
             on.length = min(on.length, share)
-            return _Beyond(on, seen, run.points[-2::-1], run.newton_steps)
+            return _ContinuedWalk(on, seen, run.points[-2::-1], run.newton_steps)
     return None
 
 
-def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Until | None) -> _Passage | None:
+def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Until | None) -> _StepOutcome | None:
     """The result of the next step; None if it went too far, or slid onto another orbit, and can be shorter."""
     eq, here = walk.equations, walk.X
     if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
-        return _meeting(Step(eq, here, here)) or _corner(Step(eq, here, here))
+        return _meeting(ContinuationStep(eq, here, here)) or _corner(ContinuationStep(eq, here, here))
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
-        edge = Step(eq, here, there).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
+        edge = ContinuationStep(eq, here, there).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
         if not edge.converged:
-            return _Passage(EDGE)
+            return _StepOutcome(EDGE)
         there, end = edge.X, EDGE
     elif (start := walk.closes()) is not None:
         there, end = start, CLOSED
-    after = monitored(eq, there)
-    step, slid = Step(after.equations, here, there), not is_minimal(eq.motion(there))
-    may_repeat = walk.length > SHORTEST * walk.longest
+    after = monitor_point(eq, there)
+    step, slid = ContinuationStep(after.equations, here, there), not is_minimal(eq.motion(there))
+    may_repeat = walk.length > MIN_STEP_SHARE * walk.longest
     if slid and may_repeat:
         return None
     if slid:
-        passage = _meeting(step) or _meeting(Step(eq, here, here)) or _Passage(SHORTER)
+        passage = _meeting(step) or _meeting(ContinuationStep(eq, here, here)) or _StepOutcome(SHORTER)
     else:
         passage = _meeting(step) or _passage(step, seen, after, end, until)
     if passage.end == INADMISSIBLE and may_repeat:  # it may have slid onto another root of an event
@@ -284,7 +284,7 @@ def _next(walk: PseudoArclength, seen: TestFunctions, bounds: Array, until: Unti
     return accounted if may_repeat else accounted or passage
 
 
-def _accounted_for(before: TestFunctions, passage: _Passage) -> _Passage | None:
+def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcome | None:
     """The result of a step on a branch whose last point is as stable as events leave it; None where they do not account
     for all changes: two of one pair of multipliers may change no sign together.
     """
@@ -309,40 +309,42 @@ def _accounted_for(before: TestFunctions, passage: _Passage) -> _Passage | None:
     return passage._replace(points=points, after=after._replace(point=point))
 
 
-def _corner(step: Step) -> _Passage:
+def _corner(step: ContinuationStep) -> _StepOutcome:
     """The end where a branch goes no further: at an event that is lost, or none is known."""
     met = nearly_lost(step)
-    return _Passage(STALLED) if met is None else _Passage(met.event.kind, (met.event,), (met.event.point,))
+    return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))
 
 
-def _meeting(step: Step) -> _Passage | None:
+def _meeting(step: ContinuationStep) -> _StepOutcome | None:
     """The end where a branch meets the orbit that it left; None where it does not."""
     to = halves_met(step)
     if to is None:
         return None
-    event = origin(step, to)
-    return _Passage(SHORTER) if event is None else _Passage(event.kind, (event,), (event.point,))
+    event = find_origin(step, to)
+    return _StepOutcome(SHORTER) if event is None else _StepOutcome(event.kind, (event,), (event.point,))
 
 
-def _passage(step: Step, before: TestFunctions, after: TestFunctions, end: str, until: Until | None) -> _Passage:
+def _passage(
+    step: ContinuationStep, before: MonitoredPoint, after: MonitoredPoint, end: str, until: Until | None
+) -> _StepOutcome:
     """The events of a step and its last point, at which the direction has this ``end``, unless it ends before that."""
     events, limit, last = list[LocatedEvent](), math.inf, after.point
     if after.fault is not None:
         ceases = leaving(step, after.fault)
         if ceases is None:
-            return _Passage(INADMISSIBLE)
+            return _StepOutcome(INADMISSIBLE)
         events, limit, end, last = [ceases], ceases.share, ceases.event.kind, ceases.event.point
-    for name in changed(before, after):
-        met = located(step, before, after, name, exists=after.fault is not None)
+    for name in sign_changes(before, after):
+        met = locate_event(step, before, after, name, exists=after.fault is not None)
         if met is not None and met.share <= limit:
             events.append(met)
             if _ends_pair(step.equations, met.event) or (until and until(met.event)):
                 limit, end, last = met.share, met.event.kind, met.event.point
     passed = tuple(met.event for met in sorted(events, key=lambda met: met.share) if met.share <= limit)
-    return _Passage(end, passed, (*(event.point for event in passed if event.point is not last), last), after)
+    return _StepOutcome(end, passed, (*(event.point for event in passed if event.point is not last), last), after)
 
 
-def _ends_pair(equations: Extended, event: Event) -> bool:
+def _ends_pair(equations: ExtendedSystem, event: Event) -> bool:
     """Whether a curve of pairs on the unit circle ends: beyond kappa = 1 or -1 they are real."""
     pair = bool(equations.conditions) and equations.conditions[0].kind == PAIR
     return pair and any(c.kind == ANGLE and abs(c.kappa) == 1.0 for c in event.conditions)

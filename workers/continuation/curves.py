@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from workers.continuation.branches import MOST_POINTS, RESOLUTION, BranchRun, bounds_of, follow
+from workers.continuation.branches import MAX_POINTS, RESOLUTION, BranchRun, bounds_of, follow_both_ways
 from workers.continuation.events import Event
-from workers.continuation.extended import GRAZE, PAIR, SPEED, Condition, Extended, solve
+from workers.continuation.extended_system import GRAZE, PAIR, SPEED, Condition, ExtendedSystem, solve
+from workers.continuation.families import Family
 from workers.continuation.itinerary import Orbit
-from workers.continuation.oscillator import Family
-from workers.continuation.walk import tangent_at
+from workers.continuation.pseudo_arclength import tangent_at
 from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
 
@@ -19,7 +19,7 @@ def curve(
     window: dict[str, tuple[float, float]],
     *,
     resolution: float = RESOLUTION,
-    budget: int = MOST_POINTS,
+    budget: int = MAX_POINTS,
 ) -> BranchRun:
     """The curve of an event in the plane of a family's two free parameters, in both directions from ``values`` (2,).
 
@@ -40,9 +40,9 @@ def curve(
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     orbit, contacts = event.point.orbit, event.point.contacts
-    if loses_impact(event):
+    if is_impact_loss(event):
         orbit, condition, contacts = without_impact(orbit, condition.impact)
-    equations = Extended(family, orbit, (condition,), values, bounds[1] - bounds[0])
+    equations = ExtendedSystem(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations = equations.at(X)
     # the nearest point of the curve: across its tangent as it is known there
@@ -50,10 +50,10 @@ def curve(
     solved = solve(equations, X, tangent / equations.scale)
     if not solved.converged:
         raise ValueError(f"Newton's method finds no {event.kind} there")
-    return follow(equations, solved.X, bounds, resolution, budget, None)
+    return follow_both_ways(equations, solved.X, bounds, resolution, budget, None)
 
 
-def loses_impact(event: Event) -> bool:
+def is_impact_loss(event: Event) -> bool:
     """Whether an event is where an impact has no speed; a slide that ends at no rate has the same condition."""
     condition = event.conditions[0]
     if condition.kind != SPEED:

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.continuation.admissible import first_fault
+from workers.continuation.admissibility import first_fault
 from workers.continuation.equations import motion_of, motion_of_unknowns
+from workers.continuation.floquet import error_along, multipliers
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
-from workers.continuation.stability import error_along, multipliers
+from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines
 from workers.model.oscillator import Array, Rows
 
@@ -24,7 +24,7 @@ FARTHEST = 0.5
 """Newton's first step at most, relative to the motion and to the length of a turn."""
 
 
-class Cycle(NamedTuple):
+class LimitCycle(NamedTuple):
     """A cycle: its motion, its period, and ln|mu| of all multipliers but the 1 along it, largest first.
 
     These are -inf where a direction is lost. ``error``: of ln|mu| near 0, by how far the 1 is missed.
@@ -36,7 +36,7 @@ class Cycle(NamedTuple):
     error: float
 
 
-def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
+def cycle_near(machine: OrbitMachines, orbit: Orbit) -> LimitCycle | None:
     """The cycle of one machine near an orbit, whose events begin at time 0; None where Newton's method finds none that
     is admissible.
     """
@@ -60,7 +60,7 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> Cycle | None:
         return _cycle_of(closed)
 
 
-def cycle_through(machine: OrbitMachines, orbit: Orbit) -> Cycle:
+def cycle_through(machine: OrbitMachines, orbit: Orbit) -> LimitCycle:
     """The cycle of one machine by the events of an orbit as they are, which closes to rounding already.
 
     Newton's method finds none where a multiplier is 1: its matrix is singular there.
@@ -69,6 +69,6 @@ def cycle_through(machine: OrbitMachines, orbit: Orbit) -> Cycle:
         return _cycle_of(motion_of(machine, many_orbits([orbit])))
 
 
-def _cycle_of(motion: OrbitMotion) -> Cycle:
+def _cycle_of(motion: OrbitMotion) -> LimitCycle:
     turn, logs = motion.itinerary.turn, np.log(np.sort(np.abs(multipliers(motion)[0]))[::-1])
-    return Cycle(motion, float(motion.span[0] / turn), logs / turn, float(error_along(motion)[0]) / turn)
+    return LimitCycle(motion, float(motion.span[0] / turn), logs / turn, float(error_along(motion)[0]) / turn)

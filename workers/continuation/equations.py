@@ -7,10 +7,10 @@ import numpy as np
 
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import ACT, END, REBOUNDS, SIGNAL
-from workers.continuation.motion import OrbitMotion, plan_of
+from workers.continuation.shooting import OrbitMotion, plan_of
+from workers.model.block_decomposition import apply_stacked
 from workers.model.family import OrbitMachines
 from workers.model.hybrid_modes import SIGNALS
-from workers.model.modes import stacked
 from workers.model.oscillator import Array, Mask
 
 
@@ -74,5 +74,5 @@ def motion_of(lin: OrbitMachines, orbits: Orbit) -> OrbitMotion:
         lin = at_lengths(lin, orbits.itinerary, orbits.length)
     still = OrbitMotion(lin, orbits.itinerary, times, np.zeros((len(times), size)))
     J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
-    start = -stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
+    start = -apply_stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
     return OrbitMotion(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))

@@ -14,16 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.branches import EDGE, MOST_POINTS, RESOLUTION, BranchRun, bounds_of
-from workers.continuation.events import Event, Point
-from workers.continuation.extended import Condition
+from workers.continuation.branches import EDGE, MAX_POINTS, RESOLUTION, BranchRun, bounds_of
+from workers.continuation.events import Event, SolutionPoint
+from workers.continuation.extended_system import Condition
+from workers.continuation.families import Family, machine_of
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
-from workers.continuation.oscillator import Family, machine_of
 from workers.model.family import NoOscillatorError
-from workers.model.hybrid_modes import ON, OPEN, ROUNDING, SIGNALS, Code, null_space
+from workers.model.hybrid_modes import ON, OPEN, ROUNDING, SIGNALS, ModeCode, null_space
 from workers.model.oscillator import Array
 from workers.model.system import System
-from workers.orbit.passed import shown_code
+from workers.orbit.recorded_legs import mode_code_of_state
 
 HOPF, FOLD, BORDER = "hopf", "fold", "border"
 """Kinds of events: a pair of exponents crosses the imaginary axis; one exponent crosses 0; the equilibrium ends, since
@@ -33,7 +33,7 @@ OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
 HELD = "friction holds it, as one equilibrium of a continuum, which is no branch"
 
-MOST_MODES = 200
+MAX_MODES = 200
 """Modes that are tried for an equilibrium."""
 
 HALVINGS = 60
@@ -45,7 +45,7 @@ class Equilibrium(NamedTuple):
     first, and the frequency of the machine's natural period."""
 
     values: Array
-    code: Code
+    code: ModeCode
     state: Array
     exponents: NDArray[np.complex128]
     omega: float
@@ -55,14 +55,14 @@ class Equilibrium(NamedTuple):
         """The number of exponents that grow."""
         return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
 
-    def point(self, unstable: int) -> Point:
+    def point(self, unstable: int) -> SolutionPoint:
         """The equilibrium as a point of a branch: an orbit without events, with multipliers over a natural period."""
         lost = np.zeros(len(self.state) - len(self.exponents))
         multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
-        return Point(self.values, _orbit(self.code), np.zeros(0), multipliers, unstable)
+        return SolutionPoint(self.values, _orbit(self.code), np.zeros(0), multipliers, unstable)
 
 
-class Equilibria(NamedTuple):
+class EquilibriumBranch(NamedTuple):
     """A branch of equilibria as any other, and the states (N, 2n) of its points."""
 
     run: BranchRun
@@ -71,7 +71,7 @@ class Equilibria(NamedTuple):
 
 def equilibrium_of(system: System, values: Mapping[str, float], state: Array) -> Orbit:
     """The equilibrium whose state (2n,) a cell has, as an orbit without events. ValueError where friction holds it."""
-    code = shown_code(machine_of(system, values).elements, state)
+    code = mode_code_of_state(machine_of(system, values).elements, state)
     if 0 in code.slips:
         raise ValueError(HELD)
     return _orbit(code)
@@ -82,23 +82,23 @@ def is_equilibrium(orbit: Orbit, system: System) -> bool:
     return system.definition.unforced and not orbit.itinerary.sides
 
 
-def code_of(orbit: Orbit) -> Code:
+def code_of(orbit: Orbit) -> ModeCode:
     """The mode of an equilibrium."""
     return orbit.itinerary.chains[0][0].code
 
 
-def _orbit(code: Code) -> Orbit:
+def _orbit(code: ModeCode) -> Orbit:
     leg = Leg(code, (0,) * max(1, SIGNALS * len(code.contacts) + len(code.slips)), -1, 0)
     return Orbit(Itinerary((), 1, legs=((leg,),)).bare, np.zeros(0), np.zeros(0))
 
 
-def equilibrium_near(family: Family, values: Array, code: Code) -> Equilibrium | None:
+def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibrium | None:
     """The equilibrium at parameters (free,), in this mode or in one that leads on from it; None where
     there is none without friction that sticks, or that turns round."""
     lin = family.model(values[None])
-    own, tried, signs = lin.elements, set[Code](), np.sign(code.slips)
+    own, tried, signs = lin.elements, set[ModeCode](), np.sign(code.slips)
     rigid = own.soft[0] == 0.0
-    while code not in tried and len(tried) < MOST_MODES:
+    while code not in tried and len(tried) < MAX_MODES:
         tried.add(code)
         try:
             pieces = lin.mode(code)
@@ -112,7 +112,7 @@ def equilibrium_near(family: Family, values: Array, code: Code) -> Equilibrium |
         if rank < n:
             return None
         z = np.concatenate([x, np.zeros(n)])
-        after = _mode_at(code, shown_code(own, z), rigid, pieces.rows[0] @ np.append(z, 1.0), pieces.ends[0])
+        after = _mode_at(code, mode_code_of_state(own, z), rigid, pieces.rows[0] @ np.append(z, 1.0), pieces.ends[0])
         if after == code:
             across = null_space(G[None])[0]
             flow = np.block([[np.zeros((across.shape[1],) * 2), np.eye(across.shape[1])],
@@ -126,7 +126,7 @@ def equilibrium_near(family: Family, values: Array, code: Code) -> Equilibrium |
     return None
 
 
-def _mode_at(code: Code, shown: Code, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> Code:
+def _mode_at(code: ModeCode, shown: ModeCode, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> ModeCode:
     """The mode of an equilibrium that was solved in one mode: laws decide; a rigid contact is held if beyond its stop,
     and released if it would have to pull."""
     contacts = list(shown.contacts)
@@ -137,12 +137,12 @@ def _mode_at(code: Code, shown: Code, rigid: NDArray[np.bool_], signals: Array, 
             contacts[c] = ON if value > high else -ON
         elif held != OPEN and not low <= value <= high:
             contacts[c] = OPEN
-    return Code(0, tuple(contacts), shown.slips)
+    return ModeCode(0, tuple(contacts), shown.slips)
 
 
 def equilibria(
     family: Family, orbit: Orbit, value: float, window: tuple[float, float], *, resolution: float = RESOLUTION
-) -> Equilibria:
+) -> EquilibriumBranch:
     """The branch of the equilibrium at a value of a family's one free parameter, in both directions, with its events.
 
     They are located to rounding: Hopf points, folds where an exponent crosses 0, also where these jump from one segment
@@ -155,7 +155,7 @@ def equilibria(
     step = resolution * float(bounds[1] - bounds[0])
     sides = []
     for end in bounds[::-1]:
-        count = min(int(np.ceil(abs(end - value) / step)), MOST_POINTS)
+        count = min(int(np.ceil(abs(end - value) / step)), MAX_POINTS)
         sides.append(list(_towards(family, first, np.linspace(value, end, count + 1)[1:])))
     ahead, back = sides
     entries = [*back[::-1], (first, first.point(first.unstable), ""), *ahead]
@@ -164,10 +164,12 @@ def equilibria(
         [Event(kind, (Condition(kind),), point) for _, point, kind in entries if kind],
     )
     ends = tuple(kind if (kind := way[-1][2] if way else "") == BORDER else EDGE for way in (back, ahead))
-    return Equilibria(BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([way.state for way, *_ in entries]))
+    return EquilibriumBranch(
+        BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([way.state for way, *_ in entries])
+    )
 
 
-def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, Point, str]]:
+def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, SolutionPoint, str]]:
     """The equilibria on the way over values, with their points and the kinds of their events."""
     here = first
     for value in values.tolist():
@@ -201,7 +203,7 @@ def _halved(
     return here, there
 
 
-def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> Point:
+def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:
     """The point of an event: at a Hopf point the length of the orbit is that of the cycle which begins there."""
     point = equilibrium.point(unstable)
     if not frequency:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.admissible import Fault, Touch, first_fault, name_of_touch
-from workers.continuation.extended import (
+from workers.continuation.admissibility import AdmissibilityFault, Graze, first_fault, name_of_touch
+from workers.continuation.extended_system import (
     ANGLE,
     CUSP,
     ENDS,
@@ -19,14 +19,14 @@ from workers.continuation.extended import (
     SPEED,
     UNIT,
     Condition,
-    Extended,
+    ExtendedSystem,
     solve,
 )
+from workers.continuation.floquet import multipliers, pair_near
 from workers.continuation.itinerary import Itinerary, Orbit
 from workers.continuation.legs import ACT, SLOWS
-from workers.continuation.same import difference, is_minimal, reduced, reductions
-from workers.continuation.stability import multipliers, pair_near
-from workers.continuation.walk import Step
+from workers.continuation.orbit_equality import difference, is_minimal, reduce_orbit, reductions
+from workers.continuation.pseudo_arclength import ContinuationStep
 from workers.model.family import NoOscillatorError
 from workers.model.oscillator import Array
 
@@ -58,7 +58,7 @@ BORDERS = (GRAZE, SPEED, ONSET, ENDS, MEETS)
 """Conditions of events at which an orbit ceases to be admissible."""
 
 
-class Point(NamedTuple):
+class SolutionPoint(NamedTuple):
     """One orbit of a branch or curve, at parameters (free,).
 
     contacts (G,)      times of its grazes
@@ -81,16 +81,16 @@ class TestFunction(NamedTuple):
     conditions: tuple[Condition, ...]
 
 
-class TestFunctions(NamedTuple):
+class MonitoredPoint(NamedTuple):
     """The test functions at a point, by name; the equations as they are bordered there; why it is not admissible."""
 
-    equations: Extended
-    point: Point
+    equations: ExtendedSystem
+    point: SolutionPoint
     functions: dict[str, TestFunction]
-    fault: Fault | None
+    fault: AdmissibilityFault | None
 
 
-def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
+def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
     """The point of unknowns X (N,), and its finite multipliers without the multipliers that the conditions fix."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
@@ -101,10 +101,10 @@ def _point(equations: Extended, X: Array) -> tuple[Point, Complex]:
         if condition.kind == PAIR and len(left) > 1:
             left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
     unstable, contacts = int(np.sum(np.abs(left) > 1.0)), equations.contacts(X).copy()
-    return Point(equations.values(X).copy(), equations.orbit(X), contacts, mu, unstable), left
+    return SolutionPoint(equations.values(X).copy(), equations.orbit(X), contacts, mu, unstable), left
 
 
-def monitored(equations: Extended, X: Array) -> TestFunctions:
+def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
     """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
     equations = equations.at(X)
     (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
@@ -127,10 +127,10 @@ def monitored(equations: Extended, X: Array) -> TestFunctions:
         functions |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
     else:
         functions[PAIR] = _pairs(others, own)
-    return TestFunctions(equations, point, functions, fault(equations, X))
+    return MonitoredPoint(equations, point, functions, fault(equations, X))
 
 
-def fault(equations: Extended, X: Array) -> Fault | None:
+def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
     """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
     if not equations.family.certified:
         return None
@@ -138,10 +138,10 @@ def fault(equations: Extended, X: Array) -> Fault | None:
     return first_fault(equations.motion(X), touches(equations, X), lost)
 
 
-def touches(equations: Extended, X: Array) -> list[Touch]:
+def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
     """The grazes of a solution."""
     own = (condition for condition in equations.conditions if condition.kind == GRAZE)
-    return [Touch(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), own, strict=True)]
+    return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), own, strict=True)]
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
@@ -195,7 +195,7 @@ class Event(NamedTuple):
 
     kind: str
     conditions: tuple[Condition, ...]
-    point: Point
+    point: SolutionPoint
     kappa: float = math.nan
     last: str = ""
 
@@ -207,13 +207,13 @@ class LocatedEvent(NamedTuple):
     event: Event
 
 
-def changed(before: TestFunctions, after: TestFunctions) -> list[str]:
+def sign_changes(before: MonitoredPoint, after: MonitoredPoint) -> list[str]:
     """The test functions that changed their sign."""
     return [name for name, b in after.functions.items() if before.functions[name].sign * b.sign < 0.0]
 
 
-def located(
-    step: Step, before: TestFunctions, after: TestFunctions, name: str, exists: bool = False
+def locate_event(
+    step: ContinuationStep, before: MonitoredPoint, after: MonitoredPoint, name: str, exists: bool = False
 ) -> LocatedEvent | None:
     """The event at which a test function changed its sign; None at a pole, at a real pair of product 1.
 
@@ -222,20 +222,20 @@ def located(
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
     for _ in range(TRIES):
-        solved = solved_on(step, step.guess(guess), b.conditions, exists=exists)
+        solved = solve_on_step(step, step.guess(guess), b.conditions, exists=exists)
         if solved is not None:
             return solved
         guess = 0.5 * (low + high)
         middle = step.solution(guess)
         if not middle.converged:
             return None
-        passed = monitored(step.equations, middle.X).functions[name].sign == b.sign
+        passed = monitor_point(step.equations, middle.X).functions[name].sign == b.sign
         low, high = (low, guess) if passed else (guess, high)
         guess = 0.5 * (low + high)
     return None
 
 
-def origin(step: Step, to: Itinerary) -> Event | None:
+def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
     """The symmetry breaking or period doubling at which a branch becomes an orbit of half the turn, of that itinerary;
     on a curve of grazes too. None on other curves, and where it is not found.
     """
@@ -245,11 +245,11 @@ def origin(step: Step, to: Itinerary) -> Event | None:
         return None
     a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
     guess = step.guess(a / (a + b))
-    solved = solution(eq, reduced(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    solved = solution(eq, reduce_orbit(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
     return None if solved is None else event_of(*solved)
 
 
-def halves_met(step: Step) -> Itinerary | None:
+def halves_met(step: ContinuationStep) -> Itinerary | None:
     """The itinerary of the orbit of half the turn that is passed on a step: both halves exchange their parts there.
 
     Where no step converged, so that ``here`` is ``there``, the itinerary of the orbit that is nearest.
@@ -262,8 +262,8 @@ def halves_met(step: Step) -> Itinerary | None:
     return None
 
 
-def solved_on(
-    step: Step,
+def solve_on_step(
+    step: ContinuationStep,
     guess: Array,
     conditions: tuple[Condition, ...],
     contact: tuple[float, ...] = (),
@@ -287,7 +287,7 @@ def solved_on(
     return None if (len(conditions) == 1 and kappa >= 1.0) or kappa > 1.0 + 1e-9 else LocatedEvent(share, event)
 
 
-def _has_multiplier(square: Extended, X: Array) -> bool:
+def _has_multiplier(square: ExtendedSystem, X: Array) -> bool:
     """Whether 1 or -1, as the last condition of a solution has it, is a multiplier of its orbit.
 
     Where friction begins to stick at no rate the equations are singular too, and no multiplier is.
@@ -297,11 +297,11 @@ def _has_multiplier(square: Extended, X: Array) -> bool:
 
 
 def solution(
-    equations: Extended, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
-) -> tuple[Extended, Array] | None:
+    equations: ExtendedSystem, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
+) -> tuple[ExtendedSystem, Array] | None:
     """The square system of these conditions and its solution near an orbit and the parameters of a guess."""
     values = equations.values(guess)
-    square = Extended(equations.family, orbit, conditions, values, equations.width)
+    square = ExtendedSystem(equations.family, orbit, conditions, values, equations.width)
     X = square.pack(orbit, contacts, values)
     try:
         square = square.at(X)
@@ -311,7 +311,7 @@ def solution(
     return (square.at(solved.X), solved.X) if solved.converged else None
 
 
-def event_of(square: Extended, X: Array) -> Event:
+def event_of(square: ExtendedSystem, X: Array) -> Event:
     """The event that unknowns X of a square system are."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)

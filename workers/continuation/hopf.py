@@ -15,15 +15,15 @@ from workers.continuation.branches import (
     CLOSED,
     EDGE,
     INADMISSIBLE,
-    MOST_POINTS,
+    MAX_POINTS,
     RESOLUTION,
     BranchRun,
     bounds_of,
 )
 from workers.continuation.equilibria import FOLD, Equilibrium, code_of, equilibrium_near, point_of_event
-from workers.continuation.events import Point
+from workers.continuation.events import SolutionPoint
+from workers.continuation.families import Family
 from workers.continuation.itinerary import Orbit
-from workers.continuation.oscillator import Family
 from workers.model.oscillator import Array
 
 ANGLES = 24
@@ -44,7 +44,7 @@ def hopf_curve(
     window: Mapping[str, tuple[float, float]],
     *,
     resolution: float = RESOLUTION,
-    budget: int = MOST_POINTS,
+    budget: int = MAX_POINTS,
 ) -> BranchRun:
     """The curve of a Hopf point in the plane of a family's two free parameters, in both directions from values (2,).
 
@@ -54,7 +54,7 @@ def hopf_curve(
     at a point where a real exponent crosses 0 instead ("fold"), where the equilibrium ends ("inadmissible"), or after
     ``budget`` points per direction. ValueError where nothing changes around ``values``.
     """
-    walk = _Walk(family, orbit, bounds_of(family.free, window), resolution)
+    walk = _HopfCurveWalk(family, orbit, bounds_of(family.free, window), resolution)
     ways = walk.begin(np.asarray(values, dtype=np.float64))
     ahead, end = walk.along(ways[0], budget)
     if end == CLOSED:
@@ -63,7 +63,7 @@ def hopf_curve(
     return BranchRun([*back[::-1], walk.first, *ahead], [], (other, end), 0)
 
 
-class _Walk:
+class _HopfCurveWalk:
     """A walk along the curve, in units of the window; ``first`` is its first point."""
 
     def __init__(self, family: Family, orbit: Orbit, bounds: Array, length: float) -> None:
@@ -85,9 +85,9 @@ class _Walk:
         self.first = point._replace(values=values)
         return ways
 
-    def along(self, angle: float, budget: int) -> tuple[list[Point], str]:
+    def along(self, angle: float, budget: int) -> tuple[list[SolutionPoint], str]:
         """The points of one direction, and why it ends."""
-        here, points = self.start, list[Point]()
+        here, points = self.start, list[SolutionPoint]()
         while len(points) < budget:
             there = here + self.length * np.array([math.cos(angle), math.sin(angle)])
             if np.any((there < 0.0) | (there > 1.0)):
@@ -151,19 +151,19 @@ class _Walk:
                 high = middle
         return high
 
-    def _point(self, center: Array, angle: float) -> Point | None:
+    def _point(self, center: Array, angle: float) -> SolutionPoint | None:
         """The point of the curve at a crossing; None where no pair of exponents crosses the axis."""
         beside = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
         return self._between(beside, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
-    def _between(self, beside: list[Equilibrium | None], place: Array) -> Point | None:
+    def _between(self, beside: list[Equilibrium | None], place: Array) -> SolutionPoint | None:
         seen = sorted((there for there in beside if there is not None), key=lambda there: there.unstable)
         if len(seen) < 2 or len(seen[1].exponents) <= self.least or not seen[1].exponents[self.least].imag:
             return None
         frequency = abs(float(seen[1].exponents[self.least].imag))
         return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + place * self.width)
 
-    def _at_edge(self, here: Array, there: Array) -> Point | None:
+    def _at_edge(self, here: Array, there: Array) -> SolutionPoint | None:
         """The point at which the curve leaves the window between two places; None where it is not found."""
         axis = int(np.argmax(np.maximum(-there, there - 1.0)))
         edge, other = float(np.clip(there[axis], 0.0, 1.0)), 1 - axis

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from workers.model.family import OrbitMachines
-from workers.model.hybrid_modes import FLYING, OPEN, SIGNALS, Code
+from workers.model.hybrid_modes import FLYING, OPEN, SIGNALS, ModeCode
 from workers.model.oscillator import Array
 
 HIT, MOVES, SLIDES, STICKS = range(4)
 """What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""
 
 
-def turns_round(signal: int, contacts: int) -> int:
+def mirror_sign(signal: int, contacts: int) -> int:
     """-1 where the mirror image of a motion has minus its signal; 1 of the pushes of its soft contacts."""
     return 1 if signal in range(1, SIGNALS * contacts, SIGNALS) else -1
 
@@ -27,20 +27,20 @@ class Leg(NamedTuple):
     at the event, -1 and 0 where the phase changes.
     """
 
-    code: Code
+    code: ModeCode
     begun: tuple[int, ...]
     signal: int
     side: int
 
     @property
     def mirrored(self) -> "Leg":
-        """The same of the mirror image, see ``turns_round``."""
+        """The same of the mirror image, see ``mirror_sign``."""
         phase, contacts, slips = self.code
-        code = Code(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
-        begun = tuple(turns_round(g, len(contacts)) * number for g, number in enumerate(self.begun))
-        return Leg(code, begun, self.signal, turns_round(self.signal, len(contacts)) * self.side)
+        code = ModeCode(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
+        begun = tuple(mirror_sign(g, len(contacts)) * number for g, number in enumerate(self.begun))
+        return Leg(code, begun, self.signal, mirror_sign(self.signal, len(contacts)) * self.side)
 
-    def label(self, before: Code) -> int:
+    def label(self, before: ModeCode) -> int:
         """The event as a number, of the other sign in the mirror image: +-1 where the first contact is reached."""
         contact, friction = self.signal // SIGNALS, self.signal - SIGNALS * len(before.contacts)
         if friction >= 0:

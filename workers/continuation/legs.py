@@ -8,11 +8,20 @@ import math
 
 import numpy as np
 
+from workers.kernel.by_reference import by_reference, row_in
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.hybrid.motion import first_event
-from workers.kernel.hybrid.state import enter, guard_rate, guard_value, leave, product, reset, right_hand_side, turned
+from workers.kernel.hybrid.state import (
+    enter,
+    guard_rate,
+    guard_value,
+    harmonics_at,
+    leave,
+    product,
+    reset,
+    right_hand_side,
+)
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend, row_in
 from workers.kernel.linalg import copy_into
 from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
 from workers.model.hybrid_modes import SIGNALS
@@ -100,12 +109,12 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
     h, V, f, late = np.empty((n, 2)), np.empty((size + M, n, 2)), np.empty(size), np.empty(size)
     maps, room, harmonics = np.empty((N, size, size)), np.empty((3, size)), pieces.waves.shape[3]
     for r in range(N):
-        modes, z, every = row_in(lend(pieces), r), start[r].copy(), np.zeros((size + M, size))
+        modes, z, every = row_in(by_reference(pieces), r), start[r].copy(), np.zeros((size + M, size))
         D, W = every[:size], every[size:]
         for j in range(size):
             D[j, j], W[j, j] = 1.0, 1.0
         now, alive, k = 0.0 if m == 0 else t[r, 0], size if m == 0 else size + 1, plan[0, MODE]
-        later = turned(tau[r] + omega[r] * now, harmonics)
+        later = harmonics_at(tau[r] + omega[r] * now, harmonics)
         if m > 0:
             right_hand_side(modes, k, z, later, f)
             for j in range(size):
@@ -113,7 +122,7 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
         for leg in range(legs):
             k, i, g, act = plan[leg, MODE], plan[leg, EVENT], plan[leg, SIGNAL], plan[leg, ACT]
             copy_into(states[r, leg], z)
-            before, later = later, turned(tau[r] + omega[r] * ends[r, leg], harmonics)
+            before, later = later, harmonics_at(tau[r] + omega[r] * ends[r, leg], harmonics)
             fly_leg(modes, k, ends[r, leg] - now, before, later, z, every[: size + alive], h, V[: size + alive])
             now = ends[r, leg]
             right_hand_side(modes, k, z, later, f)
@@ -157,15 +166,15 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
     moments, values = np.empty((N, K, size)), np.empty((4, N, K))
     h, V, f, none = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty(size), np.empty((0, size))
     for r, i in np.ndindex(N, K):
-        modes = row_in(lend(pieces), r)
+        modes = row_in(by_reference(pieces), r)
         rounding = AT_ONCE * (abs(s[r, i]) + span[r])
         turn = math.floor((s[r, i] + rounding - begins[r, 0]) / span[r])
         here, leg = s[r, i] - turn * span[r], 0
         while leg + 1 < legs and begins[r, leg + 1] <= here + rounding:
             leg += 1
         z, k = states[r, leg].copy(), plan[leg, MODE]
-        before = turned(tau[r] + omega[r] * begins[r, leg], modes.waves.shape[2])
-        later = turned(tau[r] + omega[r] * here, modes.waves.shape[2])
+        before = harmonics_at(tau[r] + omega[r] * begins[r, leg], modes.waves.shape[2])
+        later = harmonics_at(tau[r] + omega[r] * here, modes.waves.shape[2])
         fly_leg(modes, k, here - begins[r, leg], before, later, z, none, h, V)
         right_hand_side(modes, k, z, later, f)
         values[0, r, i], _ = guard_value(modes, k, signal, z, later)
@@ -187,10 +196,10 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 def event_of_leg(pieces, r, k, z, phase, begun, H):
     """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
     where that is undecidable."""
-    modes, n = row_in(lend(pieces), r), len(z) // 2
+    modes, n = row_in(by_reference(pieces), r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
-    enter(modes, k, z, none, turned(phase, modes.waves.shape[2]), h, V)
+    enter(modes, k, z, none, harmonics_at(phase, modes.waves.shape[2]), h, V)
     s, hit, side = first_event(modes, k, h, phase, begun, H, np.empty((n, 2)), tally)
     return s, hit if tally[STATUS] == RUNNING else -2, side
 
@@ -198,8 +207,8 @@ def event_of_leg(pieces, r, k, z, phase, begun, H):
 @kernel
 def beyond_range(pieces, r, k, begun, z, phase, share):
     """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
-    modes = row_in(lend(pieces), r)
-    turn = turned(phase, modes.waves.shape[2])
+    modes = row_in(by_reference(pieces), r)
+    turn = harmonics_at(phase, modes.waves.shape[2])
     for g in range(modes.ends.shape[1]):
         value, size = guard_value(modes, k, g, z, turn)
         if begun[g] == 0 and value > modes.ends[k, g, 1] + share * size:

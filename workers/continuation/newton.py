@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.modes import stacked
+from workers.model.block_decomposition import apply_stacked
 from workers.model.oscillator import Array, Rows
 
 NEWTON_STEPS = 12
@@ -19,11 +19,11 @@ BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
 
 UNCERTAIN = 1e-7
 """Step from which on a solution is not known, even if residuals are rounding: other orbits may be as near."""
-KEPT = 1e-4
+JACOBIAN_REUSE_STEP = 1e-4
 """Step after which the Jacobian is kept."""
 
 
-class Solved(NamedTuple):
+class NewtonResult(NamedTuple):
     """Outcomes of Newton's method: unknowns (N, U), Jacobians near them (N, E, U), the number of steps, and a mask of
     problems that converged (N,). Of one problem without the first axis.
     """
@@ -42,7 +42,7 @@ def newton(
     row: Array | None = None,
     farthest: float = 1.0,
     sizes: Array | None = None,
-) -> Solved:
+) -> NewtonResult:
     """Newton's method from X (N, U).
 
     values, with_jacobian  residuals (B, E) at unknowns (B, U) of problems (B,), and their derivatives (B, E, U)
@@ -72,13 +72,13 @@ def newton(
         done = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (stalled & (exact | (good & (size < ROUNDING))))
         converged[rows[done]], last[rows] = True, size
         on = good & ~done
-        stale = (size > KEPT) & ((step == 1) | (size > 1e-2 * before))
+        stale = (size > JACOBIAN_REUSE_STEP) & ((step == 1) | (size > 1e-2 * before))
         rows = rows[on]
         if np.any(stale[on]):
             known, J[rows] = with_jacobian(X[rows], rows)
         elif len(rows):
             known = values(X[rows], rows)
-    return Solved(X, J, step, converged)
+    return NewtonResult(X, J, step, converged)
 
 
 def _solved(J: Array, right: Array, row: Array | None, scale: Array) -> Array:
@@ -86,4 +86,4 @@ def _solved(J: Array, right: Array, row: Array | None, scale: Array) -> Array:
     if row is not None:
         J = np.concatenate([J, (row * scale)[:, None]], axis=1)
         right = np.concatenate([right, np.zeros((len(right), 1))], axis=1)
-    return np.asarray(stacked(np.linalg.solve, (*right.shape, 1), J, right[..., None])[..., 0])
+    return np.asarray(apply_stacked(np.linalg.solve, (*right.shape, 1), J, right[..., None])[..., 0])

@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.continuation.admissible import first_fault
+from workers.continuation.admissibility import first_fault
 from workers.continuation.equations import admit, check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.families import Family, family_of
+from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
 from workers.continuation.legs import EVENT, NO_EVENT
-from workers.continuation.motion import OrbitMotion
 from workers.continuation.newton import newton
-from workers.continuation.oscillator import Family, family_of
-from workers.continuation.recording import halved, recorded
-from workers.continuation.same import is_minimal
-from workers.continuation.stability import multipliers
+from workers.continuation.orbit_equality import is_minimal
+from workers.continuation.orbit_from_motion import record_orbit, reduce_symmetry
+from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines, machines_over
 from workers.model.oscillator import Array, Mask, Rows
 from workers.model.system import System
@@ -25,7 +25,7 @@ FARTHEST = 0.5
 """Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
 
 
-class Many(NamedTuple):
+class OrbitBatch(NamedTuple):
     """N orbits of one itinerary at parameters (N, free), and a mask of those to which Newton's method ``converged``."""
 
     orbits: Orbit
@@ -46,12 +46,12 @@ def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
     return [np.array(places, dtype=np.int64) for places in places_of.values()]
 
 
-def many_of(orbits: list[Orbit], values: Array) -> Many:
+def many_of(orbits: list[Orbit], values: Array) -> OrbitBatch:
     """Orbits of one itinerary as one record."""
-    return Many(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
+    return OrbitBatch(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
-def continued_to(family: Family, orbits: Many, values: Array) -> Many:
+def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatch:
     """The orbits near these at other parameters (N, free), by Newton's method on each from impacts at the same phases.
 
     It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
@@ -84,10 +84,10 @@ def continued_to(family: Family, orbits: Many, values: Array) -> Many:
     fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields
     converged[known] = solved.converged
-    return Many(after, values, converged)
+    return OrbitBatch(after, values, converged)
 
 
-def attract(family: Family, orbits: Many) -> Mask:
+def attract(family: Family, orbits: OrbitBatch) -> Mask:
     """Mask of orbits that attract: all multipliers inside the unit circle, admissible, no shorter orbit repeated."""
     good = orbits.converged.copy()
     rows = np.flatnonzero(good)
@@ -119,12 +119,12 @@ def orbit_from_state(
         raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
     family, none = family_of(system, values, ()), np.zeros(0)
     machine = family.model(none[None])
-    orbit = refined(family, recorded(machine, state, periods, symmetric, cycle), none)
-    half = halved(machine, orbit)
-    return orbit if half is orbit else refined(family, half, none)
+    orbit = refine_orbit(family, record_orbit(machine, state, periods, symmetric, cycle), none)
+    half = reduce_symmetry(machine, orbit)
+    return orbit if half is orbit else refine_orbit(family, half, none)
 
 
-def refined(family: Family, orbit: Orbit, values: Array) -> Orbit:
+def refine_orbit(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
     many = continued_to(family, many_of([orbit], values[None]), values[None])
     if not many.converged[0]:
@@ -145,12 +145,12 @@ def section_states(
 
     values   parameters (N,) by name; those left out have their defaults
     shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
-    known    of cycles, the states after all events, see ``known_states``
+    known    of cycles, the states after all events, see ``comparison_states``
     An event at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
     """
     rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
     machines, _ = machines_over(system, {}, tuple(values))(rows)
-    return (known_states if known else states_at_sections)(machines, many_orbits(orbits), shift)
+    return (comparison_states if known else states_at_sections)(machines, many_orbits(orbits), shift)
 
 
 def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
@@ -168,7 +168,7 @@ def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> A
     return np.asarray(states + lin.rest[:, None])
 
 
-def known_states(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
+def comparison_states(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """Physical states (N, K, 2d) that two orbits share if they are one: at sections; of cycles after all events."""
     if not many.itinerary.is_cycle:
         return states_at_sections(lin, many, shift)

@@ -14,22 +14,22 @@ from numba.np.arrayobj import make_array, populate_array
 
 from workers.model.oscillator import map_fields
 
-__all__ = ["borrowed", "many_type", "many_value", "row_of", "row_type", "row_value", "without_counts"]
+__all__ = ["borrow", "many_type", "many_value", "row_of", "row_type", "row_value", "without_counts"]
 
 Given = TypeVar("Given")
 
 
-def borrowed(given: Given) -> Given:
+def borrow(given: Given) -> Given:
     """The same array or record, uncounted in kernels: it must not outlive the owner of its memory."""
     return given
 
 
-@type_callable(borrowed)
+@type_callable(borrow)
 def _typed(context: Any) -> Any:
     return lambda given: given
 
 
-@lower_builtin(borrowed, types.Any)
+@lower_builtin(borrow, types.Any)
 def _compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return without_counts(context, builder, signature.return_type, arguments[0])
 

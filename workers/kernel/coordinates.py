@@ -7,12 +7,20 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from workers.kernel.apart import FLOATS, apart
-from workers.kernel.held import load_on_stop, to_held
-from workers.kernel.hybrid.state import ROUNDING, enter_frame, leave_frame, show, shown_number, turned, wave
+from workers.kernel.by_reference import by_value
+from workers.kernel.external import FLOATS, external
+from workers.kernel.hybrid.state import (
+    ROUNDING,
+    enter_frame,
+    harmonics_at,
+    leave_frame,
+    mode_number_of_state,
+    snap_to_mode,
+    wave,
+)
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import whole
 from workers.kernel.motion import BEYOND, FLIGHT, OSCILLATOR, Motion, has_modes, motion_at
+from workers.kernel.sticking import load_on_stop, to_held
 from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
@@ -30,12 +38,12 @@ def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, r
     return motion_at(h, mode, vectors, record)
 
 
-@apart(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
+@external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(osc, state, h):
     """start_at for a machine with modes."""
-    state, h = whole(state), whole(h)
+    state, h = by_value(state), by_value(h)
     enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
-    return shown_number(osc.table.elements, state)
+    return mode_number_of_state(osc.table.elements, state)
 
 
 @kernel
@@ -43,7 +51,7 @@ def start_at(osc, state, h):
     """Write the block coordinates h (n, 2), less forced response, of a physical section state; its mode, or BEYOND."""
     if has_modes(osc):
         return start_hybrid(osc, state, h)
-    row, blocks, turn = osc.gap_row, osc.gap.blocks, turned(osc.tau, osc.gap.waves.shape[0])
+    row, blocks, turn = osc.gap_row, osc.gap.blocks, harmonics_at(osc.tau, osc.gap.waves.shape[0])
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         for k in range(2):
@@ -96,12 +104,12 @@ def put_on_stop(row, stop, x):
     x[k] = (stop - others) / row[k]
 
 
-@apart(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
+@external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(osc, h, mode, state):
     """leave_blocks for a machine with modes."""
-    h, state = whole(h), whole(state)
+    h, state = by_value(h), by_value(state)
     leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
-    show(osc.table.elements, mode, state)
+    snap_to_mode(osc.table.elements, mode, state)
 
 
 @kernel
@@ -111,7 +119,7 @@ def leave_blocks(osc, h, mode, state):
         leave_hybrid(osc, h, mode, state)
         return
     row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
-    n, turn = h.shape[0], turned(osc.tau, osc.gap.waves.shape[0])
+    n, turn = h.shape[0], harmonics_at(osc.tau, osc.gap.waves.shape[0])
     terms = np.zeros(n)
     for j in range(n):
         for k in range(2):

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrow
 from workers.kernel.flow import flow
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel
@@ -23,7 +23,7 @@ GAP_ROUNDING = 4e-16
 MAX_EVALUATIONS = 1_000_000
 """Evaluations after which a flight is given up; the certified march needs about five between impacts."""
 
-LEAST_STEP = 4e-16
+MIN_STEP = 4e-16
 """Least step of a flight, as a share of its longest duration: rounding of time."""
 
 REFRESH = 8
@@ -129,7 +129,7 @@ def landing(g, v, a, j3, M3, M4, tol):
 
 
 @inlined
-def meets(g, v, a, j3, M3, M4, tol, H):
+def certain_crossing(g, v, a, j3, M3, M4, tol, H):
     """The time <= H after which a gap g, closing at v, has certainly just closed; infinity if none is known."""
     s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
     s = 0.0 if g <= tol and v > 0.0 else s
@@ -163,7 +163,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
     Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H; 2 if the march needed more than
     MAX_EVALUATIONS.
     """
-    h, scratch = borrowed(h), borrowed(scratch)
+    h, scratch = borrow(h), borrow(scratch)
     blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers
     omega = numbers[NUMBER.omega]
     growth = growth_rate(blocks)
@@ -190,7 +190,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
                 if abs(start) > 1:
                     step = min(step, _first_step(abs(start), side, a, j3, M3, M4, tol))
                     continue
-            contact = meets(g, approach, push, side * j3, M3, M4, tol, end - s)
+            contact = certain_crossing(g, approach, push, side * j3, M3, M4, tol, end - s)
             if contact < np.inf:
                 return s + contact, side, count
             if side == ahead:
@@ -199,7 +199,7 @@ def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
                 step = min(step, safe_retreat(max(g, 0.0), approach, push, side * j3, M2, M3, M4, step))
         if s + step >= H:
             return H, 0, count
-        s = max(s + step, s + LEAST_STEP * H)  # bounds the steps of a flight at rest
+        s = max(s + step, s + MIN_STEP * H)  # bounds the steps of a flight at rest
         if count % REFRESH == 0 or s >= end:
             for j in range(h.shape[0]):
                 scratch[j, 0], scratch[j, 1] = h[j, 0], h[j, 1]

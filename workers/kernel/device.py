@@ -11,10 +11,10 @@ from typing import Any
 
 from workers.kernel.jit import Kernel
 
-__all__ = ["translated"]
+__all__ = ["make_translator"]
 
 
-def translated(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
+def make_translator(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
     """A function that translates a kernel for another device, with all kernels that it calls.
 
     Functions called by symbol, ``apart``, cannot be translated.

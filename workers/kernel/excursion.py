@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 
+from workers.kernel.by_reference import by_reference
 from workers.kernel.crossing import next_crossing
 from workers.kernel.flow import flow
 from workers.kernel.jit import inline_always
-from workers.kernel.lend import lend
 from workers.kernel.signal import evaluate
-from workers.model.oscillator import COLUMN, NUMBER, Mode
+from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 
 
 @inline_always
@@ -38,7 +38,7 @@ def velocity_of(gap):
         numbers[NUMBER.amplitude] += size
         for power in range(3):
             numbers[NUMBER.swing2 + power] += size * w ** (power + 2.0)
-    return Mode(blocks, waves, numbers, gap.forced), offset
+    return GuardedFlow(blocks, waves, numbers, gap.forced), offset
 
 
 @inline_always
@@ -49,7 +49,7 @@ def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
     zero of y' is a stop of that signal: the upper stop if y falls, the lower if it rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
-    signal = lend(velocity)
+    signal = by_reference(velocity)
     s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, begun, left, scratch)
     flow(velocity.blocks, s, h)
     return s, side, evaluations

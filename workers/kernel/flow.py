@@ -2,7 +2,7 @@
 
 import math
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrow
 from workers.kernel.elementary import cosc_sinc, exp, exp_minus, sin_cos
 from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined, kernel
@@ -109,7 +109,7 @@ def moved_by_load(s, eta):
 @kernel
 def flow(block, s, h):
     """Advance the block state h (n, 2) by s, in place."""
-    block, h = borrowed(block), borrowed(h)
+    block, h = borrow(block), borrow(h)
     for j in range(len(block)):
         flow_block(block[j], s, h[j])
 
@@ -136,7 +136,7 @@ def flow_vectors(V, j, f11, f12, f21, f22):
 @kernel
 def flow_with_tangent(block, s, h, V):
     """Advance the block state h (n, 2) and the tangent vectors V (m, n, 2) by s, in place."""
-    block, h, V = borrowed(block), borrowed(h), borrowed(V)
+    block, h, V = borrow(block), borrow(h), borrow(V)
     for j in range(len(block)):
         f11, f12, f21, f22 = flow_block(block[j], s, h[j])
         flow_vectors(V, j, f11, f12, f21, f22)

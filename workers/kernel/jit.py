@@ -16,9 +16,9 @@ from typing import Any
 from numba import njit, types
 from numba.extending import typeof_impl
 
-from workers.kernel.apart import load
 from workers.kernel.cache import CACHE, in_own_folder
-from workers.model.oscillator import Block, Head, Numbers
+from workers.kernel.external import load
+from workers.model.oscillator import Block, ForcedBounds, OscillatorScalars
 
 __all__ = ["inline_always", "inlined", "kernel", "named_constants"]
 
@@ -86,7 +86,7 @@ def named_constants(*kinds: Any) -> None:
         typeof_impl.register(kind)(module_of)
 
 
-named_constants(Block, Numbers, Head)
+named_constants(Block, ForcedBounds, OscillatorScalars)
 
 kernel: Callable[[Callable[..., Any]], Any] = Kernel
 """Decorator of every kernel."""

@@ -5,16 +5,16 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart
+from workers.kernel.by_reference import by_value
+from workers.kernel.external import FLOATS, external
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lend import whole
 
 EPS = float(np.finfo(np.float64).eps)
 
 NOTHING = 1e-290
 """Entries below it count as zero in a matrix whose largest entry is about one: products with them underflow."""
 
-MOST_SWEEPS = 60
+MAX_SWEEPS = 60
 """QR steps for one eigenvalue; two or three suffice as a rule."""
 
 
@@ -169,13 +169,13 @@ def exponent_of(matrix):
     return math.frexp(largest)[1]
 
 
-@apart(FLOATS[2], FLOATS[1])
+@external(FLOATS[2], FLOATS[1])
 def fill_moduli(matrix, sizes):
     """Write the |eigenvalues| of a real matrix, by the QR method with shifts; infinity if it is not finite.
 
     Entries are scaled to about one, where no product of two significant entries underflows.
     """
-    matrix, sizes = whole(matrix), whole(sizes)
+    matrix, sizes = by_value(matrix), by_value(sizes)
     size = len(matrix)
     A, H = np.empty((size, size)), np.empty((size, size), dtype=np.complex128)
     cosines, sines = np.empty(size), np.empty(size, dtype=np.complex128)
@@ -204,7 +204,7 @@ def fill_moduli(matrix, sizes):
         if start == end - 1:
             end, sweeps = end - 1, 0
             sizes[end] = math.ldexp(abs(H[end, end]), exponent)
-        elif sweeps == MOST_SWEEPS:
+        elif sweeps == MAX_SWEEPS:
             for i in range(size):
                 sizes[i] = np.inf
             return
@@ -224,10 +224,10 @@ def moduli(matrix):
     return sizes
 
 
-@apart(FLOATS[2], result=types.float64)
+@external(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
     """The largest |eigenvalue| of a real matrix; infinity if it is not finite."""
-    matrix = whole(matrix)
+    matrix = by_value(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
 

@@ -7,14 +7,14 @@ from numba import typeof, types
 from numba.extending import register_jitable, typeof_impl
 from numpy.typing import NDArray
 
-from workers.kernel.apart import FLOATS, WHOLE, load
 from workers.kernel.borrow import row_type
 from workers.kernel.elementary import sin_cos
+from workers.kernel.external import FLOATS, INTEGERS, load
 from workers.kernel.jit import inline_always, kernel
-from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import FLYING, OF_PIECES
-from workers.model.oscillator import Mode, Oscillator, empty, map_fields
+from workers.model.mode_table import no_table
+from workers.model.oscillator import GuardedFlow, Oscillator, empty, map_fields
 
 FLIGHT = FLYING.number
 """The mode of a machine with one rigid contact is FLIGHT +- ON while a stop holds the gap coordinate, and FLIGHT +-
@@ -83,8 +83,8 @@ def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
-MODE = record_type(Mode, 2, 2, 1, 4)
-MOTION = record_type(Motion, 2, WHOLE[1], 3, 1, 2, 1, 2, 1, 2)
+MODE = record_type(GuardedFlow, 2, 2, 1, 4)
+MOTION = record_type(Motion, 2, INTEGERS[1], 3, 1, 2, 1, 2, 1, 2)
 TABLES, _HELD = typeof(no_table(1)), typeof(empty(OF_PIECES, 1))
 OSCILLATOR, RIGID = (
     record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), table)
@@ -169,7 +169,7 @@ def axes(n: int) -> NDArray[np.float64]:
 
 
 @kernel
-def slanted(n):
+def cosine_vectors(n):
     """2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
 
     The first r of them are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).

@@ -6,7 +6,7 @@ Between sections the phase runs from tau to tau + 2 pi; absolute time never ente
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import apart
+from workers.kernel.by_reference import without_mode_table
 from workers.kernel.chatter import UNKNOWN, chatter_end, chatter_left, fastest_rate, hop, with_estimate
 from workers.kernel.contact import (
     LEAVE,
@@ -22,11 +22,10 @@ from workers.kernel.contact import (
 )
 from workers.kernel.crossing import TINY, next_crossing
 from workers.kernel.excursion import turning_points
+from workers.kernel.external import external
 from workers.kernel.flow import flow_with_tangent
-from workers.kernel.held import stay_on_stop
 from workers.kernel.hybrid.motion import through_events
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lend import rigid
 from workers.kernel.motion import (
     BEYOND,
     FLIGHT,
@@ -50,6 +49,7 @@ from workers.kernel.motion import (
     write_down_rest,
 )
 from workers.kernel.signal import evaluate
+from workers.kernel.sticking import stay_on_stop
 from workers.kernel.tangent import (
     MAX_SPREAD,
     fly_far,
@@ -127,7 +127,7 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
     spend(tally, evaluations)
 
 
-@apart(RIGID, MOTION, types.float64)
+@external(RIGID, MOTION, types.float64)
 def through_impacts(osc, motion, duration):
     """The one loop of mode, first guard and reset: see propagate."""
     gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
@@ -231,7 +231,7 @@ def propagate(osc, motion, duration):
     if has_modes(osc):
         through_events(osc, motion, duration)
     else:
-        through_impacts(rigid(osc), motion, duration)
+        through_impacts(without_mode_table(osc), motion, duration)
 
 
 @inline_always

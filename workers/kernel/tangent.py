@@ -5,12 +5,12 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart
+from workers.kernel.by_reference import by_value
 from workers.kernel.crossing import TINY
 from workers.kernel.elementary import cosc_sinc, exp, log, sin_cos
+from workers.kernel.external import FLOATS, external
 from workers.kernel.flow import flow
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lend import whole
 from workers.kernel.motion import LOST, SPREAD
 from workers.model.oscillator import COLUMN
 
@@ -32,7 +32,7 @@ def inner(blocks, V, i, W, k):
     return total
 
 
-@apart(FLOATS[2], FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
+@external(FLOATS[2], FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
@@ -40,7 +40,7 @@ def orthonormalise(blocks, V, growth, triangle, rank):
     structurally lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with
     rows divided by exp(growth), which keeps it in range.
     """
-    blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
+    blocks, V, growth, triangle = by_value(blocks), by_value(V), by_value(growth), by_value(triangle)
     m = V.shape[0]
     for i in range(min(rank, m)):
         norm = math.sqrt(inner(blocks, V, i, V, i))
@@ -104,7 +104,7 @@ def add_row(triangle, growth, i, k, factor):
             triangle[i, c] += factor * triangle[k, c]
 
 
-@apart(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
+@external(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
     """Advance the tangent vectors V (m, n, 2) by any s, as V exp(growth) triangle; rows of blocks: eta, lam...
 
@@ -112,7 +112,7 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
     elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame; U goes into
     growth and triangle (see orthonormalise, which follows). No entry of D is multiplied out.
     """
-    blocks, V, growth, triangle = whole(blocks), whole(V), whole(growth), whole(triangle)
+    blocks, V, growth, triangle = by_value(blocks), by_value(V), by_value(growth), by_value(triangle)
     n, m = len(blocks), V.shape[0]
     X = np.empty((2 * n, m))
     back = np.zeros((2 * n, 2))

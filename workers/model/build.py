@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.model.elements import NO_STOP
-from workers.model.free import (
+from workers.model.free_flight import (
     OF_STRUCTURE,
-    AtRest,
-    Structure,
+    FlightStructure,
+    RestState,
     against,
     centred,
     finite,
@@ -23,19 +23,27 @@ from workers.model.free import (
     structure_of,
     unbalanced,
 )
-from workers.model.hybrid import no_table
 from workers.model.hybrid_machines import along_contacts, with_one_contact
-from workers.model.hybrid_modes import ON, RESONANT, Code, ModeStructure, Pieces, at_frequencies, structure_of_mode
-from workers.model.kept import kept
+from workers.model.hybrid_modes import (
+    ON,
+    RESONANT,
+    HybridModes,
+    ModeCode,
+    ModeStructure,
+    at_frequencies,
+    structure_of_mode,
+)
+from workers.model.memoize import memoize_arrays
+from workers.model.mode_table import no_table
 from workers.model.oscillator import (
     COLUMN,
     HEAD,
     Array,
-    Head,
-    Machines,
     Mask,
     Oscillator,
+    OscillatorScalars,
     Rows,
+    SingleContactMachines,
     at_rows,
     growth_of,
     map_fields,
@@ -50,7 +58,7 @@ Kinds = Rows | EllipsisType
 
 
 @np.errstate(all="ignore")
-def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
+def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]]:
     """The oscillators of many machines, and the reason against each, NO_REASON if there is none.
 
     Reasons: a rigid mode invisible in the gap, or more than one; growing motion invisible in the gap; planes
@@ -66,7 +74,7 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     structure, at_rest = _of_kind(structure, kind), _of_kind(at_rest, kind)
     gap, against_free = free_motion(structure, at_rest, machines.omega)
     modes, b_upper, b_lower = structure.flow.modes, at_rest.b_upper, at_rest.b_lower
-    head = Head(
+    head = OscillatorScalars(
         top=b_upper,
         bottom=-b_lower,
         R=machines.R,
@@ -101,20 +109,20 @@ def build(machines: Machines) -> tuple[Oscillator, NDArray[np.int8]]:
     return map_fields(oscillators, np.ascontiguousarray), reasons
 
 
-def faults(machines: Machines) -> NDArray[np.int8]:
+def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
     """The reason against each of N machines, or NO_REASON, as far as its fields show it.
 
     The lower stop must be below the upper one, and 0 <= R <= 1.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
-    others = [getattr(machines, name) for name in Machines._fields if name not in NO_STOP]
+    others = [getattr(machines, name) for name in SingleContactMachines._fields if name not in NO_STOP]
     reasons[np.isnan(machines.upper) | np.isnan(machines.lower)] = OUT_OF_DOUBLES  # infinite stops are valid
     reasons[~finite(others)] = OUT_OF_DOUBLES
     return reasons
 
 
-def _kinds(machines: Machines) -> tuple[Machines, Kinds]:
+def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kinds]:
     """The first machine of each kind, and the kind of each machine.
 
     Machines of a kind differ at most in forcing frequency, phase and restitution. A plane has few kinds as a rule, and
@@ -133,22 +141,24 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
-@kept
+@memoize_arrays
 def _held_structure(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> ModeStructure:
     """The structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
     none = np.zeros(len(mass))
-    machines = Machines(mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none)
+    machines = SingleContactMachines(
+        mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none
+    )
     own = with_one_contact(machines, load, np.zeros((len(mass), 2)))
-    structure = structure_of_mode(own, Code(0, (ON,), ()), along_contacts(own), {})
+    structure = structure_of_mode(own, ModeCode(0, (ON,), ()), along_contacts(own), {})
     one = {name: getattr(structure, name)[:, :1] for name in ("rows", "direct", "ends")}  # signals that end it
     return structure._replace(**one)
 
 
 def _held(
-    machines: Machines, structure: Structure, at_rest: AtRest, kind: Kinds, omega: Array
-) -> tuple[Pieces, dict[int, Mask]]:
+    machines: SingleContactMachines, structure: FlightStructure, at_rest: RestState, kind: Kinds, omega: Array
+) -> tuple[HybridModes, dict[int, Mask]]:
     """Oscillator.held of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
 
     States are counted from rest. A load that no rest balances drives a rigid mode: states between impacts are counted
@@ -162,4 +172,4 @@ def _held(
         moving = (pieces.to_blocks[:, :, n:] @ _of_kind(velocities, kind)[..., None])[..., 0]
         pieces.blocks[..., COLUMN.rest0 :] -= moving.reshape(len(omega), 1, n, 2)
     modes = held.flow.modes
-    return Pieces(*(field[:, None] for field in pieces)), against(modes, wrong == RESONANT, modes.rigid > 0)
+    return HybridModes(*(field[:, None] for field in pieces)), against(modes, wrong == RESONANT, modes.rigid > 0)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from workers.model import laws
-from workers.model.clock import natural_frequency
 from workers.model.elements import ALWAYS, STOP, Contact, Friction, Phase, Spring, pad, rub, stops
-from workers.model.expression import Expression, Matrix, Row, evaluated
-from workers.model.force import Harmonic, amplitudes, changed, turns_of
-from workers.model.free import ULPS
+from workers.model.expression import Expression, Matrix, Row, evaluate_entries
+from workers.model.force import Harmonic, amplitudes, replace_first_harmonic, turns_of
+from workers.model.free_flight import ULPS
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.measures import ORDERS, Measures
-from workers.model.oscillator import Array, Machines
+from workers.model.natural_period import natural_frequency
+from workers.model.oscillator import Array, SingleContactMachines
 from workers.model.parameter import OMEGA, TAU
 
 MATRICES = ("mass", "damping", "stiffness")
@@ -77,31 +77,33 @@ class Definition:
         return tuple(Expression(repr(float(i == 0))) for i in range(len(self.coordinates)))
 
     @np.errstate(all="ignore")
-    def shown_rows(self, values: Mapping[str, Array]) -> Array:
+    def picture_rows(self, values: Mapping[str, Array]) -> Array:
         """``shown`` (N, n) at values (N,) of each parameter."""
-        return np.ascontiguousarray(evaluated(self.shown, self._named(values))[: _count(values)])
+        return np.ascontiguousarray(evaluate_entries(self.shown, self._named(values))[: _count(values)])
 
     @np.errstate(all="ignore")
-    def machines(self, values: Mapping[str, Array]) -> Machines:
+    def machines(self, values: Mapping[str, Array]) -> SingleContactMachines:
         """The machines at values (N,) of each parameter."""
         named, count = self._named(values), _count(values)
-        fields = {name: evaluated(entries, named) for name, entries in self._entries.items()}
+        fields = {name: evaluate_entries(entries, named) for name, entries in self._entries.items()}
         fields |= {name: symmetrised(fields[name]) for name in MATRICES}
         fields |= zip(OF_FORCE, self._force(named, self.harmonics), strict=True)
-        return Machines(**{name: np.ascontiguousarray(field[:count]) for name, field in fields.items()})
+        return SingleContactMachines(**{name: np.ascontiguousarray(field[:count]) for name, field in fields.items()})
 
     @np.errstate(all="ignore")
     def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
         """The machines at values (N,) of each parameter with all contacts, friction and phases."""
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
-        forces = [self._force(named, changed(self.harmonics, phase.force, phase.cosine)) for phase in phases]
+        forces = [
+            self._force(named, replace_first_harmonic(self.harmonics, phase.force, phase.cosine)) for phase in phases
+        ]
 
         def of_phases(key: str) -> list[Array]:
-            return [evaluated(getattr(phase, key) or getattr(self, key), named) for phase in phases]
+            return [evaluate_entries(getattr(phase, key) or getattr(self, key), named) for phase in phases]
 
         def table(entries: list[Any], *shape: int) -> Array:
-            return evaluated(entries, named).reshape(named[OMEGA].size, *shape)
+            return evaluate_entries(entries, named).reshape(named[OMEGA].size, *shape)
 
         C, F, P, N = len(contacts), len(friction), len(phases), named[OMEGA].size
         pads = table([[pad(contact, phase.contacts) for contact in contacts] for phase in phases], P, C, 3)
@@ -117,7 +119,7 @@ class Definition:
                 rubs[:, :, f, 0] = first[:, None]
                 rubs[:, :, f, 1] = np.where(np.isnan(rubs[:, :, f, 1]), first[:, None], rubs[:, :, f, 1])
         machines = HybridMachines(
-            mass=symmetrised(evaluated(self.mass, named)),
+            mass=symmetrised(evaluate_entries(self.mass, named)),
             damping=np.stack([symmetrised(matrix) for matrix in of_phases("damping")], axis=1),
             stiffness=np.stack([symmetrised(matrix) for matrix in of_phases("stiffness")], axis=1),
             load=np.stack(of_phases("load"), axis=1),
@@ -141,7 +143,7 @@ class Definition:
             drift=np.full_like(named[OMEGA], self.coordinates.index(self.drift) if self.drift else -1),
         )
         for spring in self.springs:
-            row = evaluated(spring.row, named)
+            row = evaluate_entries(spring.row, named)
             machines = laws.sprung(machines, row, laws.two_sided(laws.vertices(spring, named)))
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
 
@@ -173,8 +175,8 @@ class Definition:
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         every = [measure for _, measure in self.measures]
         orders = np.tile([float(ORDERS.index(measure.kind)) for measure in every], (count, 1))
-        rows = evaluated([measure.row for measure in every], named).reshape(named[OMEGA].size, len(every), n)
-        weights = evaluated([measure.weight or np.nan for measure in every], named)
+        rows = evaluate_entries([measure.row for measure in every], named).reshape(named[OMEGA].size, len(every), n)
+        weights = evaluate_entries([measure.weight or np.nan for measure in every], named)
         return rows[:count], orders, weights.reshape(named[OMEGA].size, len(every))[:count]
 
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
@@ -190,7 +192,7 @@ class Definition:
         for name, expression in self.let:
             named[name] = expression(named)
         if clocked:
-            named[OMEGA] = natural_frequency(*(evaluated(of, named) for of in (self.mass, self.stiffness)))
+            named[OMEGA] = natural_frequency(*(evaluate_entries(of, named) for of in (self.mass, self.stiffness)))
         return named
 
     @property

@@ -23,13 +23,13 @@ import numpy as np
 from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA, near_name, unknown_name
 
-LONGEST = 500
+MAX_LENGTH = 500
 """Longest expression, in characters."""
-LONGEST_NORMAL = 20 * LONGEST
+LONGEST_NORMAL = 20 * MAX_LENGTH
 """No normal form is longer: a number of one character takes four with its blank, one such as 1e15 takes 19."""
 DEEPEST = 40
 """Deepest nesting of parentheses, signs and powers."""
-LARGEST_POWER = 16
+MAX_INTEGER_POWER = 16
 """Largest integer exponent computed as a product, which is rounded alike on every machine."""
 
 PI = "pi"
@@ -84,7 +84,7 @@ Row = tuple[Expression, ...]
 Matrix = tuple[Row, ...]
 
 
-def evaluated(entries: Any, named: Mapping[str, Array]) -> Array:
+def evaluate_entries(entries: Any, named: Mapping[str, Array]) -> Array:
     """Values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers."""
     if isinstance(entries, Expression):
         return entries(named)
@@ -119,8 +119,8 @@ def parse(text: str, known: Collection[str]) -> Expression:
     """
     tokens = _tokens(text) if len(text) <= LONGEST_NORMAL else []
     normal = " ".join(repr(float(token)) if _is_number(token) else token for token in tokens)
-    if len(text) > LONGEST and (text != normal or len(tokens) > LONGEST):
-        raise ExpressionError(f"found {len(text)} characters, must be at most {LONGEST}")
+    if len(text) > MAX_LENGTH and (text != normal or len(tokens) > MAX_LENGTH):
+        raise ExpressionError(f"found {len(text)} characters, must be at most {MAX_LENGTH}")
     _check_order(tokens)
     expression = Expression(normal)
     _check_names(_tree(expression.text), known)
@@ -155,7 +155,7 @@ def _value(node: ast.expr, values: Mapping[str, Array]) -> Any:
             return np.negative(_value(operand, values)) if isinstance(sign, ast.USub) else _value(operand, values)
         case ast.BinOp(left=left, op=operator, right=right):
             power = _constant(right) if isinstance(operator, ast.Pow) else None
-            if power is not None and abs(power) <= LARGEST_POWER and power.is_integer():
+            if power is not None and abs(power) <= MAX_INTEGER_POWER and power.is_integer():
                 return _whole_power(_value(left, values), int(power))
             return _BINARY[type(operator)](_value(left, values), _value(right, values))
         case ast.Call(func=ast.Name(id=name), args=arguments):

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import centred, structure_of, unbalanced
-from workers.model.hybrid import Elements, build_hybrid, elements_of
+from workers.model.free_flight import centred, structure_of, unbalanced
 from workers.model.hybrid_machines import HybridMachines, hybrid_faults, with_one_contact
-from workers.model.hybrid_modes import Code, Pieces, pieces_in, structures_of
+from workers.model.hybrid_modes import HybridModes, ModeCode, build_modes_at, structures_of
+from workers.model.mode_table import ContactElements, build_hybrid, elements_of
 from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.model.system import System
 from workers.results import OUT_OF_DOUBLES
@@ -35,14 +35,14 @@ class OrbitMachines:
 
     omega: Array
     tau: Array
-    elements: Elements
+    elements: ContactElements
     rest: Array
-    make: Callable[[Code], Pieces]
+    make: Callable[[ModeCode], HybridModes]
     describe: Callable[[], HybridMachines]
     build: Callable[[], Oscillator]
-    known: dict[Code, Pieces] = field(default_factory=dict)
+    known: dict[ModeCode, HybridModes] = field(default_factory=dict)
 
-    def mode(self, code: Code) -> Pieces:
+    def mode(self, code: ModeCode) -> HybridModes:
         """A mode of all machines. NoOscillatorError if it does not exist."""
         if code not in self.known:
             self.known[code] = self.make(code)
@@ -79,15 +79,15 @@ class OrbitMachines:
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
     """A function from rows of values (N, free) to machines and the reason against each; other parameters are fixed."""
-    return _Over(system, fixed, free)
+    return _MachineFactory(system, fixed, free)
 
 
 def with_modes(machines: HybridMachines) -> OrbitMachines:
     """Machines of any law."""
-    return _Parts(machines, np.zeros((len(machines.omega), machines.dimension))).at(machines.omega, machines.tau)
+    return _MachineParts(machines, np.zeros((len(machines.omega), machines.dimension))).at(machines.omega, machines.tau)
 
 
-class _Parts:
+class _MachineParts:
     """Parts of machines, counted from ``rest`` (N, 2n), that their forcing frequency and phase do not decide."""
 
     def __init__(self, machines: HybridMachines, rest: Array) -> None:
@@ -100,7 +100,7 @@ class _Parts:
         return hybrid_faults(self.machines)
 
     @cached_property
-    def elements(self) -> Elements:
+    def elements(self) -> ContactElements:
         """Their contacts and friction."""
         return elements_of(self.machines)
 
@@ -108,8 +108,8 @@ class _Parts:
         """The machines at forcing frequencies and phases (N,)."""
         own = self.machines._replace(omega=omega, tau=tau)
 
-        def make(code: Code) -> Pieces:
-            pieces, wrong = pieces_in(self.structures(code), omega)
+        def make(code: ModeCode) -> HybridModes:
+            pieces, wrong = build_modes_at(self.structures(code), omega)
             if np.any(wrong):
                 raise NoOscillatorError("a mode of this orbit has no bounded motion there")
             return pieces
@@ -117,13 +117,13 @@ class _Parts:
         return OrbitMachines(omega, tau, self.elements, self.rest, make, lambda: own, lambda: build_hybrid(own)[0])
 
 
-class _Over:
+class _MachineFactory:
     """Machines of a system over some of its parameters, with the others fixed."""
 
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
-        self.kept: dict[int, _Parts] = {}
+        self.kept: dict[int, _MachineParts] = {}
         self.changes = system.definition.unforced or system.definition.changes_with(free)
 
     @np.errstate(all="ignore")
@@ -134,7 +134,7 @@ class _Over:
         values |= {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
         parts = self.kept.get(len(rows))
         if parts is None or self.changes:
-            parts = self.kept[len(rows)] = _Parts(*self.from_rest(values))
+            parts = self.kept[len(rows)] = _MachineParts(*self.from_rest(values))
         own = parts.at(*definition.forcing(values))
         known = np.isfinite(own.omega) & np.isfinite(own.tau)
         reasons = np.where(known, parts.reasons, OUT_OF_DOUBLES).astype(np.int8)

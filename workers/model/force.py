@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.model.expression import Expression, Row, evaluated
+from workers.model.expression import Expression, Row, evaluate_entries
 from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA
 
@@ -35,17 +35,19 @@ def amplitudes(
     """The force (N, highest, n) of harmonics, [k - 1] of order k / turns, as amplitudes of the sines and cosines."""
     sines, cosines = np.zeros((2, named[OMEGA].size, highest, n))
     for order, force, phase, cosine in harmonics:
-        k, size, angle = int(order * turns) - 1, evaluated(force, named), evaluated(phase, named)
+        k, size, angle = int(order * turns) - 1, evaluate_entries(force, named), evaluate_entries(phase, named)
         sines[:, k] += size * np.cos(angle)
         cosines[:, k] += size * np.sin(angle)
         if cosine:
-            size = evaluated(cosine, named)
+            size = evaluate_entries(cosine, named)
             sines[:, k] -= size * np.sin(angle)
             cosines[:, k] += size * np.cos(angle)
     return sines, cosines
 
 
-def changed(harmonics: tuple[Harmonic, ...], force: Row | None, cosine: Row | None) -> tuple[Harmonic, ...]:
+def replace_first_harmonic(
+    harmonics: tuple[Harmonic, ...], force: Row | None, cosine: Row | None
+) -> tuple[Harmonic, ...]:
     """The harmonics, with these amplitudes for the first harmonic of order 1, if they are given."""
     if force is None and cosine is None:
         return harmonics

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import finite
-from workers.model.kept import kept
-from workers.model.modes import resists, stacked, symmetric
-from workers.model.oscillator import Array, Machines, Mask, Rows, at_rows
+from workers.model.block_decomposition import apply_stacked, resists, symmetric
+from workers.model.free_flight import finite
+from workers.model.memoize import memoize_arrays
+from workers.model.oscillator import Array, Mask, Rows, SingleContactMachines, at_rows
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
@@ -78,8 +78,8 @@ class HybridMachines(NamedTuple):
 
     @property
     def mirrored(self) -> Mask:
-        """Mask (N,) of machines that are their own mirror images half a period later: see ``mirrors``."""
-        return mirrors(self) & (self.sizes[0] == 1)
+        """Mask (N,) of machines that are their own mirror images half a period later: see ``is_mirror_symmetric``."""
+        return is_mirror_symmetric(self) & (self.sizes[0] == 1)
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -105,7 +105,7 @@ class HybridMachines(NamedTuple):
         return int(self.drift[0]) if len(self.drift) else -1
 
 
-def with_one_contact(machines: Machines, load: Array, stops: Array) -> HybridMachines:
+def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array) -> HybridMachines:
     """Machines with a rigid contact as machines with modes, with this load (N, n) and these stops (N, 2)."""
     (N, n), nothing, none = machines.gap_row.shape, np.zeros((len(load), 0)), np.zeros((len(load), 1))
     return HybridMachines(
@@ -151,7 +151,7 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     return reasons
 
 
-def mirrors(machines: HybridMachines) -> Mask:
+def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     """Mask of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
     Stops lie at equal distances from 0, belts rest, and half a period later the law is the same, with the load and the
@@ -195,7 +195,7 @@ def _has_energy(machines: HybridMachines) -> Mask:
 
 @np.errstate(all="ignore")
 def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
-    """Machines counted from the centre of their mirror symmetry, see ``mirrors``, and the centres (N, n).
+    """Machines counted from the centre of their mirror symmetry, see ``is_mirror_symmetric``, and the centres (N, n).
 
     The centre lies midway between all stops and balances the mean load. Others stay as they are, with a centre of 0.
     """
@@ -219,7 +219,7 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     wide = 0.5 * np.where(between, own.stops[..., 1] - own.stops[..., 0], np.inf)
     pull = own.load - (own.stiffness @ centre[:, None, :, None])[..., 0]
     moved_machines = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
-    moved &= mirrors(moved_machines)
+    moved &= is_mirror_symmetric(moved_machines)
     load = np.where(moved[:, None, None], moved_machines.load, own.load)
     stops = np.where(moved[:, None, None], moved_machines.stops, own.stops)
     return own._replace(load=load, stops=stops), np.where(moved[:, None], centre, 0.0)
@@ -263,16 +263,16 @@ def yields(machines: HybridMachines) -> Mask:
     return all_yield
 
 
-@kept
+@memoize_arrays
 def definite(mass: Array) -> Mask:
     """Mask of symmetric, positive definite matrices (N, n, n)."""
-    return symmetric(mass) & (np.min(stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1) > 0.0)
+    return symmetric(mass) & (np.min(apply_stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1) > 0.0)
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
     """``yields`` computed by the principal minors."""
     own, held = machines, held_rows(machines)
-    inverse = stacked(np.linalg.inv, own.mass.shape, own.mass)
+    inverse = apply_stacked(np.linalg.inv, own.mass.shape, own.mass)
     singles = np.concatenate([own.row, own.slide], axis=1)
     along = np.vecdot(singles, (inverse[:, None] @ singles[..., None])[..., 0])
     all_yield = np.asarray(np.all(along > 0.0, axis=1))
@@ -285,14 +285,14 @@ def _yield_along(machines: HybridMachines) -> Mask:
     return all_yield
 
 
-@kept
+@memoize_arrays
 def dependent(rows: Array) -> Mask:
     """Mask of machines (N,) in which the nonzero ones of rows (N, R, n) depend on each other."""
     largest = np.abs(rows).max(axis=-1, initial=0.0)
     scaled = rows / np.where(largest > 0.0, largest, 1.0)[..., None]  # keeps their squares in range
     length = np.sqrt(np.vecdot(scaled, scaled))
     unit = scaled / np.where(length > 0.0, length, 1.0)[..., None]
-    values = stacked(_singular_values, (len(rows), min(rows.shape[1:])), unit)
+    values = apply_stacked(_singular_values, (len(rows), min(rows.shape[1:])), unit)
     return np.asarray(np.sum(values > INDEPENDENT, axis=1) < np.sum(length != 0.0, axis=1))
 
 

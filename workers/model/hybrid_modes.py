@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.model.free import Flow, Loading, derivative_of, loading_of, sizes_of
-from workers.model.free import mode_of as motion_in
+from workers.model.block_decomposition import FREE, apply_stacked, split, symmetric
+from workers.model.free_flight import BlockFlow, BlockLoading, derivative_of, loading_of, sizes_of
+from workers.model.free_flight import mode_of as motion_in
 from workers.model.hybrid_machines import HybridMachines, along_contacts
-from workers.model.kept import kept
-from workers.model.modes import FREE, split, stacked, symmetric
+from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
@@ -38,7 +38,7 @@ SIGNALS = 2
 """Signals of a contact: y, or its force while it holds; and the force of a soft contact released by it."""
 
 
-class Code(NamedTuple):
+class ModeCode(NamedTuple):
     """A mode: the phase, the state of each contact and the sign of each slip, 0 while it sticks.
 
     Slip in segment j = 0, 1, ... of a law is +-(1 + j).
@@ -63,11 +63,11 @@ class Code(NamedTuple):
         return number
 
 
-FLYING = Code(0, (OPEN,), ())
+FLYING = ModeCode(0, (OPEN,), ())
 """The mode of a machine with one rigid contact in free flight."""
 
 
-def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> Code:
+def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> ModeCode:
     """The code of a number, for these numbers of contacts, frictions and segments of their laws."""
     signs, states = [], []
     for _ in range(slips):
@@ -76,7 +76,7 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
     for _ in range(contacts):
         number, digit = divmod(number, 4 * segments + 1)
         states.append(digit - 2 * segments)
-    return Code(number, tuple(reversed(states)), tuple(reversed(signs)))
+    return ModeCode(number, tuple(reversed(states)), tuple(reversed(signs)))
 
 
 def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
@@ -98,7 +98,7 @@ def _segment(starts: Array, i: int) -> tuple[Array, Array]:
     return starts[:, i], starts[:, i + 1] if i + 1 < starts.shape[1] else np.full(len(starts), np.inf)
 
 
-class Pieces(NamedTuple):
+class HybridModes(NamedTuple):
     """A mode of N machines with n blocks, G signals and H harmonics.
 
     blocks       (N, G, n, columns)    flow of the blocks, and the row of each signal, see oscillator.Block
@@ -130,7 +130,7 @@ class Pieces(NamedTuple):
     trace: Array
 
 
-OF_PIECES = Pieces._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
+OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
 """Numbers of axes of the fields of many modes of many machines, one more than Pieces has."""
 
 
@@ -141,8 +141,8 @@ class ModeStructure(NamedTuple):
     undriven (N,): a load or a belt drives a free motion.
     """
 
-    flow: Flow
-    loading: Loading
+    flow: BlockFlow
+    loading: BlockLoading
     still: Array
     rows: Array
     direct: Array
@@ -156,17 +156,17 @@ class ModeStructure(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def pieces_of(machines: HybridMachines, code: Code) -> tuple[Pieces, NDArray[np.int64]]:
+def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
     """A mode of machines, and its fault by machine, 0 for none.
 
     RESONANT: undamped resonance. NO_FORM: held rows depend on each other, planes cannot be separated, or a load drives
     a free motion that the held coordinates leave.
     """
-    return pieces_in(structures_of(machines, code), machines.omega)
+    return build_modes_at(structures_of(machines, code), machines.omega)
 
 
 @np.errstate(all="ignore")
-def structures_of(machines: HybridMachines, code: Code) -> list[tuple[Rows, ModeStructure]]:
+def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
     """The structures of a mode of machines, with the rows of the machines that share one.
 
     Machines are treated in groups of equal friction that sticks on the row of a held contact, since the holding forces
@@ -181,19 +181,19 @@ def structures_of(machines: HybridMachines, code: Code) -> list[tuple[Rows, Mode
 
 
 @np.errstate(all="ignore")
-def pieces_in(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[Pieces, NDArray[np.int64]]:
-    """``pieces_of`` machines with these structures at forcing frequencies (N,)."""
+def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
+    """``build_modes`` machines with these structures at forcing frequencies (N,)."""
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
     made = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
     order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
     return (
-        Pieces(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in made), strict=True))),
+        HybridModes(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in made), strict=True))),
         np.concatenate([wrong for _, wrong in made])[order],
     )
 
 
-def structure_of_mode(machines: HybridMachines, code: Code, along: Array, resting: dict[int, int]) -> ModeStructure:
+def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
     """The structure of a mode of machines with the same ``resting`` friction, see ``_resting`` and along_contacts."""
     p, mass = code.phase, machines.mass
     N, n = machines.load.shape[0], machines.load.shape[2]
@@ -220,7 +220,7 @@ def structure_of_mode(machines: HybridMachines, code: Code, along: Array, restin
     G, moves = np.zeros((N, 0, n)), np.zeros((N, 0), np.bool_)
     if held or stuck:
         G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
-    inverse_mass = stacked(np.linalg.inv, mass.shape, mass)
+    inverse_mass = apply_stacked(np.linalg.inv, mass.shape, mass)
     D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
     free = inverse_mass - D @ G @ inverse_mass  # along held rows nothing accelerates
@@ -236,7 +236,7 @@ def structure_of_mode(machines: HybridMachines, code: Code, along: Array, restin
     )  # fmt: skip
 
 
-def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDArray[np.int64]]:
+def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
     """A mode of this structure at forcing frequencies (N,), and its fault by machine, see pieces_of."""
     own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
     (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, own.still.shape[1]
@@ -256,16 +256,16 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[Pieces, NDAr
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
-    pieces = Pieces(
+    pieces = HybridModes(
         blocks, waves, sizes_of(waves, w), forced, rows, own.direct, offset, own.ends, to_blocks, to_physical,
         own.acceleration, own.drive, own.lost, np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
     wrong = own.undriven | own.flow.modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))
-    return Pieces(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
+    return HybridModes(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
 
-def _resting(machines: HybridMachines, code: Code, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
+def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
     """Groups of machines by the frictions that stick on the row of a held rigid contact, and the group of each machine.
 
     A group maps each such friction to its contact; see along_contacts.
@@ -287,16 +287,16 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
     """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
-    hold = stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
+    hold = apply_stacked(np.linalg.solve, (*G.shape,), compliance, G @ inverse_mass)
     D = hold
     if not np.all(even):
         mirrored = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (compliance, inverse_mass @ turned))
-        D = np.where(even[:, None, None], hold, stacked(np.linalg.solve, (*G.shape,), *mirrored))
+        D = np.where(even[:, None, None], hold, apply_stacked(np.linalg.solve, (*G.shape,), *mirrored))
     return np.ascontiguousarray(D.swapaxes(1, 2)), hold
 
 
 def _signals(
-    machines: HybridMachines, code: Code, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
+    machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
     """Rows (N, G, 2n + 1), shares of the force (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
 
@@ -348,7 +348,7 @@ def _signals(
     return rows, direct, ends
 
 
-@kept
+@memoize_arrays
 def _reduced(
     mass: Array,
     damping: Array,
@@ -358,7 +358,7 @@ def _reduced(
     G: Array,
     D: Array,
     moves: Mask,
-) -> tuple[Flow, Loading, Array, Array, Mask]:
+) -> tuple[BlockFlow, BlockLoading, Array, Array, Mask]:
     """The flow while rows G (N, r, n) are held, its loading, transformations, and the mask of undriven machines.
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
@@ -376,7 +376,7 @@ def _reduced(
     across = np.ascontiguousarray(null.swapaxes(1, 2))
     m, c, k = across @ mass @ null, _seen_along(damping, across, null), _seen_along(stiffness, across, null)
     modes = split(m, c, k)
-    flow = Flow(modes, stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
+    flow = BlockFlow(modes, apply_stacked(np.linalg.inv, m.shape, m), make_blocks(modes.eta, modes.lam))
     loading = loading_of(flow, force @ null, (across @ load[..., None])[..., 0])
     a, b = np.zeros((2, N, free, r))
     undriven = np.zeros(N, dtype=np.bool_)
@@ -415,7 +415,7 @@ def _seen_along(matrix: Array, across: Array, null: Array) -> Array:
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     """X (N, m, r) of matrix X = right; for singular matrices the least X by least squares."""
     safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
-    X = np.asarray(stacked(np.linalg.solve, right.shape, safe, right))
+    X = np.asarray(apply_stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
         some, even = matrix[singular], symmetric(matrix[singular])
         inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)

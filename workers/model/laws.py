@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from workers.model.chords import POINTS, fewest
 from workers.model.elements import Contact, Friction, Spring
-from workers.model.expression import Expression, evaluated
+from workers.model.expression import Expression, evaluate_entries
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA
+from workers.model.piecewise_fit import POINTS, fewest
 
 EVEN = 8.0 * float(np.finfo(np.float64).eps)
 """Relative difference of slopes up to which adjacent segments are one: rounding of an odd table."""
@@ -55,10 +55,10 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], m
     NaN if an expression takes more than ``most`` segments, or has no value.
     """
     if not isinstance(element.law, Expression):
-        return evaluated(element.law, named)
+        return evaluate_entries(element.law, named)
     law, count = element.law, named[OMEGA].size
     names = sorted(law.names & named.keys())
-    bounds = np.concatenate([evaluated((element.within,), named), _ranges(element, named)], axis=1)
+    bounds = np.concatenate([evaluate_entries((element.within,), named), _ranges(element, named)], axis=1)
     every = np.concatenate([*(named[name][:, None] for name in names), bounds], axis=1)
     kinds, kind = np.unique(every, axis=0, return_inverse=True)
     tables = [_fitted(element, dict(zip(names, values, strict=False)), *values[-3:].tolist()) for values in kinds]
@@ -80,7 +80,7 @@ def law_use(
     """
     law = element.law
     assert isinstance(law, Expression)
-    wide, within = _ranges(element, named), evaluated((element.within,), named)[:, 0]
+    wide, within = _ranges(element, named), evaluate_entries((element.within,), named)[:, 0]
     share = np.maximum(high / wide[:, 1], np.where(wide[:, 0] < 0.0, low / wide[:, 0], 0.0))
 
     def greatest(low: Array, high: Array) -> Array:
@@ -95,8 +95,8 @@ def law_use(
 def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:
     """The range (N, 2) of arguments in which an expression counts."""
     if isinstance(element.range, tuple):
-        return evaluated(element.range, named)
-    (reach,) = evaluated((element.range,), named).T
+        return evaluate_entries(element.range, named)
+    (reach,) = evaluate_entries((element.range,), named).T
     return np.stack([-reach if isinstance(element, Spring) else 0.0 * reach, reach], axis=1)
 
 

@@ -128,7 +128,7 @@ def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[t
         yield where, _number(f"{name}{LAW_ERROR}", f"error bound of {of} as a share of the greatest force that it gave")
 
 
-def refuse_ambiguous(variables: Iterable[tuple[str, Variable]], known: Collection[str]) -> None:
+def check_unambiguous(variables: Iterable[tuple[str, Variable]], known: Collection[str]) -> None:
     """DefinitionError at the first variable named like one of the ``known`` or like an earlier one."""
     taken_names = set(known)
     for where, variable in variables:

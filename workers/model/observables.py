@@ -146,7 +146,7 @@ class Observable:
         For N machines with these parameters (N,); zeros if it is no output.
         """
         n = len(definition.coordinates)
-        shown = definition.shown_rows(values)
+        shown = definition.picture_rows(values)
         if self.of == GAP:
             return shown, 0.0
         for order, names in enumerate((definition.coordinates, definition.velocities)):

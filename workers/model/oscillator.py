@@ -121,7 +121,7 @@ def growth_of(blocks: Array) -> Array:
     return np.asarray(np.max(-blocks[..., COLUMN.slow], axis=-1, initial=0.0))
 
 
-class Numbers(NamedTuple):
+class ForcedBounds(NamedTuple):
     """Sizes of the forced part of a guard: omega, and bounds of its modulus and of its second to fourth derivative.
 
     Columns of Mode.numbers.
@@ -134,11 +134,11 @@ class Numbers(NamedTuple):
     swing4: Any
 
 
-NUMBER = Numbers(*range(len(Numbers._fields)))
+NUMBER = ForcedBounds(*range(len(ForcedBounds._fields)))
 """Columns of Mode.numbers by name."""
 
 
-class Mode(NamedTuple):
+class GuardedFlow(NamedTuple):
     """An affine linear flow in blocks, and the guard that ends it: a signal that is linear in the state.
 
     Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t), its forced
@@ -177,7 +177,7 @@ def _plain(field: Array) -> Any:
     return field if field.ndim else float(field)
 
 
-class Head(NamedTuple):
+class OscillatorScalars(NamedTuple):
     """Numbers of an oscillator: columns of Oscillator.head. Numbers in a lane come first.
 
     top, bottom     the stops as the gap signal sees them, upper - y0 and lower - y0
@@ -205,7 +205,7 @@ class Head(NamedTuple):
     growth: Any
 
 
-HEAD = Head(*range(len(Head._fields)))
+HEAD = OscillatorScalars(*range(len(OscillatorScalars._fields)))
 """Columns of Oscillator.head by name."""
 
 _OF_HEAD = HEAD._asdict()
@@ -237,7 +237,7 @@ class Oscillator(NamedTuple):
     one. Nothing depends on it: it is reset to 0 at each section, so a motion closes when all other numbers do.
     """
 
-    gap: Mode
+    gap: GuardedFlow
     to_physical: Array
     to_blocks: Array
     gap_row: Array
@@ -297,7 +297,7 @@ class Oscillator(NamedTuple):
         return -_plain(self.head[..., HEAD.bottom])
 
 
-class Machines(NamedTuple):
+class SingleContactMachines(NamedTuple):
     """N machines M x'' + C x' + K x = force + load with stops on y = gap_row . x, lower <= y <= upper.
 
     The force is sum_k force_sin_k sin(k phi) + force_cos_k cos(k phi), k = 1...H, with phi = omega t + tau.
@@ -347,7 +347,7 @@ def at_rows(record: Any, rows: Rows) -> Any:
     return take(record)
 
 
-def one_of(oscillators: Any, k: int) -> Any:
+def take_one(oscillators: Any, k: int) -> Any:
     """Oscillator k of many. Its arrays are views: a mode that it misses is missing in the table of all."""
     one: Any = map_fields(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
     return one

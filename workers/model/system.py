@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from workers.model.build import build, faults
 from workers.model.chain import CHAINS, chain
 from workers.model.definition import Definition
+from workers.model.definition_checks import check_at_defaults
 from workers.model.entries import DefinitionError, fault, read_list, read_number, read_table, read_text
-from workers.model.hybrid import build_hybrid
-from workers.model.measures import element_variables, law_variables, measure_variables, refuse_ambiguous
-from workers.model.names import NAMES
+from workers.model.measures import check_unambiguous, element_variables, law_variables, measure_variables
+from workers.model.mode_table import build_hybrid
 from workers.model.observables import Observable, observables_of
-from workers.model.oscillator import Array, one_of
+from workers.model.oscillator import Array, take_one
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
-from workers.model.reading import read_coordinates, read_definition, read_parameters, refuse_taken
-from workers.model.soundness import check_at_defaults
+from workers.model.parse_definition import check_not_reserved, read_coordinates, read_definition, read_parameters
+from workers.model.reserved_names import NAMES
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import (
     CYCLE_PERIOD,
@@ -79,8 +79,8 @@ class System:
     def from_mapping(cls, table: Mapping[str, Any]) -> "System":
         """The system of a table [system]; DefinitionError, a ValueError in one line, for any fault."""
         system = _read(table, packaged=False)
-        refuse_taken(system.definition, system.parameters)
-        refuse_ambiguous(system._own, NAMES.union(parameter.name for parameter in system.parameters))
+        check_not_reserved(system.definition, system.parameters)
+        check_unambiguous(system._own, NAMES.union(parameter.name for parameter in system.parameters))
         return system
 
     @classmethod
@@ -107,7 +107,7 @@ class System:
         return len(self.states) - bool(self.definition.drift)
 
     @property
-    def unused(self) -> tuple[str, ...]:
+    def unused_parameters(self) -> tuple[str, ...]:
         """Names of its own parameters that no entry uses, and that therefore have no effect."""
         without = {OMEGA, TAU, *self.states, *self.definition.used}
         return tuple(parameter.name for parameter in self.parameters if parameter.name not in without)
@@ -163,7 +163,7 @@ class System:
             )
         names = NAMES.union(variable.name for variable in self.own_variables)
         results = (variable for observable in observables for variable in observable.variables)
-        refuse_ambiguous((("observe", variable) for variable in results), names)
+        check_unambiguous((("observe", variable) for variable in results), names)
         return observables
 
     def must_offer(self, what: str, unforced: bool = False) -> None:
@@ -195,7 +195,7 @@ class System:
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
-        return one_of(oscillators, 0)
+        return take_one(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
         """The oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
@@ -218,9 +218,9 @@ class System:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise KeyError(self.unknown(name))
+        raise KeyError(self.unknown_name_message(name))
 
-    def unknown(self, name: str, kind: str = "parameter") -> str:
+    def unknown_name_message(self, name: str, kind: str = "parameter") -> str:
         """One line for an unknown parameter name."""
         if self.definition.unforced and name in (OMEGA, TAU):
             return f"{kind} {name!r}: system {self.name!r} has no force that it could be of; leave it out"

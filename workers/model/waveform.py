@@ -22,7 +22,7 @@ DIGITS = 12
 """Digits of a part: the last digits of a sine depend on the machine, and the digest of a store includes all digits."""
 
 
-class Parts(NamedTuple):
+class HarmonicAmplitudes(NamedTuple):
     """Amplitudes of the sine and of the cosine of a harmonic."""
 
     sine: float
@@ -52,16 +52,16 @@ class Waveform:
         """Its values at these shares of the period."""
         return np.interp(shares, self._shares, self._values, period=1.0)
 
-    def harmonic(self, k: int) -> Parts:
+    def harmonic(self, k: int) -> HarmonicAmplitudes:
         """Its Fourier coefficients of order k, from the bends J of its slope at shares x:
 
         -(2 pi k)^2 (sine, cosine) = 2 sum J (sin 2 pi k x, cos 2 pi k x)
         """
         angles = 2.0 * np.pi * np.fmod(k * self._shares, 1.0)
         unit = -2.0 / (2.0 * np.pi * k) ** 2
-        return Parts(*(self._kept(unit * math.fsum(self._bends * of(angles))) for of in (np.sin, np.cos)))
+        return HarmonicAmplitudes(*(self._kept(unit * math.fsum(self._bends * of(angles))) for of in (np.sin, np.cos)))
 
-    def error(self, harmonics: Mapping[int, Parts]) -> float:
+    def error(self, harmonics: Mapping[int, HarmonicAmplitudes]) -> float:
         """A bound of the largest error of its mean and these harmonics, relative to its largest value.
 
         The largest error r at shares a step d apart, its points included, plus d^2 / 8 max |r''| for the shares
@@ -77,14 +77,14 @@ class Waveform:
         r = sums - self.at(shares)
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
-    def fewest(self, within: float, orders: Iterable[int], most: int) -> tuple[dict[int, Parts], float]:
+    def fewest(self, within: float, orders: Iterable[int], most: int) -> tuple[dict[int, HarmonicAmplitudes], float]:
         """The fewest of its largest harmonics of these orders with an error of at most ``within``, and their error.
 
         If ``most`` harmonics do not reach that error, the best approximation.
         """
         every = {k: part for k in orders if any(part := self.harmonic(k))}
         ranked = sorted(every, key=lambda k: (-math.hypot(*every[k]), k))
-        parts, best = dict[int, Parts](), math.inf
+        parts, best = dict[int, HarmonicAmplitudes](), math.inf
         for count in range(min(most, len(ranked)) + 1):
             tried = {k: every[k] for k in sorted(ranked[:count])}
             if (error := self.error(tried)) < best:

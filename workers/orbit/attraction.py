@@ -15,18 +15,18 @@ import math
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart
-from workers.kernel.cells import energy_norm
+from workers.kernel.by_reference import by_value
+from workers.kernel.cell_loops import energy_norm
+from workers.kernel.external import FLOATS, external
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import whole
 from workers.kernel.linalg import identity
 from workers.model.oscillator import COLUMN
 from workers.orbit.map import squares
 
-LOOK_AHEAD = 256
+LOOKAHEAD_TURNS = 256
 """Turns of the linear map after which a deviation that has not grown back counts as one that never will."""
 
-MOST_DOUBLINGS = 30
+MAX_DOUBLINGS = 30
 """Largest K. More would take |mu| within 1e-9 of 1, where rounding decides."""
 
 
@@ -66,7 +66,7 @@ def shrinking_norm(blocks, J, contraction):
     for i in range(size):
         for k in range(size):
             A[i, k] = J[i, k] * weight[i] / (weight[k] * (1.0 - 0.5 * contraction))
-    for _ in range(MOST_DOUBLINGS):
+    for _ in range(MAX_DOUBLINGS):
         if squares(A) <= 1.0:
             break
         image, square = np.zeros((size, size)), np.zeros((size, size))
@@ -91,13 +91,13 @@ def squared(P, d):
     return total
 
 
-@apart(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
+@external(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
     """Whether a turn from block state h (n, 2) to ``image`` converges to the orbit through ``fixed``.
 
     |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
-    P, J, fixed, h, image = whole(P), whole(J), whole(fixed), whole(h), whole(image)
+    P, J, fixed, h, image = by_value(P), by_value(J), by_value(fixed), by_value(h), by_value(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
     for i in range(len(J)):
         for k in range(len(J)):
@@ -105,16 +105,16 @@ def falls_into(P, J, contraction, fixed, h, image):
     return squared(P, r) < (0.5 * contraction) ** 2 * squared(P, d)
 
 
-@apart(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
+@external(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(blocks, P, J, fixed, h, begun):
     """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so by J alone.
 
     Certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
     """
-    blocks, P, J = whole(blocks), whole(P), whole(J)
-    fixed, h = whole(fixed), whole(h)
+    blocks, P, J = by_value(blocks), by_value(P), by_value(J)
+    fixed, h = by_value(fixed), by_value(h)
     d = deviation(h, fixed)
-    for _ in range(LOOK_AHEAD):
+    for _ in range(LOOKAHEAD_TURNS):
         if not energy_norm(blocks, d.reshape(h.shape)) < begun:
             return False
         if squared(P, d) < begun * begun:

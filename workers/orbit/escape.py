@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference
 from workers.kernel.hybrid.state import enter_from_section, slot_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import lend
 from workers.kernel.motion import FLIGHT, has_modes
 from workers.kernel.signal import ROUNDING, block_bounds
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
@@ -79,7 +79,7 @@ def future_of(blocks, numbers, h, offset, low, high):
 @kernel
 def escaping(oscillators, motions, cells):
     """Mask of motions at a section that grow and meet no guard again; of machines with modes, those of one phase."""
-    oscillators, motions = lend(oscillators), lend(motions)
+    oscillators, motions = by_reference(oscillators), by_reference(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         osc, h, mode = row_of(oscillators, cells[e]), motions.h[cells[e]], motions.mode[cells[e], 0]

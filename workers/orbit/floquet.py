@@ -6,7 +6,7 @@ import numpy as np
 
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.linalg import highest, identity, moduli
-from workers.kernel.motion import RUNNING, STATUS, slanted
+from workers.kernel.motion import RUNNING, STATUS, cosine_vectors
 from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
@@ -89,7 +89,7 @@ def floquet(osc, point, steps, half, most):
     shows the remaining ones, and another turn may lose more.
     """
     size = point.h.size
-    frame = slanted(point.h.shape[0])
+    frame = cosine_vectors(point.h.shape[0])
     logs = np.full(size, -np.inf)
     rounding = np.inf
     turns = 0

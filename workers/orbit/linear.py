@@ -6,9 +6,9 @@ Other machines count as such while their motion certainly meets no contact and p
 import numpy as np
 
 from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference
 from workers.kernel.hybrid.state import enter_from_section, number_of, read_number, slot_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into, highest, sort_down
 from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
 from workers.kernel.signal import derivative_bounds
@@ -16,7 +16,7 @@ from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import COLUMN, HEAD
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, map_with_jacobian
-from workers.orbit.newton import CYCLES, corrected
+from workers.orbit.newton import CYCLES, newton_step
 
 UNKNOWN, STAYS, GROWS = range(3)
 """Fate of such a motion: unknown; it decays, comes to rest or continues forever; it grows."""
@@ -83,7 +83,7 @@ def rates_if_undamped(osc, mode, logs):
 @kernel
 def contact_free(oscillators, motions, cells):
     """Mask of motions of machines with modes that never meet a contact, see meets_nothing."""
-    oscillators, motions = lend(oscillators), lend(motions)
+    oscillators, motions = by_reference(oscillators), by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]
@@ -99,7 +99,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
     The limit of the motion, or its own state if it continues forever, is written with its exponents into the rows of
     ``orbits``, and the periods spent into spent (N,). Multipliers of one to rounding have exponents of 0.
     """
-    oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
+    oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
     verdicts = np.empty(len(cells), dtype=np.int64)
     steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
     for e in range(len(cells)):
@@ -128,7 +128,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
             stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would hold what grows
             verdicts[e] = UNKNOWN if stands else GROWS
             continue
-        h = corrected(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
+        h = newton_step(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
         turn, _ = map_with_jacobian(osc, h, mode, steps, half)
         if not np.all(np.isfinite(h)) or turn.tally[STATUS] != RUNNING:
             continue

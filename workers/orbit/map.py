@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrow
 from workers.kernel.hybrid.neutral import freeze
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import RUNNING, STATUS, axes, has_modes, motion_with
@@ -34,7 +34,7 @@ def iterate(osc, h, mode, V, growth, triangle, steps, half):
     """
     motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
-        step(osc, borrowed(motion), half)
+        step(osc, borrow(motion), half)
         if motion.tally[STATUS] != RUNNING:
             return motion
     if has_modes(osc):

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.borrow import row_of
-from workers.kernel.cells import scale_of
+from workers.kernel.by_reference import by_reference
+from workers.kernel.cell_loops import scale_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into, highest, solution, sort_down, spectral_radius
 from workers.kernel.motion import FLIGHT, NEUTRAL, RUNNING, STATUS, TALLIES
 from workers.model.oscillator import HEAD, Array
@@ -64,7 +64,7 @@ class PeriodicOrbit(NamedTuple):
 
 
 @kernel
-def corrected(h, image, J):
+def newton_step(h, image, J):
     """One step of Newton's method, h - (J - I)^-1 (F(h) - h); not finite where the matrix is singular."""
     matrix, better = J.copy(), h.copy()
     for k in range(len(J)):
@@ -103,7 +103,7 @@ def newton(osc, start, mode, steps, half, scale, most):
         best = FixedPoint(h, motion.h, mode, J, residual)
         if residual > 0.3 * scale or residual < 1e-15 * scale or is_hopeless(J):
             break
-        h = corrected(h, motion.h, J)
+        h = newton_step(h, motion.h, J)
     if best.residual >= 1e-10 * scale:
         best = FixedPoint(h, h, mode, np.zeros((size, size)), np.inf)
     return best, spent
@@ -267,7 +267,7 @@ def settle(osc, motion, sections, near, longest, budget):
     return nearest, none, shift, spent // 2
 
 
-class Orbits(NamedTuple):
+class PeriodicOrbits(NamedTuple):
     """Periodic orbits of N cells: the fields of PeriodicOrbit needed in results, and the counts of one turn.
 
     h (N, n, 2), contact (N, 1) at t = k T, after an impact at that time; period (N,), symmetric (N,), exponents (N, 2n)
@@ -286,9 +286,9 @@ class Orbits(NamedTuple):
     near: NDArray[np.bool_]
 
 
-def no_orbits(count: int, n: int) -> Orbits:
+def no_orbits(count: int, n: int) -> PeriodicOrbits:
     """Room for the orbits of ``count`` cells of n blocks."""
-    return Orbits(
+    return PeriodicOrbits(
         h=np.zeros((count, n, 2)),
         mode=np.full((count, 1), FLIGHT),
         period=np.ones(count, dtype=np.int64),
@@ -308,7 +308,7 @@ def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, c
     An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Writes the rows of
     orbits and spent (N,) of these cells; returns a mask of proved orbits.
     """
-    oscillators, motions, orbits = lend(oscillators), lend(motions), lend(orbits)
+    oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
     settled = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
         r = cells[e]

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed, row_of
-from workers.kernel.cells import scale_of
+from workers.kernel.borrow import borrow, row_of
+from workers.kernel.by_reference import by_reference
+from workers.kernel.cell_loops import scale_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import lend
 from workers.kernel.linalg import copy_into
 from workers.kernel.motion import FLIGHT, LOST, RUNNING, STATUS, axes, motion_with
 from workers.kernel.period import advance
@@ -44,7 +44,7 @@ def is_followed(osc, h, mode, periods):
     motion = motion_with(h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
-        rests, released = pass_period(osc, borrowed(motion), rests)
+        rests, released = pass_period(osc, borrow(motion), rests)
         begun = begun or released
         if motion.tally[STATUS] != RUNNING or (begun and not squares(motion.V) < FOLLOWED**2):
             return False
@@ -59,7 +59,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     does not reach such a section in K - 1 periods, or if a disturbance grows FOLLOWED times on the way, so that doubles
     cannot decide. Returns the periods flown (N,).
     """
-    oscillators, motions = lend(oscillators), lend(motions)
+    oscillators, motions = by_reference(oscillators), by_reference(motions)
     flown = np.zeros(len(sections), dtype=np.int64)
     K = sections.shape[1]
     for r in cells:
@@ -72,7 +72,7 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
         known = count = 0
         rests = False
         while flown[r] < K - 1 and kept[r] == 0:
-            rests, released = pass_period(osc, borrowed(motion), rests)
+            rests, released = pass_period(osc, borrow(motion), rests)
             flown[r] += 1
             if motion.tally[STATUS] != RUNNING:
                 break

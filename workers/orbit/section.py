@@ -7,8 +7,8 @@ of an orbit are the same on every section.
 
 import math
 
+from workers.kernel.by_reference import with_phase
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.lend import with_phase
 from workers.kernel.motion import MAX_SPEED, RUNNING, STATUS, has_modes, motion_alone
 from workers.kernel.period import propagate
 from workers.model.oscillator import HEAD
@@ -19,7 +19,7 @@ SHIFT = 0.3819660112501051
 MARGIN = 1.0 / 1024.0
 """Share of a period before and after a section that must be free of events."""
 
-TRIES = 4
+MAX_ATTEMPTS = 4
 """Most sections tried; the last one is taken in any case."""
 
 AT_SECTION = 1e-12
@@ -49,7 +49,7 @@ def quiet_section(osc, h, mode):
     if has_modes(osc):
         return 0.0, h.copy(), mode, 0
     shift, there, at, tries = 0.0, h.copy(), mode, 0
-    for tries in range(1, TRIES + 1):
+    for tries in range(1, MAX_ATTEMPTS + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
         motion = motion_after(osc, h, mode, shift - MARGIN)
         before = motion.mode[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.render.coded import CodedMap
+from atlas.render.coded_maps import CodedMap
 
 MANTISSA = 52
 """Bits of a double's mantissa."""
@@ -19,7 +19,7 @@ half a unit of the last of these.
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedArray:
     """An array as bytes, or as text.
 
     type     the name of its type in numpy
@@ -46,22 +46,22 @@ class Packed:
         return DIGITS.get(self.bits)
 
 
-def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> Packed:
+def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
     """An array (y, x), packed; of floats the first ``bits`` bits of the mantissa.
 
     Its bits count as whole numbers, of which each is stored as its difference from the one below in y, modulo the
     range of its type: neighbouring cells are alike, and their differences have few digits. Bytes of equal significance
     stand together.
     """
-    kept = rounded(values, bits) if values.dtype.kind == "f" else values
+    kept = round_mantissa(values, bits) if values.dtype.kind == "f" else values
     kept = kept.astype(np.uint8) if kept.dtype.kind == "b" else kept
     whole = np.ascontiguousarray(kept).view(f"u{kept.itemsize}")
     steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
     planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
-    return Packed(kept.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
+    return PackedArray(kept.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
 
 
-def add_codes(packed: dict[str, Packed], made: CodedMap) -> str:
+def add_codes(packed: dict[str, PackedArray], made: CodedMap) -> str:
     """Add the codes of a map to arrays, and return their name there: that of an equal array where there is one."""
     codes = pack(made.codes)
     name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{made.name}")
@@ -69,7 +69,7 @@ def add_codes(packed: dict[str, Packed], made: CodedMap) -> str:
     return name
 
 
-def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
+def unpack(packed: PackedArray, width: int) -> NDArray[np.generic]:
     """The array (y, x) of this many columns that is packed, as the page reads it."""
     size = np.dtype(packed.type).itemsize
     planes = np.frombuffer(zlib.decompress(packed.data), np.uint8).reshape(size, -1)
@@ -77,7 +77,7 @@ def unpack(packed: Packed, width: int) -> NDArray[np.generic]:
     return np.add.accumulate(steps, axis=0, dtype=steps.dtype).view(packed.type)
 
 
-def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
+def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
     """Values to ``bits`` bits of the mantissa, the nearest, ties to even; values that are not finite stay."""
     exact = np.asarray(values, np.float64)
     if bits >= MANTISSA:
@@ -89,9 +89,9 @@ def rounded(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
     return np.where(np.isfinite(exact) & np.isfinite(near), near, exact)
 
 
-def fit(
+def pack_within(
     arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
-) -> tuple[dict[str, Packed], list[str]]:
+) -> tuple[dict[str, PackedArray], list[str]]:
     """Arrays, packed, of at most ``limit`` characters as texts where that can be, and the names of those left out.
 
     They are exact where they fit. Otherwise floats lose digits, one after the other, always one with the

@@ -38,12 +38,12 @@ def call(function: str, **given: Any) -> Any:
     return CustomJS(args={"given": given}, code=f"atlasPage.{function}(given, cb_obj)")
 
 
-def part(name: str, given: Any = None) -> str:
+def html_part(name: str, given: Any = None) -> str:
     """The HTML of a part of the page that a module fills, by the JSON that it is given."""
     return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(given))}"></atlas-part>'
 
 
-def looks() -> str:
+def legend_css() -> str:
     """The style sheet of the key of a map."""
     return files(__package__).joinpath("key.css").read_text("utf-8")
 

@@ -3,14 +3,14 @@
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from atlas.cell.command import point_words
+from atlas.cell.point_command import point_words
 from atlas.query.extremes import variable_of
 from atlas.query.plane import PlaneAxis as PlaneAxis
-from atlas.render import words
-from atlas.render.coded import text_of
-from atlas.spec.citation import bibtex, computed_by
+from atlas.render import text
+from atlas.render.coded_maps import text_of
+from atlas.spec.citation import bibtex, software_version
 from atlas.store.origin import ALLOWANCES
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from workers.results import ATTRACTOR, ERROR, LARGEST, PENDING, REASON, REASONS, REGIME
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _PROVENANCE = {
 """The attributes of a store that a page lists, and their names there."""
 
 
-def described(ds: "xr.Dataset", handle: Atlas, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
+def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """An atlas for the page's program, as plain JSON."""
     record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
     names = {meant.code: meant.text for meant in record.regime.codes}
@@ -52,7 +52,7 @@ def meanings() -> dict[str, Any]:
     }
 
 
-def command(ds: "xr.Dataset", handle: Atlas) -> str:
+def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
     """The command that solves a cell again, but for the values of the axes; empty where cells start from a state that
     the page does not hold: on one of several attractors, or on a neighbour's.
     """
@@ -70,30 +70,30 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
     """
     meant = variable_of(ds, name)
     return {
-        "label": text_of(words.variable_label(ds, name)),
+        "label": text_of(text.variable_label(ds, name)),
         "flag": ds[name].dtype.kind == "b",
         "endless": meant.endless,
         "regimes": sorted(meant.regimes),
     }
 
 
-def provenance(ds: "xr.Dataset", handle: Atlas) -> dict[str, str]:
+def provenance(ds: "xr.Dataset", handle: AtlasStore) -> dict[str, str]:
     """Where the numbers are from, by its name on the page."""
     cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in handle.spec.axes)
     named = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
     return {name: named[name] for name in ("atlas", *named) if name in named}
 
 
-def citation(ds: "xr.Dataset", handle: Atlas) -> str:
+def citation(ds: "xr.Dataset", handle: AtlasStore) -> str:
     """What to cite, as BibTeX."""
-    return bibtex(handle.spec.record, computed_by(str(ds.attrs.get("software", ""))), handle.solver_version)
+    return bibtex(handle.spec.record, software_version(str(ds.attrs.get("software", ""))), handle.solver_version)
 
 
 def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:
     return {
         "name": axis.name,
         "symbol": _symbol(ds, axis.name),
-        "label": text_of(words.axis_label(axis.name, axis.meaning)),
+        "label": text_of(text.axis_label(axis.name, axis.meaning)),
         "log": axis.log,
         "values": axis.values.tolist(),
         "edges": axis.edges.tolist(),
@@ -101,4 +101,4 @@ def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:
 
 
 def _symbol(ds: "xr.Dataset", name: str) -> str:
-    return text_of(f"${words.symbol(ds, name)}$")
+    return text_of(f"${text.symbol(ds, name)}$")

@@ -11,28 +11,28 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
-from atlas.arguments import checked_path
+from atlas.argument_checks import validate_path
 from atlas.errors import InputError
-from atlas.explore.front.numbers import Packed, add_codes, fit, pack
-from atlas.explore.front.script import looks, program
+from atlas.explore.front.numbers import PackedArray, add_codes, pack, pack_within
+from atlas.explore.front.script import legend_css, program
 from atlas.explore.static import about
-from atlas.query.attractors import leading, of_all, one
-from atlas.query.export import check_writable, written_whole
+from atlas.formatting import byte_size
+from atlas.query.attractors import has_all_attractors, select_attractor, select_dominant
+from atlas.query.export import check_writable, replace_on_success
 from atlas.query.open import handle_of
-from atlas.query.plane import Plane, rising
-from atlas.query.reads import counted
+from atlas.query.plane import Plane, sort_axes
+from atlas.query.read_counter import counted
 from atlas.query.resample import view
-from atlas.query.source import find_part
-from atlas.query.window import axis_names, refuse_table
-from atlas.render.coded import CodedMap, coded_maps
+from atlas.query.store_block import find_part
+from atlas.query.window import axis_names, check_not_points
+from atlas.render.coded_lines import lines_over, names_on
+from atlas.render.coded_maps import CodedMap, coded_maps
 from atlas.render.drawing import check_units
-from atlas.render.kinds import MAP_OVERLAYS, TABLE, OverlayError
-from atlas.render.layers import View
-from atlas.render.lines import lines_over, names_on
-from atlas.render.page import STANDARD
-from atlas.render.wanted import Wanted
+from atlas.render.kinds import KIND_TABLE, MAP_OVERLAYS, OverlayError
+from atlas.render.layers import MapView
+from atlas.render.layout import STANDARD
+from atlas.render.request import PictureRequest
 from atlas.spec.toml_text import spec_toml
-from atlas.text import byte_size
 from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ LIMIT = 20_000_000
 """Bytes that a page may have."""
 SIZE = 1000.0, 800.0
 """Pixels of a plane for which names and lines are placed."""
-MOST_CELLS = 1 << 20
+MAX_CELLS = 1 << 20
 """Cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
 """The results of attractors that a page lists beside the one that it shows."""
@@ -52,7 +52,7 @@ _EACH = 300
 """Bytes that surround an array in a page, at most."""
 
 
-def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_cells: int = MOST_CELLS) -> Path:
+def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_cells: int = MAX_CELLS) -> Path:
     """Write the plane of an atlas as one HTML file of at most ``limit`` bytes, and return its path.
 
     The page has the cells themselves, or the finest overview with at most ``most_cells``; of an atlas of all attractors
@@ -61,10 +61,10 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     all, in place of any before; the same atlas gives the same bytes.
     Raises InputError for another suffix than .html, a path that cannot be written, and an atlas that is no plane.
     """
-    target = checked_path(path)
+    target = validate_path(path)
     check_path(target)
     text = page_of(ds, limit, most_cells)
-    with written_whole(target) as unfinished:
+    with replace_on_success(target) as unfinished:
         unfinished.write_text(text, encoding="utf-8", newline="\n")
     return target
 
@@ -77,13 +77,13 @@ def check_path(path: Path) -> None:
     check_writable(path)
 
 
-def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELLS) -> str:
+def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS) -> str:
     """The page as text; arguments and errors as in ``write_page``."""
-    ds = leading(every)
+    ds = select_dominant(every)
     _check_plane(ds)
     handle = handle_of(ds)
     seen, block = _cells(ds, most_cells)
-    seen, axes = rising(seen)
+    seen, axes = sort_axes(seen)
     order = [variable.name for variable in handle.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
     maps, plane = list(coded_maps(ds, seen[names])), Plane.of(seen, ())
@@ -102,7 +102,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
         "citation": about.citation(ds, handle),
         "provenance": about.provenance(ds, handle),
     }
-    others = _others(every) if of_all(every) and max(block) == 1 else {}
+    others = _others(every) if has_all_attractors(every) and max(block) == 1 else {}
     described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
     arrays = {name: partial(_values, seen, name) for name in names} | others
     codes = {name: pack(values) for name, values in regions.items()}
@@ -110,7 +110,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
         made.described["codes"] = add_codes(codes, made)
     bare = _filled(described, words, maps, codes)
     room = limit - len(bare.encode()) - _EACH * len(arrays)
-    packed, left_out = fit(arrays, room, last=LARGEST.name, first=ERROR.name)
+    packed, left_out = pack_within(arrays, room, last=LARGEST.name, first=ERROR.name)
     kept = [made for made in maps if packed.keys() >= {*made.needs}]
     arrays_kept = {name: codes[name] for name in (*(made.described["codes"] for made in kept), *regions)} | packed
     text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
@@ -122,7 +122,12 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MOST_CELL
 
 def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
     """The lines that can be drawn over the maps of these cells, by their names, and the arrays that they need."""
-    view = View(TABLE["period"], ds, Plane.of(seen, [LARGEST.name] if LARGEST.name in seen else []), Wanted(STANDARD))
+    view = MapView(
+        KIND_TABLE["period"],
+        ds,
+        Plane.of(seen, [LARGEST.name] if LARGEST.name in seen else []),
+        PictureRequest(STANDARD),
+    )
     lines, arrays = dict[str, Any](), dict[str, Any]()
     for name in MAP_OVERLAYS:
         with suppress(OverlayError):  # this atlas has none
@@ -134,7 +139,7 @@ def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict
 
 
 def _check_plane(ds: "xr.Dataset") -> None:
-    refuse_table(ds, "a page")
+    check_not_points(ds, "a page")
     names = axis_names(ds)
     if len(names) == 1:
         raise InputError(f"a page shows two axes, found one ({names[0]})")
@@ -174,7 +179,7 @@ def _others(every: "xr.Dataset") -> dict[str, Any]:
     names = [name for name in COEXISTING if name in every]
     arrays: dict[str, Any] = {}
     for place in range(1, every.sizes[ATTRACTOR]):
-        ds, _ = rising(one(every, place)[names])
+        ds, _ = sort_axes(select_attractor(every, place)[names])
         arrays |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
     return arrays
 
@@ -189,7 +194,7 @@ def _values(seen: "xr.Dataset", name: str) -> Any:
 
 
 def _filled(
-    described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, Packed]
+    described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, PackedArray]
 ) -> str:
     """The whole page."""
     whole = {
@@ -207,7 +212,7 @@ def _filled(
         spec=html.escape(words["spec"]),
         citation=html.escape(words["citation"]),
         provenance=listed,
-        style=looks() + parts["page.css"],
+        style=legend_css() + parts["page.css"],
         program=program(__package__, *PROGRAM),
         described=json.dumps(whole, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
         arrays="\n".join(blobs),

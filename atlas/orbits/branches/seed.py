@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from atlas.errors import InputError
-from atlas.spec.spec import checked_parameters, given_settings
-from atlas.spec.system import checked_system, must_offer, system_of
+from atlas.spec.spec import given_settings, validate_parameters
+from atlas.spec.system import must_offer, parse_system, system_of
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import CYCLE_PERIOD, NO_IMPACT, PERIODIC, REASON, REGIME, in_words
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Seed:
+class BranchSeed:
     """A periodic orbit of a system at these values of all its parameters."""
 
     system: System
@@ -30,30 +30,30 @@ class Seed:
 
 def seed_of_point(
     given: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
-) -> Seed:
+) -> BranchSeed:
     """The orbit of a cell, solved here; ``given`` are the parameters that differ from the defaults.
 
     Raises InputError for bad parameters, and where the cell's motion is not periodic.
     """
     from workers.tile import solve_tile
 
-    record = checked_system(system)
-    values = checked_parameters(record, given)
+    record = parse_system(system)
+    values = validate_parameters(record, given)
     arrays = solve_tile(record, values, given_settings(settings))
     return seed_of({name: array[()] for name, array in arrays.items()}, record, values)
 
 
-def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
+def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
     """The orbit of the cell nearest to a point of an atlas, as it is stored; errors as in ``seed_of_point``.
 
     Of an atlas of all attractors it is the one with the largest share, unless one of them was selected.
     """
-    from atlas.query.attractors import leading
+    from atlas.query.attractors import select_dominant
     from atlas.query.cell import values_of
     from atlas.query.queries import at
     from atlas.query.window import axis_names
 
-    ds = leading(ds)
+    ds = select_dominant(ds)
     cell = at(ds, point)
     record = system_of(ds.attrs)
     row = ds.sel({name: cell[name] for name in axis_names(ds)})
@@ -63,12 +63,12 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> Seed:
     if missing:
         raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
     results = {name: row[name].values[()] for name in stored if name in ds}
-    return seed_of(results, record, checked_parameters(record, values_of(ds, record, cell)))
+    return seed_of(results, record, validate_parameters(record, values_of(ds, record, cell)))
 
 
-def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> Seed:
+def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> BranchSeed:
     """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
-    from atlas.orbits.stored import NEEDED, orbits_of
+    from atlas.orbits.stored_orbits import NEEDED, orbits_of
     from workers.continuation import family_of
     from workers.continuation.equilibria import equilibrium_of
 
@@ -81,11 +81,11 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     unforced = record.definition.unforced
     if unforced and regime == NO_IMPACT:
         try:
-            return Seed(record, values, equilibrium_of(record, values, cell["state"]))
+            return BranchSeed(record, values, equilibrium_of(record, values, cell["state"]))
         except ValueError as error:
             raise InputError(f"this cell: {error}") from None
     row = {name: np.asarray(cell[name])[None] for name in (*NEEDED, *((CYCLE_PERIOD.name,) if unforced else ()))}
     (orbit,) = orbits_of(family_of(record, values, ()), np.zeros((1, 0)), row)
     if isinstance(orbit, str):
         raise InputError(f"this cell: {orbit}")
-    return Seed(record, values, orbit)
+    return BranchSeed(record, values, orbit)

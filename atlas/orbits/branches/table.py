@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.formatting import motion_name, plural
 from atlas.query import machine
 from atlas.spec.resolved import digest_of
-from atlas.text import motion_name, plural
 from workers.model.observables import Observable
 from workers.model.parameter import OMEGA
 from workers.model.system import System, identity
@@ -20,12 +20,12 @@ from workers.results import CYCLE_PERIOD, NO_IMPACT
 if TYPE_CHECKING:
     import pandas
 
-    from atlas.orbits.branches.tree import Branch, Tree, Untried
-    from workers.continuation import Itinerary, Point
+    from atlas.orbits.branches.tree import Branch, BranchTree, UnfollowedEvent
+    from workers.continuation import Itinerary, SolutionPoint
 
 
 @dataclass(frozen=True, eq=False)
-class Branches:
+class BranchTable:
     """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
 
     ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
@@ -38,7 +38,7 @@ class Branches:
     along: str
     window: tuple[float, float]
     traced: tuple["Branch", ...]
-    untried: tuple["Untried", ...] = ()
+    untried: tuple["UnfollowedEvent", ...] = ()
     observable: Observable | None = None
 
     def __repr__(self) -> str:
@@ -50,7 +50,7 @@ class Branches:
         return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
 
     @classmethod
-    def of(cls, tree: "Tree", observable: Observable | None = None) -> Self:
+    def of(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
         """The branches of a tree that has grown."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
         return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
@@ -100,7 +100,7 @@ class Branches:
         frame = pandas.DataFrame(list(self._points()), columns=columns)
         if self.observable is None:
             return frame
-        observed = [next(self.shown_values(branch)) for branch in self.traced]
+        observed = [next(self.plotted_values(branch)) for branch in self.traced]
         most = max(int(np.max(np.sum(np.isfinite(values), axis=1))) for values in observed)
         rows = np.full((len(frame), most), np.nan)
         for branch, values in enumerate(observed):
@@ -135,7 +135,7 @@ class Branches:
             if states is not None:
                 yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
-    def shown_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
+    def plotted_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
         """The plotted values (N, K) of a branch, and of its mirror image where there is one; NaN for none.
 
         Those of neighbouring points that belong to each other have the same place.
@@ -143,7 +143,7 @@ class Branches:
         if self.observable is None:
             yield from self.gap_values(branch)
             return
-        from workers.cell.observing import observe_orbits
+        from workers.cell.observables import observe_orbits
 
         parameters: dict[str, Any] = {**self.parameters, self.along: branch.values}
         periods = np.array([own.periods for own in branch.itineraries])
@@ -154,14 +154,14 @@ class Branches:
         for states in (branch.sections, branch.mirrored):
             if states is not None:
                 first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
-                observed = observe_orbits(self.system.definition, given, first, periods, name, MOST_VALUES)
-                yield aligned(observed[self.observable.variable], self.observable.turn)
+                observed = observe_orbits(self.system.definition, given, first, periods, name, MAX_VALUES)
+                yield align_rows(observed[self.observable.variable], self.observable.turn)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
         """Lines (N, 2) of the plotted values over the parameter, of mirror images too, each after its stability."""
         jump = math.inf if self.observable is None else 0.5 * self.observable.turn
         for branch in self.traced:
-            for values in self.shown_values(branch):
+            for values in self.plotted_values(branch):
                 for stable, part in branch.parts:
                     for one in values[part].T:
                         line = np.column_stack([branch.values[part], one])
@@ -172,7 +172,7 @@ class Branches:
     def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
         for branch in self.traced:
-            for values in self.shown_values(branch):
+            for values in self.plotted_values(branch):
                 for k, event in zip(branch.places, branch.run.events, strict=True):
                     yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
 
@@ -200,7 +200,7 @@ class Branches:
     def _pattern(self) -> tuple[str, ...]:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
-    def _pattern_values(self, point: "Point", own: "Itinerary") -> tuple[Any, ...]:
+    def _pattern_values(self, point: "SolutionPoint", own: "Itinerary") -> tuple[Any, ...]:
         """The values of ``_pattern``."""
         return (*pattern(own), *[cycle_period(point, own)][: self.system.definition.unforced])
 
@@ -220,11 +220,11 @@ class Branches:
                 )  # fmt: skip
 
 
-MOST_VALUES = 256
+MAX_VALUES = 256
 """Values of an observable that are shown of an orbit."""
 
 
-def aligned(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+def align_rows(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
     """Values (N, K) of neighbouring orbits, in the order of time, each row begun where it fits the row before it best.
 
     They are modulo ``turn`` where that is finite. A row with more or fewer values than the one before it stays.
@@ -259,7 +259,7 @@ def orbit_name(itinerary: "Itinerary", system: System) -> str:
     return ("cycle " if unforced else "") + motion_name(*counts) + (" symmetric" if symmetric else "")
 
 
-def modulus(point: "Point", own: "Itinerary") -> float:
+def modulus(point: "SolutionPoint", own: "Itinerary") -> float:
     """The largest modulus of the multipliers of an orbit over a whole one of an itinerary, which may repeat it.
 
     Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
@@ -269,12 +269,12 @@ def modulus(point: "Point", own: "Itinerary") -> float:
         return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, own))
 
 
-def cycle_period(point: "Point", own: "Itinerary") -> float:
+def cycle_period(point: "SolutionPoint", own: "Itinerary") -> float:
     """The time that a cycle takes, as a whole one of an itinerary; NaN of other orbits."""
     return float(point.orbit.length) * _turns(point, own)
 
 
-def _turns(point: "Point", own: "Itinerary") -> float:
+def _turns(point: "SolutionPoint", own: "Itinerary") -> float:
     """How many turns of a point's orbit are a whole orbit of an itinerary."""
     turn = point.orbit.itinerary
     if own.is_cycle:

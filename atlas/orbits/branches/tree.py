@@ -16,7 +16,7 @@ from workers.continuation import (
     Family,
     Itinerary,
     Orbit,
-    Point,
+    SolutionPoint,
     branch,
     family_of,
     leaving_branch,
@@ -24,8 +24,8 @@ from workers.continuation import (
     section_states,
 )
 from workers.continuation.equilibria import equilibria
-from workers.continuation.orbits import alike, refined
-from workers.continuation.oscillator import has_images
+from workers.continuation.families import has_images
+from workers.continuation.orbits import alike, refine_orbit
 from workers.model.system import System
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
 """How far from an event the branch that leaves there is looked for, in turn: one that is near comes back to it."""
 
-BESIDE = 1e-3
+CONTINUATION_OFFSET = 1e-3
 """How far from an event, as a share of the window, the orbit is taken that continues through it."""
 
 LEAVES = ("symmetry_breaking", "period_doubling")
@@ -46,7 +46,7 @@ GOES_ON = (
 """Kinds of events at which a branch may end, and one of orbits with other contacts or slides begin: through continuous
 ones the branch itself continues."""
 
-SAME = 1e-6
+SAME_ORBIT = 1e-6
 """Difference, relative to the size of states, below which two orbits at one parameter are the same."""
 
 
@@ -110,7 +110,7 @@ class Branch:
         if one.itinerary != other.itinerary:
             raise ValueError("the orbit changes between these points")
         fields = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
-        return refined(family, Orbit(one.itinerary, *fields), np.array([value]))
+        return refine_orbit(family, Orbit(one.itinerary, *fields), np.array([value]))
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
         """The orbits at a value of the parameter, each between two neighbouring points."""
@@ -119,7 +119,7 @@ class Branch:
                 yield self.orbit_after(family, k, share, value)
 
 
-class Untried(NamedTuple):
+class UnfollowedEvent(NamedTuple):
     """An event of a branch, by its number, at which no branch was followed, and why."""
 
     branch: int
@@ -128,7 +128,7 @@ class Untried(NamedTuple):
 
 
 @dataclass
-class Tree:
+class BranchTree:
     """Branches in one parameter of a system, grown from orbits.
 
     values    all parameters
@@ -144,7 +144,7 @@ class Tree:
     most: int
     longest: int
     branches: list[Branch] = field(default_factory=list)
-    untried: list[Untried] = field(default_factory=list)
+    untried: list[UnfollowedEvent] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.family: Family = family_of(self.system, self.values, (self.along,))
@@ -169,15 +169,15 @@ class Tree:
             if self._is_met(event) if changes else self._is_known(event, ends):
                 continue
             if len(self.branches) >= self.most:
-                self.untried.append(Untried(number, event, f"{self.most} branches followed"))
+                self.untried.append(UnfollowedEvent(number, event, f"{self.most} branches followed"))
             elif (1 if changes else 2) * len(event.point.orbit.times) > self.longest:
-                self.untried.append(Untried(number, event, f"more than {self.longest} impacts"))
+                self.untried.append(UnfollowedEvent(number, event, f"more than {self.longest} impacts"))
             elif (self._go_on if changes else self._follow_shorter if ends else self._follow)(number, event):
                 waiting.extend(self._meetings(len(self.branches) - 1))
             else:
-                self.untried.append(Untried(number, event, "no orbit found beside it"))
+                self.untried.append(UnfollowedEvent(number, event, "no orbit found beside it"))
 
-    def states(self, point: Point, shift: float = 0.0) -> Array:
+    def states(self, point: SolutionPoint, shift: float = 0.0) -> Array:
         """The section states (n, 2d) of a point; of a cycle those after all its events."""
         given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
         return section_states(self.system, given, [point.orbit], shift, known=True)[0]
@@ -201,7 +201,11 @@ class Tree:
         own, cycle = event.point.orbit.itinerary, None
         if own.is_cycle:
             cycle = float(event.point.orbit.length) / own.turn
-        for beside in (here + share * sign * (high - low) for share in (BESIDE, 0.1 * BESIDE) for sign in (1.0, -1.0)):
+        for beside in (
+            here + share * sign * (high - low)
+            for share in (CONTINUATION_OFFSET, 0.1 * CONTINUATION_OFFSET)
+            for sign in (1.0, -1.0)
+        ):
             if not low < beside < high:
                 continue
             try:
@@ -241,9 +245,9 @@ class Tree:
         It starts beside the event, where what changes sign has one.
         """
         (low, high), here = self.window, float(event.point.values[0])
-        beside = here + BESIDE * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
+        beside = here + CONTINUATION_OFFSET * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
         try:
-            start = refined(self.family, event.point.orbit, np.array([beside]))
+            start = refine_orbit(self.family, event.point.orbit, np.array([beside]))
             run = branch(self.family, start, beside, self.window)
         except ValueError:
             return False
@@ -265,12 +269,14 @@ class Tree:
         """Whether two events are one, or mirror images."""
         return one.kind == other.kind and self._meets(one, other)
 
-    def is_orbit(self, state: Array, point: Point) -> bool:
+    def is_orbit(self, state: Array, point: SolutionPoint) -> bool:
         """Whether a section state (2d,) is one of the orbit of a point, or of its mirror image."""
         states = self.states(point)
         if self.twins:
             states = np.concatenate([states, -self.states(point, 0.5)])
-        return bool(np.min(np.max(np.abs(states - state), axis=1)) <= SAME * max(1e-300, float(np.max(np.abs(states)))))
+        return bool(
+            np.min(np.max(np.abs(states - state), axis=1)) <= SAME_ORBIT * max(1e-300, float(np.max(np.abs(states))))
+        )
 
     def _add(self, run: BranchRun, itinerary: Itinerary, *origins: tuple[int, Event | None]) -> None:
         sections = self._sections(run, 0.0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-TOGETHER = 4096
+POINTS_PER_BLOCK = 4096
 """Points whose nearest chords are looked for at a time."""
 
 
@@ -89,7 +89,7 @@ def margins(points: Array, chords: Chords) -> Margins:
     tree = cKDTree(middles)
     nearest, piece = tree.query(points)
     best, chord = np.full(len(points), np.inf), owner[piece]
-    for rows in np.array_split(np.arange(len(points)), max(1, len(points) // TOGETHER)):
+    for rows in np.array_split(np.arange(len(points)), max(1, len(points) // POINTS_PER_BLOCK)):
         reach = (nearest[rows] + float(half.max(initial=0.0))) * (1.0 + 1e-12)
         near = tree.query_ball_point(points[rows], reach)
         counts = np.array([len(places) for places in near], dtype=np.int64)
@@ -103,10 +103,10 @@ def margins(points: Array, chords: Chords) -> Margins:
 
 def distances(points: Array, first: Array, last: Array) -> Array:
     """The distance of each point (N, 2) to its own chord, from ``first`` (N, 2) to ``last`` (N, 2)."""
-    return np.asarray(np.hypot(*feet(points, first, last)[1].T))
+    return np.asarray(np.hypot(*project_onto_chords(points, first, last)[1].T))
 
 
-def feet(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
+def project_onto_chords(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
     """The nearest place on a chord to each point (..., 2), as a share (...) of the chord; the way (..., 2) from there.
 
     Points and chords broadcast.
@@ -117,12 +117,12 @@ def feet(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
     return share, off - share[..., None] * steps
 
 
-def passes(points: Array, at: Array, near: float) -> list[tuple[int, float]]:
+def find_passages(points: Array, at: Array, near: float) -> list[tuple[int, float]]:
     """Chords of a curve through points (N, 2) nearer than ``near`` to a point (2,), one for each time that it passes.
 
     The nearest one, by its number, and the share of it. Chords of length 0 do not count.
     """
-    shares, way = feet(at, points[:-1], points[1:])
+    shares, way = project_onto_chords(at, points[:-1], points[1:])
     off = np.hypot(*way.T)
     close = np.flatnonzero((off < near) & np.any(points[1:] != points[:-1], axis=1))
     if not len(close):

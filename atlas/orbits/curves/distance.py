@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError, check_names
-from atlas.orbits.curves.cells import CellOrbits
-from atlas.orbits.curves.following import Located, bounds_stability, events_towards
+from atlas.orbits.curves.cell_orbits import CellOrbits
+from atlas.orbits.curves.following import PlaneEvent, bounds_stability, events_towards
 from atlas.orbits.curves.plane import CurvePlane, plane_of
 from atlas.orbits.curves.table import KINDS
 from atlas.query.open import handle_of
@@ -64,7 +64,7 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
 
 def _first(
     orbits: CellOrbits, orbit: Orbit, here: NDArray[np.float64], axis: int, end: float, kind: str | None
-) -> Iterator[Located]:
+) -> Iterator[PlaneEvent]:
     """The first event of a kind on the way to an end, if any."""
     if here[axis] == end:
         return
@@ -76,7 +76,7 @@ def _first(
     yield from [event for event in events if kind in (None, event.kind)][:1]
 
 
-def _entry(plane: CurvePlane, axis: int, here: NDArray[np.float64], event: Located) -> dict[str, Any]:
+def _entry(plane: CurvePlane, axis: int, here: NDArray[np.float64], event: PlaneEvent) -> dict[str, Any]:
     distance = float(event.values[axis] - here[axis])
     return {
         "axis": plane.axes[axis],

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from atlas.arguments import checked_path, checked_suffix
+from atlas.argument_checks import validate_path, validate_suffix
 from atlas.orbits.curves.table import Curve, Curves
-from atlas.query.export import check_writable, written_whole
+from atlas.query.export import check_writable, replace_on_success
 
 FORMATS = (".csv", ".json")
 
@@ -20,9 +20,9 @@ def export(curves: Curves, path: str | Path) -> None:
     codimension two is a row of its own kind at its place in the curve. JSON: one object, as ``as_json``.
     Raises InputError for another suffix and for a path that cannot be written.
     """
-    target = checked_path(path)
+    target = validate_path(path)
     suffix = check_path(target)
-    with written_whole(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with replace_on_success(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         if suffix == ".csv":
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns(curves.axes))
@@ -34,7 +34,7 @@ def export(curves: Curves, path: str | Path) -> None:
 
 def check_path(path: Path) -> str:
     """The suffix of a file; InputError unless ``export`` knows it, and the file can be written."""
-    suffix = checked_suffix(path, FORMATS)
+    suffix = validate_suffix(path, FORMATS)
     check_writable(path)
     return suffix
 

@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.orbits.curves.cells import CEASES, CellOrbits
-from atlas.orbits.curves.chords import passes
-from workers.continuation import Condition, Event, Family, Itinerary, Orbit, Point, branch, curve
-from workers.continuation.admissible import VERTEX
+from atlas.orbits.curves.cell_orbits import CEASES, CellOrbits
+from atlas.orbits.curves.chords import find_passages
+from workers.continuation import Condition, Event, Family, Itinerary, Orbit, SolutionPoint, branch, curve
+from workers.continuation.admissibility import VERTEX
 from workers.continuation.branches import EDGE, BranchRun, Until
-from workers.continuation.curves import loses_impact, without_impact
+from workers.continuation.curves import is_impact_loss, without_impact
 from workers.continuation.equilibria import HOPF, OF_EQUILIBRIA, equilibria, is_equilibrium
 from workers.continuation.events import EXCHANGE, GRAZING, LOST
-from workers.continuation.extended import PAIR, Extended, conditions_on, solve
+from workers.continuation.extended_system import PAIR, ExtendedSystem, conditions_on, solve
 from workers.continuation.hopf import hopf_curve
-from workers.continuation.same import same_orbit
+from workers.continuation.orbit_equality import is_same_orbit
 from workers.model.family import NoOscillatorError
 
 Array = NDArray[np.float64]
@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 STEP = 0.6
 """The longest step of a short branch, as a share of its few cells."""
 
-APART, SAME_ORBIT = 1e-8, 1e-6
+SAME_EVENT_DISTANCE, SAME_ORBIT = 1e-8, 1e-6
 """Distance in units of the window within which two events of one orbit are one; difference of the orbits there."""
 
-NEAR = 5e-3
+NEAR_CURVE = 5e-3
 """Distance in units of the window from the chords of a curve within which an event may lie on it."""
 
 
-class Located(NamedTuple):
+class PlaneEvent(NamedTuple):
     """An event in the plane: its kind, its condition, its orbit with contact times at parameters (2,), and kappa."""
 
     kind: str
@@ -43,7 +43,9 @@ class Located(NamedTuple):
     def as_event(self) -> Event:
         """The event as ``workers.continuation`` has it."""
         none = np.zeros(0, dtype=np.complex128)
-        return Event(self.kind, (self.condition,), Point(self.values, self.orbit, self.contacts, none, 0), self.kappa)
+        return Event(
+            self.kind, (self.condition,), SolutionPoint(self.values, self.orbit, self.contacts, none, 0), self.kappa
+        )
 
     @property
     def signature(self) -> tuple[str, int, int, bool]:
@@ -52,13 +54,13 @@ class Located(NamedTuple):
         return self.kind, itinerary.sections, len(itinerary.sides), itinerary.symmetric
 
 
-class Followed(NamedTuple):
+class FollowedCurve(NamedTuple):
     """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, the condition
     on each orbit, how many other multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and
     its ends. Its orbits have other events beyond a point at which contacts or slides change though nothing jumps.
     """
 
-    of: Located
+    of: PlaneEvent
     values: Array
     orbits: list[Orbit]
     contacts: Array
@@ -68,23 +70,23 @@ class Followed(NamedTuple):
     ends: tuple[str, str]
 
 
-class Looked(NamedTuple):
+class EdgeSearchResult(NamedTuple):
     """The result beside an edge: the events, or the reason for none in words; and the fate of the cell's orbit at
     the neighbour's parameters: CEASES, PERSISTS or IS.
     """
 
-    events: list[Located]
+    events: list[PlaneEvent]
     why: str = ""
     there: int = CEASES
 
 
-def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> Looked:
+def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> EdgeSearchResult:
     """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
     ``cells`` cells; in order along its branch.
     """
     plane, orbit = orbits.plane, orbits.of(start)
     if orbit is None:
-        return Looked([], "no orbit is found from the state of a cell")
+        return EdgeSearchResult([], "no orbit is found from the state of a cell")
     here, there = plane.values(np.array([start, beyond]))
     axis = 0 if here[0] != there[0] else 1
     low, high = plane.window[plane.axes[axis]]
@@ -92,20 +94,22 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     try:
         run, events = _towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
     except (ValueError, np.linalg.LinAlgError) as error:
-        return Looked([], f"the orbit of a cell cannot be followed: {error}")
+        return EdgeSearchResult([], f"the orbit of a cell cannot be followed: {error}")
     why = run.ends[1 if end > here[axis] else 0]
     if events or why != EDGE:
-        return Looked(events, "" if events else f"the branch of a cell's orbit ends at no event of its own: {why}")
+        return EdgeSearchResult(
+            events, "" if events else f"the branch of a cell's orbit ends at no event of its own: {why}"
+        )
     points = [point for point in run.points if abs(point.values[0] - here[axis]) <= abs(there[axis] - here[axis])]
     nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(there[axis])))
     values = here.copy()
     values[axis] = nearest.values[0]
-    return Looked([], "the orbit of a cell continues beyond", orbits.becomes(nearest.orbit, values, beyond))
+    return EdgeSearchResult([], "the orbit of a cell continues beyond", orbits.fate_at(nearest.orbit, values, beyond))
 
 
 def events_towards(
     orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
-) -> list[Located]:
+) -> list[PlaneEvent]:
     """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
     to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
     as ``workers.continuation.branch``.
@@ -115,7 +119,7 @@ def events_towards(
 
 def _towards(
     orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
-) -> tuple[BranchRun, list[Located]]:
+) -> tuple[BranchRun, list[PlaneEvent]]:
     """The branch of ``events_towards``, and these events."""
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
@@ -138,19 +142,19 @@ def bounds_stability(event: Event) -> bool:
     return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind not in (VERTEX, EXCHANGE)
 
 
-def _located(event: Event, values: Array) -> Located:
+def _located(event: Event, values: Array) -> PlaneEvent:
     """An event in the plane; where an impact is lost, the graze of the orbit without it."""
     (condition,), point = event.conditions, event.point
-    if loses_impact(event):
+    if is_impact_loss(event):
         orbit, graze, contacts = without_impact(point.orbit, condition.impact)
-        return Located(GRAZING, graze, orbit, contacts, values, event.kappa)
+        return PlaneEvent(GRAZING, graze, orbit, contacts, values, event.kappa)
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     kind = GRAZING if event.kind in LOST else event.kind
-    return Located(kind, condition, point.orbit, point.contacts, values, event.kappa)
+    return PlaneEvent(kind, condition, point.orbit, point.contacts, values, event.kappa)
 
 
-def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: int) -> Followed | str:
+def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budget: int) -> FollowedCurve | str:
     """The curve of an event through the plane's window, or why there is none; of equilibria Hopf points have one."""
     still, name = event.condition.kind in OF_EQUILIBRIA, event.kind.replace("_", " ")
     if still and event.kind != HOPF:
@@ -170,7 +174,7 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
     conditions = [event.condition] * len(own) if still else _conditions(orbits, event, own)
     if conditions is None:
         return f"the {name} is lost on its way: its own event is not that of a neighbour"
-    return Followed(
+    return FollowedCurve(
         of=event,
         values=np.array([point.values for point in run.points]),
         orbits=[point.orbit for point in own],
@@ -182,7 +186,7 @@ def follow_event(orbits: CellOrbits, event: Located, resolution: float, budget: 
     )
 
 
-def with_own_ends(points: list[Point]) -> list[Point]:
+def with_own_ends(points: list[SolutionPoint]) -> list[SolutionPoint]:
     """The points, an end at which the orbit becomes another one replaced by its neighbour."""
     own = list(points)
     for end, beside in ((0, 1), (-1, -2)):
@@ -195,7 +199,7 @@ def _length(itinerary: Itinerary) -> tuple[int, bool]:
     return itinerary.sections, itinerary.symmetric
 
 
-def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list[Condition] | None:
+def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoint]) -> list[Condition] | None:
     """The condition of an event on the orbit of each point, from that with the event's own itinerary to both ends."""
     start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
     conditions = {start: event.condition}
@@ -212,7 +216,7 @@ def _conditions(orbits: CellOrbits, event: Located, points: list[Point]) -> list
     return [conditions[k] for k in range(len(points))]
 
 
-def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
+def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool:
     """Whether an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
 
     Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
@@ -220,7 +224,7 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
     if event.kind != known.of.kind or _length(event.orbit.itinerary) != _length(known.of.orbit.itinerary):
         return False
     width = orbits.plane.width
-    for place, share in passes(known.values / width, event.values / width, NEAR):
+    for place, share in find_passages(known.values / width, event.values / width, NEAR_CURVE):
         if event.condition.kind in OF_EQUILIBRIA:
             return True  # a machine has one that this one is continued to
         solution = _solved_at(orbits.family, event, known, place, share, width)
@@ -228,8 +232,8 @@ def lies_on(orbits: CellOrbits, event: Located, known: Followed) -> bool:
             continue
         values, orbit = solution
         omega = float(orbits.omega(values[None])[0])
-        near = float(np.max(np.abs(values - event.values) / width)) < APART
-        if near and same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
+        near = float(np.max(np.abs(values - event.values) / width)) < SAME_EVENT_DISTANCE
+        if near and is_same_orbit(event.orbit, orbit, omega, SAME_ORBIT):
             return True
     return False
 
@@ -238,13 +242,13 @@ def _is_alike(one: Itinerary, other: Itinerary) -> bool:
     return _length(one) == _length(other) and len(one.sides) == len(other.sides)
 
 
-def _is_whole(known: Followed, place: int) -> bool:
+def _is_whole(known: FollowedCurve, place: int) -> bool:
     """Whether the orbits at both ends of a chord have the same events."""
     return known.orbits[place].itinerary == known.orbits[place + 1].itinerary
 
 
 def _solved_at(
-    family: Family, event: Located, known: Followed, place: int, share: float, width: Array
+    family: Family, event: PlaneEvent, known: FollowedCurve, place: int, share: float, width: Array
 ) -> tuple[Array, Orbit] | None:
     """The point of a curve on the line across its chord, with its orbit."""
     ends = [k for k in (place, place + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
@@ -253,7 +257,7 @@ def _solved_at(
     condition, along = known.conditions[ends[0]], known.values[place + 1] - known.values[place]
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
-    equations = Extended(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
+    equations = ExtendedSystem(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
     packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in ends]
     guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, place) else packed[0]
     row = np.zeros(len(guess))

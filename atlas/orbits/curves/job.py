@@ -6,23 +6,23 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
-from atlas.orbits.curves.cells import CellOrbits
-from atlas.orbits.curves.following import Followed
+from atlas.orbits.curves.cell_orbits import CellOrbits
+from atlas.orbits.curves.following import FollowedCurve
 from atlas.orbits.curves.plane import plane_of
-from atlas.orbits.curves.record import curve_from_json
 from atlas.orbits.curves.settings import CurveSettings
-from atlas.orbits.curves.tasks import Task, do
+from atlas.orbits.curves.tasks import Task, run_task
+from atlas.orbits.curves.to_json import curve_from_json
 from atlas.store.groups import CURVES
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from atlas.task.compile import ORBITS, compile_once, kernels_for
-from atlas.task.site import PartReceipt, RefusedError, Site, stored_part
+from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, stored_part
 
 
 @dataclass(frozen=True)
 class CurveJob:
     """A task of a search in a store, with the name of the part for its result.
 
-    ``digest`` is that of the search: a worker whose store has another digest refuses. ``do_and_keep`` runs it locally.
+    ``digest`` is that of the search: a worker whose store has another digest refuses. ``run_and_store`` runs it locally.
     """
 
     index: tuple[int, ...]
@@ -30,39 +30,39 @@ class CurveJob:
     task: Task
     settings: CurveSettings
     digest: str
-    site: Site
+    site: StoreRef
 
 
-def do_and_keep(job: CurveJob) -> PartReceipt:
+def run_and_store(job: CurveJob) -> PartReport:
     """Do a task and keep its result as a part of the store."""
     handle = job.site.handle()
     compile_once(*kernels_for(handle.spec.record, ORBITS))
     begin = time.thread_time()
     orbits = _orbits(job.site, job.digest, job.settings)
     try:
-        result = do(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
+        result = run_task(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         result = {"trouble": f"{type(error).__name__}: {error}"}
     job.site.keep(handle, CURVES, job.name, json.dumps(result).encode())
-    return PartReceipt(job.index, job.name, time.thread_time() - begin)
+    return PartReport(job.index, job.name, time.thread_time() - begin)
 
 
-def read_part(handle: Atlas, name: str) -> dict[str, Any]:
+def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
     """The result that a part holds; RefusedError if there is none."""
     part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return part
 
 
 @lru_cache(maxsize=64)  # one curve passes many edges
-def _curve(site: Site, digest: str, name: str) -> Followed:
+def _curve(site: StoreRef, digest: str, name: str) -> FollowedCurve:
     return curve_from_json(read_part(site.handle(), name)["curve"])
 
 
 @lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
-def _orbits(site: Site, digest: str, settings: CurveSettings) -> CellOrbits:
+def _orbits(site: StoreRef, digest: str, settings: CurveSettings) -> CellOrbits:
     plane = plane_of(site.handle())
     if settings.digest(plane) != digest:
         text = "its cells differ from those of the search; is the path the same on all hosts?"
-        raise RefusedError(f"{site.store}: {text}")
+        raise WorkerRefusedError(f"{site.store}: {text}")
     return CellOrbits(plane)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.finished import Array, OrbitRows, columns_of, must_be_finished
+from atlas.orbits.orbit_table import Array, OrbitTable, columns_of, must_be_finished
 from atlas.spec.cells import edges_of
 from atlas.spec.system import must_offer
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from workers.model.parameter import TAU
 from workers.model.system import System
 from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
@@ -31,7 +31,7 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CurvePlane(OrbitRows):
+class CurvePlane(OrbitTable):
     """A finished plane. Its cells, the rows, are numbered row by row, x fastest.
 
     axes, x, y      the names of its axes, x first, and the values of both
@@ -104,14 +104,18 @@ class CurvePlane(OrbitRows):
         """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
         orbit: regime, period, impacts, symmetry, contacts and slides; 0 elsewhere.
         """
-        from atlas.query.connected import labelled  # not for every command: SciPy takes longer to load than all else
+        from atlas.query.connected_regions import (
+            label_components,  # not for every command: SciPy takes longer to load than all else
+        )
 
         changes = np.zeros((len(self.kind), 0), dtype=np.int64) if self.changes is None else self.changes
         own = np.column_stack([self.kind, changes])
         kind = np.unique(own, axis=0, return_inverse=True)[1].ravel()
         kinds = np.where(self.proven, kind + 1, 0).reshape(self.shape)
         return (
-            labelled(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0].ravel().astype(np.int64)
+            label_components(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0]
+            .ravel()
+            .astype(np.int64)
         )
 
     @cached_property
@@ -157,7 +161,7 @@ class CurvePlane(OrbitRows):
         return digest.hexdigest()
 
 
-def plane_of(handle: Atlas) -> CurvePlane:
+def plane_of(handle: AtlasStore) -> CurvePlane:
     """The plane of a store; InputError unless it is a finished one over two parameters that orbits depend on.
 
     ChunkError where a chunk is missing or damaged.

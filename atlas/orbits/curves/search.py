@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.orbits.curves.cells import CEASES, IS, PERSISTS, CellOrbits
-from atlas.orbits.curves.following import Followed, Located, lies_on
-from atlas.orbits.curves.groups import BASIN, CURVE, NONE, OPEN, TRIED, Groups
-from atlas.orbits.curves.near import ONE_CELL, middles, passed
+from atlas.orbits.curves.borders import BASIN, CURVE, NONE, OPEN, TRIED, BorderSchedule
+from atlas.orbits.curves.cell_orbits import CEASES, IS, PERSISTS, CellOrbits
+from atlas.orbits.curves.following import FollowedCurve, PlaneEvent, lies_on
+from atlas.orbits.curves.passages import ONE_CELL, edge_midpoints, find_passed_edges
 from atlas.orbits.curves.plane import CurvePlane
-from atlas.orbits.curves.record import curve_from_json, event_from_json
 from atlas.orbits.curves.settings import CurveSettings
-from atlas.orbits.curves.tasks import Follow, Look, Match, Persist, Task
+from atlas.orbits.curves.tasks import FindEventsTask, FollowTask, MatchTask, PersistTask, Task
+from atlas.orbits.curves.to_json import curve_from_json, event_from_json
 from workers.continuation import Itinerary
 
 CHUNK = 128
@@ -31,7 +31,7 @@ CHUNK = 128
 WAY = 1000
 """Points of a curve in either direction, at most."""
 
-SHORT, LONG = 2.0, 12.0
+SHORT_REACH, LONG_REACH = 2.0, 12.0
 """Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
 
 FAR = "no event of the orbits of its cells lies within a cell"
@@ -46,7 +46,7 @@ class _Event:
 
     part: str
     number: int
-    event: Located
+    event: PlaneEvent
     edge: int
 
 
@@ -60,7 +60,7 @@ class CurveSearch:
     plane: CurvePlane
     settings: CurveSettings
     orbits: CellOrbits = field(init=False)
-    curves: list[Followed] = field(default_factory=list)
+    curves: list[FollowedCurve] = field(default_factory=list)
     curve_names: list[str] = field(default_factory=list)
     troubles: list[str] = field(default_factory=list)
     looked: int = 0
@@ -71,9 +71,9 @@ class CurveSearch:
     def __post_init__(self) -> None:
         self.orbits = CellOrbits(self.plane)
         self.edges = self.plane.edges
-        self.middles = middles(self.plane, self.edges)
+        self.middles = edge_midpoints(self.plane, self.edges)
         self.verdicts: NDArray[np.int64] = np.full(len(self.edges), OPEN)
-        self.groups = Groups(self.plane, self.settings.least)
+        self.groups = BorderSchedule(self.plane, self.settings.least)
         self._names: list[str] = []
         self._pending: list[_Event] = []
         self._stages = self._run()
@@ -93,7 +93,7 @@ class CurveSearch:
         return {}
 
     @property
-    def settled(self) -> int:
+    def n_settled(self) -> int:
         """Edges about which there is nothing more to find out."""
         return int(np.sum(self.verdicts != OPEN))
 
@@ -120,7 +120,7 @@ class CurveSearch:
         order = np.argsort(ways[:, 0], kind="stable")
         ways, which = ways[order], which[order]
         parts = [slice(k, k + CHUNK) for k in range(0, len(ways), CHUNK)]
-        yield [Persist(tuple((int(a), int(b)) for a, b in ways[part])) for part in parts]
+        yield [PersistTask(tuple((int(a), int(b)) for a, b in ways[part])) for part in parts]
         for part, result in zip(parts, self._results, strict=True):
             there = np.array(result.get("persist", [CEASES] * len(ways[part])))
             self.verdicts[which[part][there == PERSISTS]] = BASIN
@@ -131,7 +131,7 @@ class CurveSearch:
         self.doing = "looking for events beside edges"
         far = [self.verdicts[edge] == BASIN for edge in edges]
         yield [
-            Look(self.groups.orders(self.edges[edge]), LONG if beyond else SHORT)
+            FindEventsTask(self.groups.orders(self.edges[edge]), LONG_REACH if beyond else SHORT_REACH)
             for edge, beyond in zip(edges, far, strict=True)
         ]
         self.looked += len(edges)
@@ -170,7 +170,7 @@ class CurveSearch:
             return
         budget = min(WAY, points // (2 * len(chosen)) or 1)
         self._pending = over + left
-        yield [Follow(met.part, met.number, budget) for met in chosen]
+        yield [FollowTask(met.part, met.number, budget) for met in chosen]
         for met, name, result in zip(chosen, self._names, self._results, strict=True):
             self._note(result)
             if "curve" in result:
@@ -188,14 +188,14 @@ class CurveSearch:
         wanted = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
         passings, which = [], []
         for name, curve in list(zip(self.curve_names, self.curves, strict=True))[known:]:
-            rows, chords, shares = passed(self.plane, curve.values, self.middles[wanted])
+            rows, chords, shares = find_passed_edges(self.plane, curve.values, self.middles[wanted])
             for edge, chord, share in zip(wanted[rows].tolist(), chords.tolist(), shares.tolist(), strict=True):
                 for cell in self.edges[edge].tolist():
                     if any(self._may_be(curve.orbits[k].itinerary, cell) for k in (chord, chord + 1)):
                         passings.append((name, chord, share, cell))
                         which.append(edge)
         parts = [slice(k, k + CHUNK) for k in range(0, len(passings), CHUNK)]
-        yield [Match(tuple(passings[part])) for part in parts]
+        yield [MatchTask(tuple(passings[part])) for part in parts]
         for part, result in zip(parts, self._results, strict=True):
             edges = np.array(which[part], dtype=np.int64)
             self.verdicts[edges[np.array(result.get("match", [False] * len(edges)), dtype=bool)]] = CURVE

@@ -3,8 +3,8 @@
 import hashlib
 from dataclasses import asdict, dataclass, fields
 
-from atlas.arguments import is_whole
-from atlas.errors import InputError, shown
+from atlas.argument_checks import is_integer
+from atlas.errors import InputError, brief_repr
 from atlas.orbits.curves.plane import SMALL, CurvePlane
 from workers import SOLVER_VERSION
 
@@ -34,8 +34,8 @@ class CurveSettings:
     def __post_init__(self) -> None:
         for limit in fields(self):
             value = getattr(self, limit.name)
-            if not is_whole(value) or value < 1:
-                raise InputError(f"{limit.name}: found {shown(value)}, must be a whole number, 1 or more")
+            if not is_integer(value) or value < 1:
+                raise InputError(f"{limit.name}: found {brief_repr(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:
         """The digest of the cells and the budget."""

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from atlas.errors import ChunkError, message_of
+from atlas.formatting import motion_name
 from atlas.store.groups import CURVES, read_group, write_group
 from atlas.store.schema import StoredArray
-from atlas.store.store import Atlas
-from atlas.text import motion_name
+from atlas.store.store import AtlasStore
 
 VERSION = 1
 """Of the form of the group; one of another version counts as absent."""
@@ -23,7 +23,7 @@ KINDS = (
 """Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is kept."""
 
 
-class Corner(NamedTuple):
+class CodimTwoPoint(NamedTuple):
     """A point of codimension two on a curve: its kind, where it lies on the x axis and on the y axis, and the curve's
     point (from 0) that it follows or is.
 
@@ -61,7 +61,7 @@ class Curve:
     points: NDArray[np.float64]
     unstable: NDArray[np.int64]
     ends: tuple[str, str]
-    corners: tuple[Corner, ...] = ()
+    corners: tuple[CodimTwoPoint, ...] = ()
 
     @property
     def label(self) -> str:
@@ -70,14 +70,14 @@ class Curve:
         return ", ".join(dict.fromkeys(motion_name(self.period, upper, lower) for upper, lower in counts))
 
     @property
-    def bounding(self) -> NDArray[np.bool_]:
+    def is_bounding(self) -> NDArray[np.bool_]:
         """Which points (N,) lie where the orbit is otherwise stable."""
         return self.unstable == 0
 
     @property
     def stable_parts(self) -> list[tuple[int, int]]:
         """The first and the last point of each part along which the orbit is otherwise stable."""
-        steps = self.bounding[1:] & self.bounding[:-1]
+        steps = self.is_bounding[1:] & self.is_bounding[:-1]
         ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
         return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
 
@@ -87,9 +87,11 @@ class Curve:
         return [self.points[first : last + 1] for first, last in self.stable_parts]
 
     @property
-    def stable_corners(self) -> list[Corner]:
+    def stable_corners(self) -> list[CodimTwoPoint]:
         """The points of codimension two at or beside such a part."""
-        return [corner for corner in self.corners if self.bounding[max(0, corner.after - 1) : corner.after + 2].any()]
+        return [
+            corner for corner in self.corners if self.is_bounding[max(0, corner.after - 1) : corner.after + 2].any()
+        ]
 
     @property
     def loose_ends(self) -> list[NDArray[np.float64]]:
@@ -105,7 +107,7 @@ class Curve:
 class Curves:
     """All curves of a plane, the names of its axes, x first, and a report on the search.
 
-    ``report``: plain values by name, see ``atlas.orbits.curves.finish.report_of``.
+    ``report``: plain values by name, see ``atlas.orbits.curves.search_result.report_of``.
     """
 
     axes: tuple[str, str]
@@ -123,13 +125,13 @@ class Curves:
         return tuple(curve for curve in self.curves if kind in (None, curve.kind))
 
 
-def write_curves(handle: Atlas, curves: Curves) -> None:
+def write_curves(handle: AtlasStore, curves: Curves) -> None:
     """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
     own = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
     write_group(handle, CURVES, as_arrays(curves), own)
 
 
-def read_curves(handle: Atlas) -> Curves | None:
+def read_curves(handle: AtlasStore) -> Curves | None:
     """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
     stored = read_group(handle, CURVES)
     if stored is None or stored[1].get("version") != VERSION:
@@ -186,10 +188,10 @@ def as_arrays(table: Curves) -> dict[str, StoredArray]:
 def from_arrays(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> Curves:
     """The curves that ``as_arrays`` made arrays of."""
     first, last = attributes["axes"]
-    corners: list[list[Corner]] = [[] for _ in arrays["kind"]]
+    corners: list[list[CodimTwoPoint]] = [[] for _ in arrays["kind"]]
     parts = [arrays[f"corner_{name}"] for name in ("curve", "kind", "position", "after")]
     for number, kind, (x, y), after in zip(*parts, strict=True):
-        corners[int(number)].append(Corner(str(kind), float(x), float(y), int(after)))
+        corners[int(number)].append(CodimTwoPoint(str(kind), float(x), float(y), int(after)))
     ends = np.cumsum(arrays["row_size"])
     curves = tuple(
         Curve(

@@ -7,24 +7,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.orbits.curves.cells import CEASES, CellOrbits
-from atlas.orbits.curves.following import Followed, events_between, follow_event
-from atlas.orbits.curves.near import Passing, orbits_beside
-from atlas.orbits.curves.record import curve_as_json, event_as_json, event_from_json
+from atlas.orbits.curves.cell_orbits import CEASES, CellOrbits
+from atlas.orbits.curves.following import FollowedCurve, events_between, follow_event
+from atlas.orbits.curves.passages import CurvePassage, orbits_beside
+from atlas.orbits.curves.to_json import curve_as_json, event_as_json, event_from_json
 
 RESOLUTION = 0.02
 """The longest step along a curve, as a share of the window."""
 
 
 @dataclass(frozen=True)
-class Persist:
+class PersistTask:
     """Which orbits, of the first cell of each pair, exist and attract at the second one too."""
 
     pairs: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
-class Look:
+class FindEventsTask:
     """The events of the orbits of some cells, from each to a neighbour and on, over ``cells`` cells; of the first way
     that has any.
     """
@@ -34,7 +34,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Follow:
+class FollowTask:
     """The curve of event number ``event`` of the part ``part``; at most ``budget`` points either way."""
 
     part: str
@@ -43,34 +43,34 @@ class Follow:
 
 
 @dataclass(frozen=True)
-class Match:
+class MatchTask:
     """Which curves, by the names of their parts, are of the orbits of cells that they pass: (curve, chord, cell)."""
 
     passings: tuple[tuple[str, int, float, int], ...]
 
 
-Task = Persist | Look | Follow | Match
+Task = PersistTask | FindEventsTask | FollowTask | MatchTask
 Known = Callable[[str], dict[str, Any]]
 """Gives the result of an earlier task by the name of its part."""
 
 
-def do(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], Followed]) -> dict[str, Any]:
+def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], FollowedCurve]) -> dict[str, Any]:
     """The result of a task as plain values, exact to the bit."""
-    if isinstance(task, Persist):
-        return {"persist": orbits.persist(np.array(task.pairs, dtype=np.int64)).tolist()}
-    if isinstance(task, Look):
+    if isinstance(task, PersistTask):
+        return {"persist": orbits.fates(np.array(task.pairs, dtype=np.int64)).tolist()}
+    if isinstance(task, FindEventsTask):
         return _looked(task, orbits)
-    if isinstance(task, Follow):
+    if isinstance(task, FollowTask):
         event = event_from_json(known(task.part)["events"][task.event])
         followed = follow_event(orbits, event, RESOLUTION, task.budget)
         return {"trouble": followed} if isinstance(followed, str) else {"curve": curve_as_json(followed)}
-    passings = [Passing(curve_of(name), chord, share) for name, chord, share, _ in task.passings]
+    passings = [CurvePassage(curve_of(name), chord, share) for name, chord, share, _ in task.passings]
     points, values = orbits_beside(passings)
     cells: NDArray[np.int64] = np.array([cell for *_, cell in task.passings], dtype=np.int64)
-    return {"match": orbits.belong(cells, points, values).tolist()}
+    return {"match": orbits.belong_to_cells(cells, points, values).tolist()}
 
 
-def _looked(task: Look, orbits: CellOrbits) -> dict[str, Any]:
+def _looked(task: FindEventsTask, orbits: CellOrbits) -> dict[str, Any]:
     """Of the first way with an event; a way without one is followed by the next. Without any, why, of each way."""
     why, there = list[str](), list[int]()
     for start, beyond in task.ways:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.orbits.finished import Array, Rows, current_group
+from atlas.orbits.labels.attractor_orbits import attractors_of
 from atlas.orbits.labels.components import branches
-from atlas.orbits.labels.following import followed
-from atlas.orbits.labels.rows import attractors_of
+from atlas.orbits.labels.links import followed
+from atlas.orbits.orbit_table import Array, Rows, current_group
 from atlas.store.groups import LABELS, write_table
 from atlas.store.schema import StoredArray, variable_attributes
-from atlas.store.store import Atlas
+from atlas.store.store import AtlasStore
 from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, REGIME, UNKNOWN_LABEL, Variable, result_named
 
@@ -39,7 +39,7 @@ OF_BRANCHES = (
 
 
 @dataclass(frozen=True)
-class Count:
+class LabelCounts:
     """What became of the attractors of an atlas.
 
     attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
@@ -61,7 +61,7 @@ class Count:
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
+class AttractorLabels:
     """The label of every attractor of every cell, -1 for none, (cells..., keep); the branches by their labels.
 
     cells, total (B,)   cells of each branch, the sum of its shares; first (B,) the row of its first orbit
@@ -73,10 +73,10 @@ class Labels:
     total: Array
     mirror: Rows
     kinds: Mapping[str, NDArray[Any]]
-    count: Count
+    count: LabelCounts
 
 
-def labels_of(handle: Atlas) -> Labels:
+def labels_of(handle: AtlasStore) -> AttractorLabels:
     """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
     every, kept = attractors_of(handle)
     links = followed(every)
@@ -87,7 +87,7 @@ def labels_of(handle: Atlas) -> Labels:
     values[every.cell, every.place] = number
     there = np.flatnonzero(number >= 0)
     first = there[np.unique(number[there], return_index=True)[1]]
-    count = Count(
+    count = LabelCounts(
         attractors=kept,
         orbits=len(every),
         followed=int(links.known.sum()),
@@ -97,11 +97,11 @@ def labels_of(handle: Atlas) -> Labels:
         cut=cut,
         one_way=links.one_way,
     )
-    return Labels(
+    return AttractorLabels(
         values=values.reshape(*every.shape, every.keep),
         cells=cells,
         total=total,
-        mirror=mirrors(number, branch, links.image),
+        mirror=mirror_labels(number, branch, links.image),
         kinds={name: getattr(every, name)[first] for name in KINDS},
         count=count,
     )
@@ -118,14 +118,14 @@ def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
     return number, np.asarray(total[order], dtype=np.float64)
 
 
-def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
+def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
     """The label of the mirror image of each branch: its own where it is symmetric, -1 where no cell has it or none is.
 
     number (A,)         the label of every orbit, -1 for none
     branch, image (N,)  the branch and the mirror image of these and of images that no cell has
 
     The mirror image of a branch is a branch, so that the image of any of its orbits says which. Who is whose image is
-    mutual: ``mirrors(...)[m] == k`` wherever ``mirrors(...)[k] == m >= 0``.
+    mutual: ``mirror_labels(...)[m] == k`` wherever ``mirror_labels(...)[k] == m >= 0``.
     """
     there = np.flatnonzero(number >= 0)
     label = np.full(branch.max(initial=-1) + 1, -1)
@@ -134,7 +134,7 @@ def mirrors(number: Rows, branch: Rows, image: Rows) -> Rows:
     return np.where(image[first] >= 0, label[branch[image[first]]], -1)
 
 
-def write_labels(handle: Atlas, labels: Labels) -> None:
+def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
     """Keep labels in the store, in the place of any before."""
     rows = {"cells": labels.cells, "total_share": labels.total, "mirror": labels.mirror} | dict(labels.kinds)
     label = StoredArray(labels.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
@@ -146,7 +146,7 @@ def write_labels(handle: Atlas, labels: Labels) -> None:
     write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(labels.count)})
 
 
-def stored_count(handle: Atlas) -> Count | None:
+def stored_count(handle: AtlasStore) -> LabelCounts | None:
     """The report of the stored labels; None where there are none, or they would be found differently now."""
     stored = current_group(handle, LABELS, VERSION)
-    return None if stored is None else Count(**stored[1]["count"])
+    return None if stored is None else LabelCounts(**stored[1]["count"])

@@ -19,9 +19,9 @@ from rig.published.entries import (
     shaw_holmes_1983,
     simpson_ghosh_2026,
 )
-from rig.published.entry import Entry
+from rig.published.entry import PublishedEntry
 
-ENTRIES: tuple[Entry, ...] = (
+ENTRIES: tuple[PublishedEntry, ...] = (
     hertz_1882.ENTRY,
     den_hartog_1931.ENTRY,
     masri_caughey_1966.ENTRY,

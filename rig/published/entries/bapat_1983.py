@@ -17,8 +17,8 @@ from pathlib import Path
 
 from scipy.optimize import brentq
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, event
 from rig.published.picture import plane_with_bounds
 
 
@@ -67,7 +67,7 @@ def draw(path: Path) -> None:
     plane_with_bounds(path, "bapat-1983", bounds)
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="bapat-1983",
     work="C. N. Bapat, N. Popplewell and K. McLachlan, J. Sound Vib. 87 (1983) 19",
     place="existence and stability of the motion with two impacts half a period apart",

@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from atlas.spec.spec import Spec
-from rig.published.entry import Entry, Statement
-from rig.published.finding import PERIODIC, cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import PERIODIC, cell, event
 from rig.published.one_impact import OneImpact
 from rig.published.picture import in_house_style, save
 from workers import solve_tile
@@ -78,7 +78,7 @@ def draw(path: Path) -> None:
     save(figure, path, "impact oscillator, orbits with one impact", {"example": EXAMPLE, "r": R} | ON_THE_WAY)
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="budd-dux-1994",
     work="C. Budd and F. Dux, Nonlinearity 7 (1994) 1191",
     link="https://doi.org/10.1088/0951-7715/7/4/007",

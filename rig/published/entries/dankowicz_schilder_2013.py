@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from atlas.cell.orbit import cell_orbit
-from rig.published.entry import Entry, Statement
-from rig.published.finding import PERIODIC, cell, event, largest_difference
+from atlas.cell.trajectory import cell_orbit
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import PERIODIC, cell, event, largest_difference
 from rig.published.one_impact import OneImpact
 from rig.published.picture import COLORS, in_house_style, save
 from workers import trace
@@ -73,7 +73,7 @@ def draw(path: Path) -> None:
     save(figure, path, "single-mass, orbits and grazes of COCO's example", GIVEN)
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="dankowicz-schilder-2013",
     work="H. Dankowicz and F. Schilder, Recipes for Continuation, SIAM 2013",
     link="https://doi.org/10.1137/1.9781611972573",

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, events
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, events
 from rig.published.picture import in_house_style, save
 from workers import Settings, solve_tile
 
@@ -80,7 +80,7 @@ def draw(path: Path) -> None:
     save(figure, path, "friction-oscillator, amplitudes", DRY | {"omega": dots.tolist(), "A": FORCES})
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="den-hartog-1931",
     work="J. P. Den Hartog, Trans. ASME 53 (1931) 107",
     place="amplitude of a mass with Coulomb friction, and where it begins to stop",

@@ -4,8 +4,8 @@ Every computed point must lie on the closed form of ``one_impact``.
 """
 
 from rig.published.entries.simpson_ghosh_2026 import EXAMPLE, ZETA, R
-from rig.published.entry import Entry, Statement
-from rig.published.finding import curves_of, largest_difference
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import curves_of, largest_difference
 from rig.published.one_impact import OneImpact
 
 
@@ -25,7 +25,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="ghosh-simpson-2025",
     work="I. Ghosh and D. J. W. Simpson, arXiv 2510.16218 (2025)",
     link="https://arxiv.org/abs/2510.16218",

@@ -11,8 +11,8 @@ share of its force; the segments of the law add their error bound.
 
 from math import gamma, pi, sqrt
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell
 from workers import Settings, System
 
 OMEGA, WITHIN = 1.2, 1e-4
@@ -54,7 +54,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="hertz-1882",
     work="H. Hertz, J. reine angew. Math. 92 (1882) 156",
     place="greatest approach and duration of the impact of elastic balls",

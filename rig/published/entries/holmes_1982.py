@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from atlas.spec.spec import Spec
-from rig.published.entry import Entry, Statement
-from rig.published.finding import PERIODIC, cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import PERIODIC, cell, event
 from rig.published.picture import plane_with_bounds
 from workers import solve_tile
 
@@ -102,7 +102,7 @@ def draw(path: Path) -> None:
     plane_with_bounds(path, "holmes-1982", bounds)
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="holmes-1982",
     work="P. J. Holmes, J. Sound Vib. 84 (1982) 173",
     place="existence and stability of the orbits with one bounce in n periods of the table",

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rig.published.entries.holmes_1982 import CASES, doubling, least, start
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell
 from rig.published.picture import in_house_style, save
 from workers import Settings, solve_tile
 
@@ -64,7 +64,7 @@ def draw(path: Path) -> None:
     save(figure, path, "bouncing-ball, phases", first | {"A": A.tolist()})
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="holmes-1982-phase",
     work="P. J. Holmes, J. Sound Vib. 84 (1982) 173",
     place="phase of the bounce of the orbits with one bounce in n periods of the table",

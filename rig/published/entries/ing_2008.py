@@ -7,8 +7,8 @@ the upper one on that of a motion with contact, which begins there too.
 
 from math import sqrt
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, event
 
 ZETA, BETA, E = 0.01, 29.0, 1.26
 AMPLITUDES = (0.4, 0.7)
@@ -39,7 +39,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="ing-2008",
     work="J. Ing, E. Pavlovskaia, M. Wiercigroch and S. Banerjee, Phil. Trans. R. Soc. A 366 (2008) 679",
     place="frequencies at which the motion without contact grazes the stop, at the parameters of the rig",

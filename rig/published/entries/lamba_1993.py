@@ -5,8 +5,8 @@ multipliers are a pair on the unit circle.
 """
 
 from atlas.spec.spec import Spec
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell
 from workers import Settings
 
 FIXED = Settings(method="fixed", exponents="spectrum", transient_periods=0, periods=4000)
@@ -24,7 +24,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="lamba-1993",
     work="H. Lamba, arXiv chao-dyn/9310004 (1993)",
     link="https://arxiv.org/abs/chao-dyn/9310004",

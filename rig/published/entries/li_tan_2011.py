@@ -7,10 +7,10 @@ exponents of Fig. 5 are those of long runs.
 
 from collections.abc import Callable, Sequence
 
-from atlas.cell.orbit import cell_orbit
-from atlas.cli import paper
-from rig.published.entry import Entry, Statement
-from rig.published.finding import event
+from atlas.cell.trajectory import cell_orbit
+from atlas.cli import paper_figures
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import event
 
 WORK = "Q.-H. Li and J.-Y. Tan, Chin. Phys. B 20 (2011) 040505"
 LINK = "https://doi.org/10.1088/1674-1056/20/4/040505"
@@ -22,7 +22,7 @@ DIGITS = "multiprecision arithmetic"
 
 def periodic(name: str, impacts: str, exponents: tuple[float, ...]) -> list[Statement]:
     """Period, impacts and exponents of Fig. 3 or 4."""
-    solved = cell_orbit(paper.CELLS[name]).cell
+    solved = cell_orbit(paper_figures.CELLS[name]).cell
     ours = f"{solved['impacts_upper']} and {solved['impacts_lower']}"
     found = [
         Statement("period", 1, int(solved["period"]), basis="described"),
@@ -35,7 +35,7 @@ def periodic(name: str, impacts: str, exponents: tuple[float, ...]) -> list[Stat
 
 def chaotic() -> list[Statement]:
     """Exponents and impacts of Fig. 5."""
-    solved = cell_orbit(paper.CELLS["fig5"], settings=paper.SETTINGS).cell
+    solved = cell_orbit(paper_figures.CELLS["fig5"], settings=paper_figures.SETTINGS).cell
     found = [
         Statement(f"exponent {k + 1}", stated, float(solved["spectrum"][k]), 0.02 if k == 3 else 0.008,
                   "long runs, known to 0.002")
@@ -57,9 +57,9 @@ def sweep() -> list[Statement]:
     ]  # fmt: skip
 
 
-def entry(number: int, title: str, statements: Callable[[], Sequence[Statement]], command: str) -> Entry:
+def entry(number: int, title: str, statements: Callable[[], Sequence[Statement]], command: str) -> PublishedEntry:
     """The entry of a figure."""
-    return Entry(
+    return PublishedEntry(
         name=f"li-tan-2011-fig{number}",
         work=WORK,
         link=LINK,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, event
 
 MU, ZETA, R = 0.02, 0.005, 0.65
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="masri-caughey-1966",
     work="S. F. Masri and T. K. Caughey, J. Appl. Mech. 33 (1966) 586",
     place="the steady motion with two impacts half a period apart, and its stability",

@@ -10,8 +10,8 @@ from math import asin, cos, log, pi, sin, sqrt
 
 from scipy.optimize import brentq
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell
 
 
 def flight(a: float) -> float:
@@ -53,7 +53,7 @@ def statements() -> list[Statement]:
     return rows
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="mehta-luck-1990",
     work="A. Mehta and J. M. Luck, Phys. Rev. Lett. 65 (1990) 393",
     place="the completely inelastic ball: rest, flight and the motion without rest",

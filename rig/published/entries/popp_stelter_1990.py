@@ -7,8 +7,8 @@ at x = 2 r - 1. It sticks for 2 (1 - r) / u and slides for 2 pi - 2 arctan((1 - 
 
 from math import atan2, hypot, pi
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell
 from workers import Settings
 
 SETTINGS = Settings(survival=0, max_periods=4000, observe="maximum:x")
@@ -41,7 +41,7 @@ def statements() -> list[Statement]:
     return found
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="popp-stelter-1990",
     work="K. Popp and P. Stelter, Phil. Trans. R. Soc. A 332 (1990) 89",
     place="the self-excited limit cycle of the mass on a belt, here without damping, which has a closed form",

@@ -13,8 +13,8 @@ from math import cos, exp, hypot, nan, pi, sin, sqrt
 
 from scipy.optimize import brentq
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, events
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, events
 
 ZETA, A, S = 0.05, 1.5, 1.1
 
@@ -55,7 +55,7 @@ def statements() -> list[Statement]:
     ]  # fmt: skip
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="shaw-1986",
     work="S. W. Shaw, J. Sound Vib. 108 (1986) 305",
     place="motion that slides all the time, and where it begins to stick; parameters of the demo of friction in"

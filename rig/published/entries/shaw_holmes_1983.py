@@ -3,8 +3,8 @@
 Fold and period doubling come from ``one_impact``, in which the clearance is 1.
 """
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import cell, event
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import cell, event
 from rig.published.one_impact import OneImpact
 
 ZETA, R = 0.05, 0.8
@@ -32,7 +32,7 @@ def statements() -> list[Statement]:
     return rows
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="shaw-holmes-1983",
     work="S. W. Shaw and P. J. Holmes, J. Sound Vib. 90 (1983) 129",
     place="the impact limit: orbits with one impact and their period doubling",

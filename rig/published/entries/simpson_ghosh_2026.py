@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from rig.published.entry import Entry, Statement
-from rig.published.finding import curves_of
+from rig.published.entry import PublishedEntry, Statement
+from rig.published.helpers import curves_of
 from rig.published.one_impact import OneImpact
 from rig.published.picture import in_house_style, save
 
@@ -85,7 +85,7 @@ def draw(path: Path) -> None:
     save(figure, path, "single-mass, curves at a resonant graze", {"example": EXAMPLE})
 
 
-ENTRY = Entry(
+ENTRY = PublishedEntry(
     name="simpson-ghosh-2026",
     work="D. J. W. Simpson and I. Ghosh, arXiv 2602.22797 (2026)",
     link="https://arxiv.org/abs/2602.22797",

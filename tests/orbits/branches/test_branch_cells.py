@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 import atlas
-from atlas.accessor import DrawnBranches
+from atlas.accessor import PlottableBranches
 from atlas.cli.main import main
 from atlas.errors import InputError
 from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS
@@ -25,19 +25,19 @@ QUICK = Settings(max_periods=2000, survival=0)
 
 
 @pytest.fixture(scope="module")
-def found() -> DrawnBranches:
+def found() -> PlottableBranches:
     """The symmetric orbit of Fig. 6 from omega = 3.02, and the asymmetric one that leaves it."""
     return atlas.branch({"omega": 3.02}, along="omega", window=(2.9, 3.05), settings=QUICK, switch_branches=True)
 
 
-def test_a_branch_passes_its_event_where_the_direct_map_has_it(found: DrawnBranches) -> None:
+def test_a_branch_passes_its_event_where_the_direct_map_has_it(found: PlottableBranches) -> None:
     """Truth: bisection on the multiplier of simulated motion, test_bifurcations."""
     events = found.events[found.events.branch == 0]
     assert events.kind.tolist() == ["symmetry_breaking"]
     assert events.omega.iloc[0] == pytest.approx(BREAKING, abs=1e-9)
 
 
-def test_what_leaves_is_followed_and_says_so(found: DrawnBranches) -> None:
+def test_what_leaves_is_followed_and_says_so(found: PlottableBranches) -> None:
     assert found.branches.symmetric.tolist() == [True, False]
     assert found.branches.leaves.tolist() == [-1, 0]
     assert found.events[found.events.branch == 0].leaving.tolist() == [1]
@@ -45,14 +45,14 @@ def test_what_leaves_is_followed_and_says_so(found: DrawnBranches) -> None:
     assert found.untried == ()
 
 
-def test_the_event_is_a_point_of_both_branches(found: DrawnBranches) -> None:
+def test_the_event_is_a_point_of_both_branches(found: PlottableBranches) -> None:
     marked = found.points[found.points.event == "symmetry_breaking"]
     assert marked.branch.tolist() == [0, 1]
     assert marked.multiplier.tolist() == pytest.approx([1.0, 1.0], abs=1e-6)
     assert np.ptp(marked[["x1", "x2", "v1", "v2"]].to_numpy(), axis=0) == pytest.approx(0.0, abs=1e-8)
 
 
-def test_the_orbit_is_unstable_just_where_a_multiplier_exceeds_one(found: DrawnBranches) -> None:
+def test_the_orbit_is_unstable_just_where_a_multiplier_exceeds_one(found: PlottableBranches) -> None:
     points = found.points[found.points.event == ""]
     assert ((points.unstable > 0) == (points.multiplier > 1.0)).all()
     symmetric = points[points.branch == 0]
@@ -60,14 +60,14 @@ def test_the_orbit_is_unstable_just_where_a_multiplier_exceeds_one(found: DrawnB
     assert (points[points.branch == 1].unstable == 0).all()
 
 
-def test_both_ends_lie_at_the_ends_that_were_asked_for(found: DrawnBranches) -> None:
+def test_both_ends_lie_at_the_ends_that_were_asked_for(found: PlottableBranches) -> None:
     omega = found.points[found.points.branch == 0].omega
     assert (omega.min(), omega.max()) == (2.9, 3.05)
     assert found.branches.loc[0, ["first_end", "last_end"]].tolist() == ["edge", "edge"]
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5])
-def test_section_states_are_those_of_simulated_motion(found: DrawnBranches, shift: float) -> None:
+def test_section_states_are_those_of_simulated_motion(found: PlottableBranches, shift: float) -> None:
     """Half a period on, those of the mirror image with the other sign."""
     branch = found.traced[1]
     k = 5

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from atlas.cell.orbit import cell_orbit
-from atlas.orbits.branches.branch import tree_from
+from atlas.cell.trajectory import cell_orbit
+from atlas.orbits.branches.from_cell import tree_from
 from atlas.orbits.branches.seed import seed_of_point
 from atlas.orbits.branches.table import pattern
-from atlas.orbits.branches.tree import Branch, Tree
+from atlas.orbits.branches.tree import Branch, BranchTree
 from tests.workers.orbit.test_bifurcations import KNOWN, TWO_MASS, Bifurcation, oscillator
 from workers import Settings
 from workers.continuation import Event, section_states
@@ -30,11 +30,11 @@ CELL = 2.0 / 999.0
 
 
 @pytest.fixture(scope="module")
-def trees() -> list[Tree]:
+def trees() -> list[BranchTree]:
     return [tree_from(seed_of_point({"omega": omega}), "omega", (2.0, 4.0), switch=True, most=5) for omega in SEEDS]
 
 
-def nearest(trees: list[Tree], bifurcation: Bifurcation) -> Event:
+def nearest(trees: list[BranchTree], bifurcation: Bifurcation) -> Event:
     """The event of that kind that is nearest to a bifurcation."""
     kind = {"grazing": "graze"}.get(bifurcation.kind, bifurcation.kind.removeprefix("subcritical ").replace(" ", "_"))
     events = [event for tree in trees for branch in tree.branches for event in branch.run.events if event.kind == kind]
@@ -42,7 +42,9 @@ def nearest(trees: list[Tree], bifurcation: Bifurcation) -> Event:
 
 
 @pytest.mark.parametrize("bifurcation", KNOWN, ids=str)
-def test_events_lie_where_newton_on_the_direct_map_finds_them(trees: list[Tree], bifurcation: Bifurcation) -> None:
+def test_events_lie_where_newton_on_the_direct_map_finds_them(
+    trees: list[BranchTree], bifurcation: Bifurcation
+) -> None:
     """Truth: ``locate`` of test_bifurcations, by Newton's method, multipliers and bisection on simulated motion."""
     event = nearest(trees, bifurcation)
     assert event.point.values[0] == pytest.approx(bifurcation.omega, abs=1e-9)
@@ -50,7 +52,7 @@ def test_events_lie_where_newton_on_the_direct_map_finds_them(trees: list[Tree],
 
 
 @pytest.mark.parametrize("bifurcation", [known for known in KNOWN if known.kind != "grazing"], ids=str)
-def test_the_direct_map_closes_there_and_has_the_multiplier(trees: list[Tree], bifurcation: Bifurcation) -> None:
+def test_the_direct_map_closes_there_and_has_the_multiplier(trees: list[BranchTree], bifurcation: Bifurcation) -> None:
     event = nearest(trees, bifurcation)
     osc = oscillator(float(event.point.values[0]))
     state = section_states(TWO_MASS, {"omega": event.point.values}, [event.point.orbit])[0, 0]
@@ -72,7 +74,7 @@ class End(NamedTuple):
     inside: int
 
 
-def ends(tree: Tree) -> Iterator[End]:
+def ends(tree: BranchTree) -> Iterator[End]:
     """The ends at events of all stable stretches that are longer than eight cells."""
     for branch in tree.branches:
         points, values = branch.run.points, branch.values
@@ -91,7 +93,7 @@ def ends(tree: Tree) -> Iterator[End]:
                     yield End(branch, float(values[k]), int(np.sign(values[k] - values[inside])), inside)
 
 
-def test_sweeps_both_ways_change_class_in_the_cell_of_the_event(trees: list[Tree]) -> None:
+def test_sweeps_both_ways_change_class_in_the_cell_of_the_event(trees: list[BranchTree]) -> None:
     """Each stable stretch is swept in cells of Fig. 6, towards rising and towards falling frequency, past its end."""
     found = {(round(end.omega, 6), end.out): end for tree in trees for end in ends(tree)}
     assert len(found) >= 8

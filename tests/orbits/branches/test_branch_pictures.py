@@ -11,9 +11,9 @@ from matplotlib.collections import LineCollection
 
 import atlas
 from atlas import render
-from atlas.accessor import DrawnBranches
+from atlas.accessor import PlottableBranches
 from atlas.errors import InputError
-from atlas.orbits.branches.sweep import tree_through
+from atlas.orbits.branches.from_sweep import tree_through
 from atlas.render.sweep import DASHES
 from tests.pictures import atlas as atlas_of
 from tests.pictures import labels, line, plane
@@ -35,7 +35,7 @@ def swept() -> xr.Dataset:
 
 
 @pytest.fixture(scope="module")
-def found() -> DrawnBranches:
+def found() -> PlottableBranches:
     settings = Settings(max_periods=2000, survival=0)
     return atlas.branch({"omega": 3.02}, along="omega", window=(2.95, 3.05), settings=settings, switch_branches=True)
 
@@ -56,7 +56,7 @@ def drawn_lines(ax: Axes, stable: bool) -> list[np.ndarray]:
     return [np.asarray(path) for collection in solid for path in collection.get_segments()]
 
 
-def test_stable_and_unstable_parts_meet_at_the_event(found: DrawnBranches) -> None:
+def test_stable_and_unstable_parts_meet_at_the_event(found: PlottableBranches) -> None:
     ax = found.plot().axes[0]
     solid, dashed = drawn_lines(ax, True), drawn_lines(ax, False)
     assert DASHES[True] == "solid"
@@ -68,7 +68,7 @@ def test_stable_and_unstable_parts_meet_at_the_event(found: DrawnBranches) -> No
     assert max(ends) < 1e-9
 
 
-def test_events_are_marked_where_they_lie(found: DrawnBranches) -> None:
+def test_events_are_marked_where_they_lie(found: PlottableBranches) -> None:
     ax = found.plot().axes[0]
     (marks,) = [line for line in ax.lines if line.get_marker() == "s"]
     assert np.asarray(marks.get_xdata()) == pytest.approx(BREAKING, abs=1e-9)
@@ -76,7 +76,7 @@ def test_events_are_marked_where_they_lie(found: DrawnBranches) -> None:
     assert labels(ax.figure) == ["stable orbit", "unstable orbit", "symmetry breaking"]  # type: ignore[arg-type]
 
 
-def test_a_picture_of_branches_has_axes_with_symbols_and_is_written(found: DrawnBranches, tmp_path: Path) -> None:
+def test_a_picture_of_branches_has_axes_with_symbols_and_is_written(found: PlottableBranches, tmp_path: Path) -> None:
     ax = found.plot(tmp_path / "branch.svg").axes[0]
     assert ax.get_xlabel() == r"forcing frequency $\omega$"
     assert "$x_1$ at $t = kT$" in ax.get_ylabel()

@@ -12,7 +12,7 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.render.drawing import figure
-from atlas.render.words import gap_label
+from atlas.render.text import gap_label
 from workers import solve_tile
 from workers.model.system import packaged_system
 

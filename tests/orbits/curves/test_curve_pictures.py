@@ -15,8 +15,8 @@ from matplotlib.text import Annotation
 import atlas
 from atlas import render
 from atlas.errors import InputError
-from atlas.orbits.curves.table import Corner, Curves
-from atlas.render.style import CORNERS, LOOKS, corner_look
+from atlas.orbits.curves.table import CodimTwoPoint, Curves
+from atlas.render.style import CORNERS, EVENT_STYLES, corner_look
 from tests.pictures import atlas as atlas_of
 from tests.pictures import curve, curves, keeping, labels, plane
 from workers.results import CHAOTIC, PERIODIC
@@ -74,8 +74,8 @@ def test_a_curve_that_is_stable_in_two_parts_is_drawn_in_two() -> None:
 
 
 def test_kinds_differ_in_line_style_not_in_colour_alone() -> None:
-    assert len({str(look.dashes) for look in LOOKS.values()}) == len(LOOKS)
-    assert len({look.marker for look in LOOKS.values()}) == len(LOOKS)
+    assert len({str(look.dashes) for look in EVENT_STYLES.values()}) == len(EVENT_STYLES)
+    assert len({look.marker for look in EVENT_STYLES.values()}) == len(EVENT_STYLES)
 
 
 def test_the_legend_names_the_kinds_in_view_and_no_others() -> None:
@@ -100,7 +100,7 @@ def test_a_point_of_codimension_two_of_several_curves_is_marked_once_and_named_i
 def test_each_kind_of_point_of_codimension_two_has_a_mark_of_its_own() -> None:
     points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
     kinds = ("cusp", "resonance_1_2", "fold_flip", "cusp")
-    marked = tuple(Corner(kind, 1.5 + k, 0.3, 5) for k, kind in enumerate(kinds))
+    marked = tuple(CodimTwoPoint(kind, 1.5 + k, 0.3, 5) for k, kind in enumerate(kinds))
     figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
     shapes = {float(corner.get_xdata()[0]): corner.get_marker() for corner in corners(figure.axes[0])}
     assert shapes[1.5] == shapes[4.5]
@@ -142,7 +142,7 @@ def test_an_unknown_kind_of_curve_is_refused_with_the_nearest_or_all_that_there_
         with pytest.raises(InputError) as error:
             drawn(curves(), curves=f"fold,{name}")
         assert str(error.value) == f"unknown kind of curve {name!r}; {hint}"
-    assert (*LOOKS, "codimension_two") == render.CURVES
+    assert (*EVENT_STYLES, "codimension_two") == render.CURVES
 
 
 def test_curves_can_be_drawn_without_names_and_without_a_legend() -> None:
@@ -161,8 +161,8 @@ def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
 def test_a_long_legend_beside_a_map_is_shown_whole() -> None:
     """A point of every kind: the page grows with the legend unless its height is asked for."""
     points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
-    every = tuple(Corner(kind, 1.2 + 0.2 * k, 0.3, 5) for k, kind in enumerate(CORNERS))
-    found = Curves(("omega", "b"), tuple(curve(kind, points, corners=every) for kind in LOOKS))
+    every = tuple(CodimTwoPoint(kind, 1.2 + 0.2 * k, 0.3, 5) for k, kind in enumerate(CORNERS))
+    found = Curves(("omega", "b"), tuple(curve(kind, points, corners=every) for kind in EVENT_STYLES))
     figure = drawn(found)
     figure.draw_without_rendering()
     (legend,) = figure.legends
@@ -193,7 +193,7 @@ def test_lines_that_cross_keep_their_width() -> None:
 
 def test_an_end_that_no_point_of_codimension_two_explains_is_marked() -> None:
     points = np.column_stack([np.linspace(1.5, 4.5, 31), np.full(31, 0.3)])
-    given = curve("fold", points, corners=(Corner("cusp", 1.5, 0.3, 0),))
+    given = curve("fold", points, corners=(CodimTwoPoint("cusp", 1.5, 0.3, 0),))
     for ends, marked in ((("cusp", "budget"), [4.5]), (("cusp", "edge"), [])):
         figure = drawn(Curves(("omega", "b"), (replace(given, ends=ends),)))
         found = [line for line in figure.axes[0].lines if line.get_gid() == "end"]
@@ -294,7 +294,7 @@ def test_many_marks_are_smaller_than_few_and_bury_no_map() -> None:
     points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
 
     def size(count: int) -> float:
-        marked = tuple(Corner("cusp", 1.0 + 4.0 * (k + 0.5) / count, 0.3, 5) for k in range(count))
+        marked = tuple(CodimTwoPoint("cusp", 1.0 + 4.0 * (k + 0.5) / count, 0.3, 5) for k in range(count))
         figure = drawn(Curves(("omega", "b"), (curve("fold", points, corners=marked),)))
         return float(corners(figure.axes[0])[0].get_markersize())
 

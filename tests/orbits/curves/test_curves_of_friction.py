@@ -11,19 +11,19 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.orbits.branches.table import Branches
+from atlas.orbits.branches.table import BranchTable
 from atlas.orbits.curves import following
-from atlas.orbits.curves.asking import curves_of
-from atlas.orbits.curves.cells import PERSISTS
-from atlas.orbits.curves.chords import passes
-from atlas.orbits.curves.finish import finished
-from atlas.orbits.curves.following import Located, follow_event
+from atlas.orbits.curves.cell_orbits import PERSISTS
+from atlas.orbits.curves.chords import find_passages
+from atlas.orbits.curves.following import PlaneEvent, follow_event
 from atlas.orbits.curves.plane import CurvePlane, plane_of
+from atlas.orbits.curves.queries import curves_of
 from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.search_result import finish_search
 from atlas.orbits.curves.settings import CurveSettings
-from atlas.orbits.curves.tasks import Persist
-from atlas.service.curves import CurvesSummary
-from atlas.store.store import open_handle
+from atlas.orbits.curves.tasks import PersistTask
+from atlas.service.curves import CurveSummary
+from atlas.store.store import open_store
 from tests.curve_planes import found_serially
 from tests.workers.continuation.test_den_hartog import least_force
 from workers.continuation import BranchRun, Condition, curve, family_of
@@ -34,7 +34,7 @@ STICK_SLIP = find_system("stick-slip")
 VALUES = {p.name: p.default for p in STICK_SLIP.parameters}
 
 
-def along(u: float) -> Branches:
+def along(u: float) -> BranchTable:
     return atlas.branch({"omega": 1.0, "u": u}, along="omega", window=(0.9, 1.6), system="stick-slip")
 
 
@@ -66,7 +66,7 @@ def test_an_event_whose_curve_has_one_point_alone_is_told_in_words(monkeypatch: 
             window = None
 
     point = event.point
-    located = Located("grazing_sliding", Condition("speed"), point.orbit, point.contacts, point.values, np.nan)
+    located = PlaneEvent("grazing_sliding", Condition("speed"), point.orbit, point.contacts, point.values, np.nan)
     found = follow_event(Orbits(), located, 0.02, 10)  # type: ignore[arg-type]
     assert found == "the grazing sliding is alone: no step along its curve converges"
 
@@ -103,7 +103,7 @@ def sliding(omega: list[float], force: list[float], **given: float) -> atlas.Spe
 def test_a_store_tells_the_search_which_cells_stick(solved_once: Callable[[atlas.Spec], Path]) -> None:
     """Below the line of Den Hartog the mass stops, above it does not."""
     force = least_force(0.8)
-    plane = plane_of(open_handle(solved_once(sliding([0.8, 0.805], [0.9 * force, 1.1 * force], s=1.0, zeta=0.0))))
+    plane = plane_of(open_store(solved_once(sliding([0.8, 0.805], [0.9 * force, 1.1 * force], s=1.0, zeta=0.0))))
     assert plane.changes[:, 0].tolist() == [1, 1, 0, 0]
     assert plane.edges.tolist() == [[0, 2], [1, 3]]
 
@@ -111,7 +111,7 @@ def test_a_store_tells_the_search_which_cells_stick(solved_once: Callable[[atlas
 @pytest.mark.slow
 def test_the_end_of_sticking_has_the_curve_of_den_hartog(solved_once: Callable[[atlas.Spec], Path]) -> None:
     omega, force = np.linspace(0.62, 0.95, 6).tolist(), np.linspace(1.05, 2.3, 6).tolist()
-    found = found_serially(plane_of(open_handle(solved_once(sliding(omega, force, s=1.0, zeta=0.0)))))
+    found = found_serially(plane_of(open_store(solved_once(sliding(omega, force, s=1.0, zeta=0.0)))))
     counts = found.report["edges"]["regions"]
     assert counts["all"] > 0
     assert counts["curve"] == counts["all"]
@@ -125,32 +125,34 @@ def test_the_end_of_sticking_has_a_curve_through_points_that_are_known(
     solved_once: Callable[[atlas.Spec], Path],
 ) -> None:
     omega, force = np.linspace(0.6, 1.05, 8).tolist(), np.linspace(1.15, 2.25, 8).tolist()
-    plane = plane_of(open_handle(solved_once(sliding(omega, force))))
+    plane = plane_of(open_store(solved_once(sliding(omega, force))))
     found = found_serially(plane)
     for point in [(0.990514757, 1.316622742), (0.646426019, 1.929849689), (0.826138815, 1.314929928)]:
         at = np.array(point) / plane.width
-        assert any(passes(curve.points / plane.width, at, 1e-3) for curve in found.of_kind("stick_end")), point
+        assert any(find_passages(curve.points / plane.width, at, 1e-3) for curve in found.of_kind("stick_end")), point
 
 
 @pytest.mark.parametrize("found", [{"events": [], "why": "no orbit is found"}, {"trouble": "no orbit is found"}])
 def test_each_border_that_stays_unexplained_says_why(found: dict[str, Any]) -> None:
     search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
-        search.take([{} if isinstance(task, Persist) else found for task in tasks.values()])
-    report = finished(search).report
+        search.take([{} if isinstance(task, PersistTask) else found for task in tasks.values()])
+    report = finish_search(search).report
     assert report["edges"]["regions"]["unexplained"] == 6
     (border,) = report["unexplained"]
     assert (border["edges"], border["why"]) == (6, "no orbit is found")
     assert border["at"] == pytest.approx({"omega": 1.5, "u": 0.4})
-    shown = str(CurvesSummary("a.zarr", finished(search)))
+    shown = str(CurveSummary("a.zarr", finish_search(search)))
     assert "unexplained: 6 edges of the border at omega = 1.5, u = 0.4: no orbit is found" in shown
 
 
 def test_an_orbit_that_goes_on_beyond_a_border_makes_it_one_of_basins() -> None:
     search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
-        search.take([{} if isinstance(task, Persist) else {"events": [], "there": PERSISTS} for task in tasks.values()])
-    assert finished(search).report["edges"]["regions"] == {
+        search.take(
+            [{} if isinstance(task, PersistTask) else {"events": [], "there": PERSISTS} for task in tasks.values()]
+        )
+    assert finish_search(search).report["edges"]["regions"] == {
         "all": 6, "curve": 0, "basins": 6, "unexplained": 0, "not_tried": 0,
     }  # fmt: skip
 

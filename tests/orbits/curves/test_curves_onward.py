@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.orbits.curves.finish import as_curve
-from atlas.orbits.curves.following import Followed, Located, follow_event, lies_on, with_own_ends
-from atlas.orbits.curves.near import Passing, orbits_beside, passed
-from atlas.orbits.curves.record import curve_as_json, curve_from_json
+from atlas.orbits.curves.following import FollowedCurve, PlaneEvent, follow_event, lies_on, with_own_ends
+from atlas.orbits.curves.passages import CurvePassage, find_passed_edges, orbits_beside
+from atlas.orbits.curves.search_result import as_curve
+from atlas.orbits.curves.to_json import curve_as_json, curve_from_json
 from tests.orbits.branches.test_branches_onward import along_amplitude, pushed
 from tests.workers.continuation.test_hybrid_branches import machine
-from workers.continuation import BranchRun, Condition, Event, Point, branch, curve, family_of
-from workers.continuation.branches import follow
-from workers.continuation.extended import UNIT, Extended, solve
-from workers.continuation.orbits import refined
+from workers.continuation import BranchRun, Condition, Event, SolutionPoint, branch, curve, family_of
+from workers.continuation.branches import follow_both_ways
+from workers.continuation.extended_system import UNIT, ExtendedSystem, solve
+from workers.continuation.orbits import refine_orbit
 from workers.model.system import System
 
 pytestmark = pytest.mark.slow
@@ -55,23 +55,23 @@ def doublings() -> BranchRun:
     return on(system, *doubling(system))
 
 
-def contacts(point: Point) -> int:
+def contacts(point: SolutionPoint) -> int:
     return point.orbit.itinerary.impacts(1)
 
 
-def inside(run: BranchRun) -> list[Point]:
+def inside(run: BranchRun) -> list[SolutionPoint]:
     """The points of a curve that are neither its events nor its ends."""
     events = [id(event.point) for event in run.events]
     return [point for point in run.points[1:-1] if id(point) not in events]
 
 
-def at(system: System, point: Point, kind: str, names: tuple[str, str] = ("omega", "a")) -> float:
+def at(system: System, point: SolutionPoint, kind: str, names: tuple[str, str] = ("omega", "a")) -> float:
     """Where the branch of the orbit of a point, in the first parameter, has its event nearby: another computation."""
     family = family_of(system, values_of(system, **dict(zip(names, point.values, strict=True))), names[:1])
     here = float(point.values[0])
     for away in (1e-3, -1e-3, 1e-4, -1e-4, 1e-5, -1e-5):
         try:
-            orbit = refined(family, point.orbit, np.array([here + away]))
+            orbit = refine_orbit(family, point.orbit, np.array([here + away]))
             run = branch(family, orbit, here + away, (here - 3.0 * abs(away), here + 3.0 * abs(away)))
         except ValueError:
             continue
@@ -142,12 +142,12 @@ def test_branches_across_a_curve_fold_on_it_on_both_sides_of_a_change(folds: Bra
     for point in (points[5], points[-5]):
         here, width = point.values[:1], np.array([0.01])
         family = family_of(forced(), values_of(forced(), a=float(point.values[1])), ("omega",))
-        fold = Extended(family, point.orbit, (Condition(UNIT),), here, width)
-        X, free = fold.pack(point.orbit, np.zeros(0), here), Extended(family, point.orbit, (), here, width)
+        fold = ExtendedSystem(family, point.orbit, (Condition(UNIT),), here, width)
+        X, free = fold.pack(point.orbit, np.zeros(0), here), ExtendedSystem(family, point.orbit, (), here, width)
         along = np.append(fold.critical(X), 0.0)
         beside = solve(free, X + 1e-3 * along * free.scale, along / free.scale)
         assert beside.converged
-        run = follow(free, beside.X, np.array([here - width, here + width]), 0.02, 100, None)
+        run = follow_both_ways(free, beside.X, np.array([here - width, here + width]), 0.02, 100, None)
         found = [float(event.point.values[0]) for event in run.events if event.kind == "fold"]
         assert min(found, key=lambda value: abs(value - here[0])) == pytest.approx(here[0], abs=1e-9)
 
@@ -219,20 +219,20 @@ class Orbits:
         return values[:, 0]
 
 
-def located(event: Event, values: np.ndarray) -> Located:
+def located(event: Event, values: np.ndarray) -> PlaneEvent:
     point = event.point
-    return Located(event.kind, event.conditions[0], point.orbit, point.contacts, values, event.kappa)
+    return PlaneEvent(event.kind, event.conditions[0], point.orbit, point.contacts, values, event.kappa)
 
 
 @pytest.fixture(scope="module")
-def followed() -> Followed:
+def followed() -> FollowedCurve:
     event, start = doubling(forced())
     found = follow_event(Orbits(), located(event, start), 0.02, 1000)  # type: ignore[arg-type]
-    assert isinstance(found, Followed)
+    assert isinstance(found, FollowedCurve)
     return found
 
 
-def test_a_curve_with_changes_is_kept_to_the_bit(followed: Followed) -> None:
+def test_a_curve_with_changes_is_kept_to_the_bit(followed: FollowedCurve) -> None:
     again = curve_from_json(json.loads(json.dumps(curve_as_json(followed))))
     assert [orbit.itinerary for orbit in again.orbits] == [orbit.itinerary for orbit in followed.orbits]
     assert again.conditions == followed.conditions
@@ -248,7 +248,7 @@ def test_an_end_at_which_the_orbit_becomes_another_one_counts_as_its_neighbour(d
     assert [contacts(point) for point in ended] == [2, 2, 2, 2]
 
 
-def test_a_curve_has_the_impacts_of_each_of_its_points(followed: Followed) -> None:
+def test_a_curve_has_the_impacts_of_each_of_its_points(followed: FollowedCurve) -> None:
     made = as_curve(followed, mirrored=False)
     assert made.label == "2-2-0, 2-1-0"
     assert len(made.impacts_upper) == len(made.points)
@@ -256,17 +256,17 @@ def test_a_curve_has_the_impacts_of_each_of_its_points(followed: Followed) -> No
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
-def test_an_event_beyond_a_change_lies_on_the_curve(followed: Followed, part: float) -> None:
+def test_an_event_beyond_a_change_lies_on_the_curve(followed: FollowedCurve, part: float) -> None:
     k = int(part * len(followed.orbits))
     there = followed.of._replace(orbit=followed.orbits[k], contacts=followed.contacts[k], values=followed.values[k])
     assert lies_on(Orbits(), there, followed)  # type: ignore[arg-type]
     assert not lies_on(Orbits(), there._replace(values=there.values + 1e-4), followed)  # type: ignore[arg-type]
 
 
-def test_a_place_on_a_chord_over_a_change_has_the_orbit_of_the_nearer_end(followed: Followed) -> None:
+def test_a_place_on_a_chord_over_a_change_has_the_orbit_of_the_nearer_end(followed: FollowedCurve) -> None:
     k = next(k for k, (a, b) in enumerate(zip(followed.orbits, followed.orbits[1:], strict=False))
              if a.itinerary != b.itinerary)  # fmt: skip
-    orbits, values = orbits_beside([Passing(followed, k, 0.2), Passing(followed, k, 0.8)])
+    orbits, values = orbits_beside([CurvePassage(followed, k, 0.2), CurvePassage(followed, k, 0.8)])
     assert [orbit.itinerary for orbit in orbits] == [followed.orbits[j].itinerary for j in (k, k + 1)]
     assert np.array_equal(values, followed.values[k : k + 2])
 
@@ -275,7 +275,7 @@ def test_a_curve_passes_the_edges_within_one_cell_of_it_and_no_others() -> None:
     """A diagonal: the point (5, 5 - 2 d) is d cells away along either axis, nearest at the middle between them."""
     line = SimpleNamespace(places=lambda values: values)
     away = np.array([0.0, 0.9, 1.1, 1.9])
-    edges, chords, shares = passed(line, np.array([[0.0, 0.0], [4.5, 4.5], [10.0, 10.0]]),
+    edges, chords, shares = find_passed_edges(line, np.array([[0.0, 0.0], [4.5, 4.5], [10.0, 10.0]]),
                                    np.stack([np.full(4, 5.0), 5.0 - 2.0 * away], axis=1))  # type: ignore[arg-type]  # fmt: skip
     assert (edges.tolist(), chords.tolist()) == ([0, 1], [1, 0])
     assert shares == pytest.approx([0.5 / 5.5, 4.1 / 4.5])

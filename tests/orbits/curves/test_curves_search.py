@@ -19,18 +19,18 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.orbits.curves.cells import CellOrbits
+from atlas.orbits.curves.cell_orbits import CellOrbits
 from atlas.orbits.curves.following import events_between, follow_event, lies_on
 from atlas.orbits.curves.plane import plane_of
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import read_curves, write_curves
-from atlas.service.curves import CurvesSummary, find_curves
+from atlas.service.curves import CurveSummary, find_curves
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
+from atlas.store.create import create_store
 from atlas.store.groups import CURVES
-from atlas.store.making import create
 from atlas.store.parts import part_names
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from atlas.store.tiles import write_tile
 from rig.faults import ATLAS
 from tests import synthetic
@@ -48,7 +48,7 @@ def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def searched(solved: Path, client: Client) -> tuple[Path, CurvesSummary]:
+def searched(solved: Path, client: Client) -> tuple[Path, CurveSummary]:
     """The same with its curves, and what finding them said."""
     path = Path(shutil.copytree(solved, solved.parent / "searched.zarr"))
     return path, find_curves(path, client=client)
@@ -62,11 +62,11 @@ def fresh(solved: Path, tmp_path: Path) -> Path:
 
 def amplitudes(path: Path, points: np.ndarray) -> np.ndarray:
     """|Y| of the motion without impact at points (N, 2) of the plane of ``forces``."""
-    return amplitude(CellOrbits(plane_of(open_handle(path))).family.model(points))
+    return amplitude(CellOrbits(plane_of(open_store(path))).family.model(points))
 
 
 def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(
-    searched: tuple[Path, CurvesSummary],
+    searched: tuple[Path, CurveSummary],
 ) -> None:
     """Without a static load stops see b / |Y(f2)| only."""
     path, summary = searched
@@ -77,7 +77,7 @@ def test_every_curve_of_a_plane_of_b_and_f2_is_b_over_the_amplitude_constant(
         assert curve.ends == ("edge", "edge")
 
 
-def test_every_border_between_regions_is_explained(searched: tuple[Path, CurvesSummary]) -> None:
+def test_every_border_between_regions_is_explained(searched: tuple[Path, CurveSummary]) -> None:
     edges = searched[1].as_dict()["edges"]["regions"]
     assert edges["all"] > 0
     assert edges["curve"] + edges["basins"] == edges["all"]
@@ -88,40 +88,38 @@ def test_workers_do_not_go_with_a_client(tmp_path: Path, client: Client) -> None
         find_curves(tmp_path / "plane.zarr", client=client, options=RunOptions(workers=2))
 
 
-def test_the_search_is_its_naive_twin_to_the_bit(searched: tuple[Path, CurvesSummary]) -> None:
+def test_the_search_is_its_naive_twin_to_the_bit(searched: tuple[Path, CurveSummary]) -> None:
     path, summary = searched
-    assert all_same(summary.curves, found_serially(plane_of(open_handle(path))))
+    assert all_same(summary.curves, found_serially(plane_of(open_store(path))))
 
 
-def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, CurvesSummary]) -> None:
+def test_a_store_that_has_the_curves_gives_them_at_once(searched: tuple[Path, CurveSummary]) -> None:
     path, summary = searched
     again = find_curves(path)
     assert again.tasks == 0
     assert all_same(again.curves, summary.curves)
-    assert not list(part_names(open_handle(path), CURVES))
+    assert not list(part_names(open_store(path), CURVES))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stop_after", [2, 5])
 def test_a_search_that_was_stopped_goes_on_and_finds_the_same_to_the_bit(
-    fresh: Path, searched: tuple[Path, CurvesSummary], client: Client, stop_after: int
+    fresh: Path, searched: tuple[Path, CurveSummary], client: Client, stop_after: int
 ) -> None:
     def stop(progress: Progress) -> None:
-        if progress.cells and len(list(part_names(open_handle(fresh), CURVES))) >= stop_after:
+        if progress.cells and len(list(part_names(open_store(fresh), CURVES))) >= stop_after:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         find_curves(fresh, client=client, options=RunOptions(on_progress=stop))
-    assert read_curves(open_handle(fresh)) is None
+    assert read_curves(open_store(fresh)) is None
     resumed = find_curves(fresh, client=client)
     assert resumed.tasks < searched[1].tasks
     assert all_same(resumed.curves, searched[1].curves)
 
 
 @pytest.mark.slow
-def test_parts_of_another_search_are_not_used(
-    fresh: Path, searched: tuple[Path, CurvesSummary], client: Client
-) -> None:
+def test_parts_of_another_search_are_not_used(fresh: Path, searched: tuple[Path, CurveSummary], client: Client) -> None:
     def stop(progress: Progress) -> None:
         if progress.cells:
             raise KeyboardInterrupt
@@ -150,7 +148,7 @@ def test_a_curve_cut_short_by_the_budget_of_points_says_so(fresh: Path, client: 
 def test_an_event_elsewhere_on_a_known_curve_is_on_it_and_one_of_another_orbit_at_the_same_place_is_not(
     solved: Path,
 ) -> None:
-    orbits = CellOrbits(plane_of(open_handle(solved)))
+    orbits = CellOrbits(plane_of(open_store(solved)))
     row = len(orbits.plane.x)
     events = []
     for start in (0, row):
@@ -166,7 +164,7 @@ def test_an_event_elsewhere_on_a_known_curve_is_on_it_and_one_of_another_orbit_a
 
 
 def test_verify_and_plain_xarray_and_a_zip_file_take_a_store_with_curves(
-    searched: tuple[Path, CurvesSummary], tmp_path: Path
+    searched: tuple[Path, CurveSummary], tmp_path: Path
 ) -> None:
     path, summary = searched
     assert atlas.verify(path, sample=0).fine
@@ -177,14 +175,14 @@ def test_verify_and_plain_xarray_and_a_zip_file_take_a_store_with_curves(
 
 @pytest.mark.slow
 def test_an_extended_atlas_begins_without_curves(
-    searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client
+    searched: tuple[Path, CurveSummary], tmp_path: Path, client: Client
 ) -> None:
     atlas.extend(searched[0], tmp_path / "finer.zarr", refine={"b": 2}, client=client)
-    assert read_curves(open_handle(tmp_path / "finer.zarr")) is None
+    assert read_curves(open_store(tmp_path / "finer.zarr")) is None
 
 
 def test_the_accessor_gives_the_curves_as_a_table_and_one_kind_of_them(
-    searched: tuple[Path, CurvesSummary],
+    searched: tuple[Path, CurveSummary],
 ) -> None:
     path, summary = searched
     ds = atlas.open(path)
@@ -197,7 +195,7 @@ def test_the_accessor_gives_the_curves_as_a_table_and_one_kind_of_them(
 
 
 @pytest.mark.slow
-def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tuple[Path, CurvesSummary]) -> None:
+def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tuple[Path, CurveSummary]) -> None:
     """Along b the event lies where the curve of that kind has the cell's f2: on b = const |Y(f2)|."""
     path, summary = searched
     at = {"b": 0.29, "f2": -0.1}
@@ -219,7 +217,7 @@ def test_the_distance_from_a_chaotic_cell_is_refused_in_one_line(tmp_path: Path)
 
 def chaotic(folder: Path) -> Path:
     """A finished plane of nothing but chaos."""
-    handle = create(folder / "chaos.zarr", synthetic.spec_of(6, 4), (4, 6))
+    handle = create_store(folder / "chaos.zarr", synthetic.spec_of(6, 4), (4, 6))
     results = synthetic.results(handle, (0, 0))
     results["regime"][...], results["period"][...], results["impacts_upper"][...] = CHAOTIC, 0, 0
     write_tile(handle, (0, 0), results)
@@ -239,7 +237,7 @@ def test_curves_of_the_closed_forms_are_these(make: Any, tmp_path: Path) -> None
     atlas.run(make(), tmp_path / "out.zarr", options=RunOptions(workers=1))
     made = CliRunner().invoke(main, ["find", "curves", str(tmp_path / "out.zarr"), "--workers", "1"])
     assert made.exit_code == 0, made.output
-    found = read_curves(open_handle(tmp_path / "out.zarr"))
+    found = read_curves(open_store(tmp_path / "out.zarr"))
     assert found is not None
     checked = set()
     for curve in found:
@@ -276,27 +274,27 @@ def exact_pair(kind: str, label: str, symmetric: bool) -> Any:
 
 
 @pytest.mark.slow
-def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[Path, CurvesSummary]) -> None:
+def test_worker_processes_find_the_same_to_the_bit(fresh: Path, searched: tuple[Path, CurveSummary]) -> None:
     found = find_curves(fresh, options=RunOptions(workers=2))
     assert all_same(found.curves, searched[1].curves)
 
 
 @pytest.mark.slow
 def test_after_a_kill_the_same_command_finds_the_same_to_the_bit(
-    fresh: Path, searched: tuple[Path, CurvesSummary], tmp_path: Path
+    fresh: Path, searched: tuple[Path, CurveSummary], tmp_path: Path
 ) -> None:
     command = [*ATLAS, "find", "curves", str(fresh), "--workers", "2"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with (tmp_path / "log").open("w") as log:
         running = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
-        while running.poll() is None and len(list(part_names(open_handle(fresh), CURVES))) < 4:
+        while running.poll() is None and len(list(part_names(open_store(fresh), CURVES))) < 4:
             time.sleep(0.1)
         assert running.poll() is None, (tmp_path / "log").read_text()
         os.killpg(running.pid, signal.SIGKILL)
         running.wait()
-    assert read_curves(open_handle(fresh)) is None
+    assert read_curves(open_store(fresh)) is None
     subprocess.run(command, env=environment, check=True, capture_output=True, timeout=600)
-    found = read_curves(open_handle(fresh))
+    found = read_curves(open_store(fresh))
     assert found is not None
     assert all_same(found, searched[1].curves)
 
@@ -318,17 +316,17 @@ class TestBadInput:
 
     def test_a_sweep(self, tmp_path: Path) -> None:
         spec = atlas.Spec("two-mass", {"omega": {"start": 2.0, "stop": 3.0, "num": 3}})
-        create(tmp_path / "sweep.zarr", spec, (3,))
+        create_store(tmp_path / "sweep.zarr", spec, (3,))
         assert "found one axis; curves need a plane" in self.refused(str(tmp_path / "sweep.zarr"))
 
     def test_an_axis_of_initial_states(self, tmp_path: Path) -> None:
         axes = {"x1": {"start": 0.0, "stop": 0.1, "num": 3}, "omega": {"start": 2.0, "stop": 3.0, "num": 3}}
-        create(tmp_path / "start.zarr", atlas.Spec("two-mass", axes), (3, 3))
+        create_store(tmp_path / "start.zarr", atlas.Spec("two-mass", axes), (3, 3))
         assert "axis x1 only sets the start of a motion" in self.refused(str(tmp_path / "start.zarr"))
 
     def test_a_phase_of_the_force_that_no_orbit_depends_on(self, tmp_path: Path) -> None:
         axes = {"tau": {"start": 0.0, "stop": 3.0, "num": 3}, "omega": {"start": 2.0, "stop": 3.0, "num": 3}}
-        create(tmp_path / "tau.zarr", atlas.Spec("two-mass", axes), (3, 3))
+        create_store(tmp_path / "tau.zarr", atlas.Spec("two-mass", axes), (3, 3))
         assert "axis tau only sets the start of a motion" in self.refused(str(tmp_path / "tau.zarr"))
 
     def test_no_store(self, tmp_path: Path) -> None:
@@ -347,7 +345,7 @@ class TestBadInput:
 
 
 @pytest.mark.slow
-def test_damaged_curves_are_found_anew(searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client) -> None:
+def test_damaged_curves_are_found_anew(searched: tuple[Path, CurveSummary], tmp_path: Path, client: Client) -> None:
     path = Path(shutil.copytree(searched[0], tmp_path / "out.zarr"))
     (path / "curves" / "position" / "c" / "0" / "0").write_bytes(b"nothing that anybody wrote")
     assert all_same(find_curves(path, client=client).curves, searched[1].curves)
@@ -355,10 +353,10 @@ def test_damaged_curves_are_found_anew(searched: tuple[Path, CurvesSummary], tmp
 
 @pytest.mark.slow
 def test_curves_of_cells_that_were_solved_again_are_found_anew(
-    searched: tuple[Path, CurvesSummary], tmp_path: Path, client: Client
+    searched: tuple[Path, CurveSummary], tmp_path: Path, client: Client
 ) -> None:
     path = Path(shutil.copytree(searched[0], tmp_path / "out.zarr"))
-    handle = open_handle(path)
+    handle = open_store(path)
     stale = searched[1].curves
     write_curves(handle, type(stale)(stale.axes, (), {**stale.report, "digest": "of other cells"}))
     assert all_same(find_curves(path, client=client).curves, stale)
@@ -370,5 +368,5 @@ def test_the_angle_between_force_and_phases_is_an_axis_of_curves(tmp_path: Path,
     solve = {"survival": 1000, "tolerance": 0.1}
     spec = atlas.Spec("gear-mesh", axes, parameters={"omega": 0.5, "E": 0.4}, solve=solve)
     atlas.run(spec, tmp_path / "mesh.zarr", client=client)
-    plane = plane_of(open_handle(tmp_path / "mesh.zarr"))
+    plane = plane_of(open_store(tmp_path / "mesh.zarr"))
     assert (sorted(plane.axes), plane.shape) == (["eps", "tau"], (6, 6))

@@ -11,15 +11,15 @@ import xarray as xr
 
 from atlas.errors import ChunkError, InputError
 from atlas.orbits.curves.export import export
-from atlas.orbits.curves.finish import as_curve
-from atlas.orbits.curves.following import Followed, Located
-from atlas.orbits.curves.table import Corner, Curve, Curves, read_curves, write_curves
+from atlas.orbits.curves.following import FollowedCurve, PlaneEvent
+from atlas.orbits.curves.search_result import as_curve
+from atlas.orbits.curves.table import CodimTwoPoint, Curve, Curves, read_curves, write_curves
 from atlas.spec.spec import Spec
-from atlas.store.making import create
-from atlas.store.store import Atlas
+from atlas.store.create import create_store
+from atlas.store.store import AtlasStore
 from tests.curve_planes import same
 from workers.continuation import Condition, Itinerary, Orbit
-from workers.continuation.extended import UNIT
+from workers.continuation.extended_system import UNIT
 
 FOLD = Curve(
     kind="fold",
@@ -30,7 +30,7 @@ FOLD = Curve(
     points=np.array([[0.1, 0.2], [1.0 / 3.0, 0.4], [0.5, 0.7]]),
     unstable=np.array([0, 0, 1]),
     ends=("edge", "cusp"),
-    corners=(Corner("graze_fold", 0.2, 0.3, 0), Corner("cusp", 0.5, 0.7, 2)),
+    corners=(CodimTwoPoint("graze_fold", 0.2, 0.3, 0), CodimTwoPoint("cusp", 0.5, 0.7, 2)),
 )
 GRAZE = Curve(
     kind="graze",
@@ -46,13 +46,13 @@ BOTH = Curves(("omega", "b"), (FOLD, GRAZE), {"seeds": 2})
 
 
 @pytest.fixture
-def handle(tmp_path: Path) -> Atlas:
+def handle(tmp_path: Path) -> AtlasStore:
     axes = {"omega": {"start": 2.0, "stop": 3.0, "num": 3}, "b": {"start": 0.1, "stop": 0.2, "num": 2}}
-    return create(tmp_path / "store.zarr", Spec("two-mass", axes), (2, 3))
+    return create_store(tmp_path / "store.zarr", Spec("two-mass", axes), (2, 3))
 
 
 @pytest.mark.parametrize("curves", [BOTH, Curves(("omega", "b"), ())], ids=["two", "none"])
-def test_a_store_gives_curves_back_to_the_bit(handle: Atlas, curves: Curves) -> None:
+def test_a_store_gives_curves_back_to_the_bit(handle: AtlasStore, curves: Curves) -> None:
     assert read_curves(handle) is None
     write_curves(handle, curves)
     found = read_curves(handle)
@@ -62,7 +62,7 @@ def test_a_store_gives_curves_back_to_the_bit(handle: Atlas, curves: Curves) -> 
     assert all(same(one, other) for one, other in zip(found, curves, strict=True))
 
 
-def test_writing_again_replaces(handle: Atlas) -> None:
+def test_writing_again_replaces(handle: AtlasStore) -> None:
     write_curves(handle, BOTH)
     write_curves(handle, Curves(("omega", "b"), (GRAZE,)))
     found = read_curves(handle)
@@ -70,7 +70,7 @@ def test_writing_again_replaces(handle: Atlas) -> None:
     assert [curve.kind for curve in found] == ["graze"]
 
 
-def test_plain_xarray_opens_the_group_and_the_atlas_without_a_warning(handle: Atlas) -> None:
+def test_plain_xarray_opens_the_group_and_the_atlas_without_a_warning(handle: AtlasStore) -> None:
     write_curves(handle, BOTH)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -80,7 +80,7 @@ def test_plain_xarray_opens_the_group_and_the_atlas_without_a_warning(handle: At
     assert group["position"].sizes == {"point": 5, "axis": 2}
 
 
-def test_a_group_whose_arrays_were_exchanged_is_refused(handle: Atlas) -> None:
+def test_a_group_whose_arrays_were_exchanged_is_refused(handle: AtlasStore) -> None:
     write_curves(handle, BOTH)
     before = (handle.path / "curves" / "zarr.json").read_bytes()
     write_curves(handle, Curves(("omega", "b"), (GRAZE, FOLD), {"seeds": 2}))
@@ -134,8 +134,8 @@ def test_a_curve_counts_impacts_at_the_stop_where_they_are_unless_the_mirror_ima
 ) -> None:
     orbit = Orbit(Itinerary((-1,), 1), np.array([0.5]), np.array([-2.0]))
     values, none = np.array([[0.8, 0.3], [0.9, 0.4]]), np.zeros(0)
-    followed = Followed(
-        of=Located("fold", Condition(UNIT), orbit, none, values[0], np.nan), values=values, orbits=[orbit, orbit],
+    followed = FollowedCurve(
+        of=PlaneEvent("fold", Condition(UNIT), orbit, none, values[0], np.nan), values=values, orbits=[orbit, orbit],
         contacts=np.zeros((2, 0)), conditions=[Condition(UNIT)] * 2, unstable=np.zeros(2, dtype=np.int64), corners=[],
         ends=("edge", "edge"),
     )  # fmt: skip

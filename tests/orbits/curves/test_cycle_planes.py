@@ -7,7 +7,7 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.orbits.curves.asking import curves_of
+from atlas.orbits.curves.queries import curves_of
 from tests.workers.continuation.test_equilibria import chords_of, machine
 
 END = 0.658855574469523615

@@ -13,11 +13,11 @@ from distributed import Client, LocalCluster
 import atlas
 from atlas.errors import RunError
 from atlas.service import run as running
-from atlas.store.making import create
-from atlas.store.store import Atlas
+from atlas.store.create import create_store
+from atlas.store.store import AtlasStore
 from atlas.store.tiles import read_tile, write_tile
-from atlas.task import basins
-from atlas.task.basins import complete_basins, labelling_bytes
+from atlas.task import label_basins
+from atlas.task.label_basins import complete_basins, labelling_bytes
 from workers.attractors import basins as solving
 from workers.results import BEYOND_TABLE, empty_results
 
@@ -32,9 +32,9 @@ def spec_of(rows: int, columns: int = SIDE) -> atlas.Spec:
     return atlas.Spec("two-mass", axes, {"omega": 4.0, "b": 0.1}, attractors={"starts": 1})
 
 
-def beyond(path: Path, rows: int, columns: int = SIDE) -> Atlas:
+def beyond(path: Path, rows: int, columns: int = SIDE) -> AtlasStore:
     """A plane whose every cell is on an attractor that the table has not; its x1 is the cell's place in the plane."""
-    handle = create(path, spec_of(rows, columns), (SIDE, SIDE))
+    handle = create_store(path, spec_of(rows, columns), (SIDE, SIDE))
     for tile in handle.tiling.tiles():
         arrays = empty_results(handle.spec.variables, tile.shape, handle.spec.extra_sizes)
         arrays["label"][...], arrays["regime"][...] = BEYOND_TABLE, 1
@@ -55,12 +55,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
     monkeypatch.setattr(solving, "labels_beyond", labels_beyond)
     monkeypatch.setattr(solving, "AttractorTable", lambda *_: SimpleNamespace(attractors=[]))
-    monkeypatch.setattr(basins, "_columns", lambda *_: {})
-    monkeypatch.setattr(basins, "write_table", lambda *_: None)
+    monkeypatch.setattr(label_basins, "_columns", lambda *_: {})
+    monkeypatch.setattr(label_basins, "write_table", lambda *_: None)
     return states_of
 
 
-def peak(handle: Atlas) -> int:
+def peak(handle: AtlasStore) -> int:
     tracemalloc.start()
     try:
         complete_basins(handle)
@@ -90,8 +90,8 @@ def test_cells_are_labelled_in_the_order_of_the_plane_whatever_the_tiles(
 def test_the_memory_that_labelling_asks_for_is_that_of_a_band_of_tiles(tmp_path: Path, asked: object) -> None:
     handle = beyond(tmp_path / "out.zarr", 2 * SIDE, 8 * SIDE)
     needed = labelling_bytes(handle)
-    assert needed == 8 * SIDE**2 * (2 * 8 * 4 + basins.BYTES_OF_LABEL)
-    assert needed == labelling_bytes(create(tmp_path / "higher.zarr", spec_of(9 * SIDE, 8 * SIDE), (SIDE, SIDE)))
+    assert needed == 8 * SIDE**2 * (2 * 8 * 4 + label_basins.BYTES_OF_LABEL)
+    assert needed == labelling_bytes(create_store(tmp_path / "higher.zarr", spec_of(9 * SIDE, 8 * SIDE), (SIDE, SIDE)))
     one_tile = peak(beyond(tmp_path / "one.zarr", SIDE))
     assert peak(handle) - one_tile < needed
 

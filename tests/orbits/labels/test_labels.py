@@ -18,12 +18,12 @@ import atlas
 from atlas import render
 from atlas.cli.main import main
 from atlas.errors import InputError
+from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable, attractors_of
 from atlas.orbits.labels.components import branches
-from atlas.orbits.labels.following import AttractorOrbits, Links, followed
-from atlas.orbits.labels.rows import Attractors, attractors_of
-from atlas.orbits.labels.table import labels_of, mirrors
+from atlas.orbits.labels.links import AttractorOrbits, OrbitLinks, followed
+from atlas.orbits.labels.table import labels_of, mirror_labels
 from atlas.service.labels import label_attractors
-from atlas.store.store import open_handle
+from atlas.store.store import open_store
 from workers.continuation import branch, family_of, orbit_from_state, section_state
 from workers.model.system import find_system
 from workers.results import NO_IMPACT, PERIODIC
@@ -117,7 +117,7 @@ def test_whose_mirror_image_a_branch_is_is_mutual(seed: int) -> None:
     branch, image = found[order], np.argsort(order)[image[order]]
     seen = np.where(rng.random(110) < 0.8, branch[:110], -1)
     number = np.where(seen >= 0, np.unique(seen, return_inverse=True)[1] - 1, -1)
-    mirror = mirrors(number, branch, image)
+    mirror = mirror_labels(number, branch, image)
     with_image = np.flatnonzero(mirror >= 0)
     assert len(mirror) == number.max() + 1 and len(with_image) > 10 and np.any(mirror == -1)
     assert mirror[mirror[with_image]].tolist() == with_image.tolist()
@@ -173,14 +173,14 @@ def test_motion_without_impact_is_one_branch(labelled: Path) -> None:
 
 
 def test_labels_do_not_depend_on_which_way_an_axis_is_gone_through(unlabelled: Path) -> None:
-    every, _ = attractors_of(open_handle(unlabelled))
+    every, _ = attractors_of(open_store(unlabelled))
     links = followed(every)
     turned, _ = branches(len(links.cell), links.pairs[::-1, ::-1], links.change[::-1], links.cell, links.image)
     there, _ = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     assert np.array_equal(turned, there)
 
 
-def equivariant(links: Links) -> bool:
+def equivariant(links: OrbitLinks) -> bool:
     """Whether all links between orbits with mirror images are links between these too."""
     pairs = {*map(tuple, np.sort(links.pairs, axis=1).tolist())}
     images = links.image[links.pairs]
@@ -190,8 +190,8 @@ def equivariant(links: Links) -> bool:
 def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_them_alone(
     unlabelled: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    every, _ = attractors_of(open_handle(unlabelled))
-    rng, reach = np.random.default_rng(5), AttractorOrbits.reach
+    every, _ = attractors_of(open_store(unlabelled))
+    rng, reach = np.random.default_rng(5), AttractorOrbits.follow_pairs
 
     def unsure(self: AttractorOrbits, pairs: np.ndarray, away: int) -> tuple[np.ndarray, np.ndarray]:
         reached, change = reach(self, pairs, away)
@@ -204,7 +204,7 @@ def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_th
 
 def test_an_orbit_is_linked_through_cells_that_saw_its_twin_alone(unlabelled: Path) -> None:
     """Each second cell along omega has lost one twin: the lone twin's links and their mirror images join the others."""
-    every, _ = attractors_of(open_handle(unlabelled))
+    every, _ = attractors_of(open_store(unlabelled))
     twins = (every.twin >= 0) & (every.twin != np.arange(len(every)))
     lost = twins & (every.twin < np.arange(len(every))) & (every.cell % 2 == 1)
     assert lost.any()
@@ -222,14 +222,14 @@ def test_mirror_images_of_linked_orbits_are_linked(tmp_path: Path, client: Clien
     solve = {"section_samples": 48, "tolerance": 0.05, "survival": 4000}
     given = {"axes": {"omega": {"values": omega}}, "parameters": {"b": 0.1}, "solve": solve}
     atlas.run(atlas.Spec("two-mass", **given, attractors={"starts": 24}), tmp_path / "out.zarr", client=client)
-    every, _ = attractors_of(open_handle(tmp_path / "out.zarr"))
+    every, _ = attractors_of(open_store(tmp_path / "out.zarr"))
     assert equivariant(followed(every))
-    mirror = labels_of(open_handle(tmp_path / "out.zarr")).mirror
+    mirror = labels_of(open_store(tmp_path / "out.zarr")).mirror
     known = mirror >= 0
     assert np.array_equal(mirror[mirror[known]], np.flatnonzero(known))
 
 
-def kept(every: Attractors, rows: np.ndarray) -> Attractors:
+def kept(every: AttractorOrbitTable, rows: np.ndarray) -> AttractorOrbitTable:
     """Some of the orbits of an atlas, as if the others had not been found."""
     names = ("cell", "place", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share")
     place = np.where(rows, np.cumsum(rows) - 1, -1)
@@ -238,7 +238,7 @@ def kept(every: Attractors, rows: np.ndarray) -> Attractors:
 
 
 def test_orbits_that_some_cells_have_missed_break_no_branch(unlabelled: Path) -> None:
-    every, _ = attractors_of(open_handle(unlabelled))
+    every, _ = attractors_of(open_store(unlabelled))
     found = every.points[every.cell, 1] != OMEGA[1]
     fewer = kept(every, found)
     links = followed(fewer)
@@ -251,7 +251,7 @@ def test_orbits_that_some_cells_have_missed_break_no_branch(unlabelled: Path) ->
 def test_chaos_has_no_label(tmp_path: Path, client: Client) -> None:
     spec = spec_of(axes={"omega": {"values": [1.409, 1.4095]}, "b": {"values": [0.267]}}, store=None)
     atlas.run(spec, tmp_path / "out.zarr", client=client)
-    found = labels_of(open_handle(tmp_path / "out.zarr"))
+    found = labels_of(open_store(tmp_path / "out.zarr"))
     assert np.all(found.values == -1) and found.count.attractors > 0
 
 
@@ -259,7 +259,7 @@ def test_orbits_that_rest_on_a_stop_have_labels(tmp_path: Path, client: Client) 
     spec = spec_of(axes={"omega": {"values": [3.0, 3.05]}}, parameters={"R": 0.0, "b": 0.1}, store=None)
     atlas.run(spec, tmp_path / "out.zarr", client=client)
     assert np.all(atlas.open(tmp_path / "out.zarr")["sticks"].isel(attractor=0))
-    found = labels_of(open_handle(tmp_path / "out.zarr"))
+    found = labels_of(open_store(tmp_path / "out.zarr"))
     assert found.count.followed == found.count.orbits and found.count.branches == 1
 
 
@@ -320,9 +320,9 @@ def test_the_command_labels_and_counts(unlabelled: Path, tmp_path: Path) -> None
     ],
 )
 def test_what_cannot_be_labelled_is_refused_in_one_line(tmp_path: Path, changes: dict[str, object], says: str) -> None:
-    from atlas.store.making import create
+    from atlas.store.create import create_store
 
-    store = create(tmp_path / "out.zarr", spec_of(**changes), (1, 3)).path
+    store = create_store(tmp_path / "out.zarr", spec_of(**changes), (1, 3)).path
     told = CliRunner().invoke(main, ["attractors", "label", str(store)])
     assert told.exit_code == 2 and says in told.output
     assert not (store / "labels").exists()

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.orbits.labels.following import followed
-from atlas.orbits.labels.rows import Attractors
+from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable
+from atlas.orbits.labels.links import followed
 from tests.orbits.branches.test_branches_onward import GRAZE
 from tests.orbits.branches.test_branches_onward import followed as branch_through
 from workers.results import PERIODIC
 
 
-def attractors(rows: Any, **changed: Any) -> Attractors:
+def attractors(rows: Any, **changed: Any) -> AttractorOrbitTable:
     """Two cells along omega with the orbits of two points of a branch."""
     table, count = branch_through(0.85), len(rows)
     given = {
@@ -22,7 +22,7 @@ def attractors(rows: Any, **changed: Any) -> Attractors:
         "impacts_upper": rows.impacts_upper.to_numpy(), "impacts_lower": rows.impacts_lower.to_numpy(),
         "symmetric": np.zeros(count, np.bool_), "share": np.ones(count), "twin": np.full(count, -1),
     }  # fmt: skip
-    return Attractors(**(given | changed))
+    return AttractorOrbitTable(**(given | changed))
 
 
 @pytest.fixture(scope="module")

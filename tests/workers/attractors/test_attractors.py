@@ -5,11 +5,11 @@ import pytest
 
 from tests.simulators.test_oracle import FIG3
 from workers import Settings, solve_tile
-from workers.attractors.cell import LONGEST_KNOWN
-from workers.attractors.same import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
-from workers.attractors.search import Known
-from workers.attractors.starts import Starts, initial_states
-from workers.attractors.waves import Coexistence, solve_attractors
+from workers.attractors.cell_attractors import LONGEST_KNOWN
+from workers.attractors.coexistence import CoexistenceSearch, solve_attractors
+from workers.attractors.initial_states import AttractorSettings, initial_states
+from workers.attractors.matching import BATCH, DIFFERENT, FIRST_LOOK, REFERENCE, distance, periods_to_settle
+from workers.attractors.search import KnownAttractors
 from workers.model.oscillator import make_blocks
 from workers.model.system import find_system
 from workers.results import CHAOTIC, INVALID, LOCKING, NO_IMPACT, PENDING, PERIODIC
@@ -26,11 +26,11 @@ BRIEF = Settings(max_periods=4000, survival=8000, tolerance=0.05)
 STATES = ("x1", "x2", "v1", "v2")
 
 
-def solved(params: dict, starts: Starts, settings: Settings | None = None) -> dict[str, np.ndarray]:
+def solved(params: dict, starts: AttractorSettings, settings: Settings | None = None) -> dict[str, np.ndarray]:
     return solve_attractors("two-mass", params, settings, starts)
 
 
-def states_of(params: dict, starts: Starts) -> np.ndarray:
+def states_of(params: dict, starts: AttractorSettings) -> np.ndarray:
     """The initial states of one cell."""
     record = find_system("two-mass")
     values = {p.name: np.array([params.get(p.name, p.default)]) for p in record.parameters}
@@ -43,7 +43,7 @@ def same(one: dict, two: dict) -> bool:
 
 
 def test_the_coexisting_period_3_of_figure_3_is_found_with_its_share() -> None:
-    found = solved(FIG3, Starts(32))
+    found = solved(FIG3, AttractorSettings(32))
     assert found["period"][:2].tolist() == [1, 3]
     assert found["regime"].tolist() == [PERIODIC, PERIODIC, NO_IMPACT, PENDING]
     assert found["share_low"][1] < found["share"][1] < found["share_high"][1]
@@ -51,13 +51,13 @@ def test_the_coexisting_period_3_of_figure_3_is_found_with_its_share() -> None:
 
 
 def test_the_initial_state_that_is_known_to_reach_period_3_is_told_to() -> None:
-    found = solved({**FIG3, "x1": 0.05, "x2": 0.03, "v1": 0.5, "v2": -0.2}, Starts(16))
+    found = solved({**FIG3, "x1": 0.05, "x2": 0.03, "v1": 0.5, "v2": -0.2}, AttractorSettings(16))
     assert found["period"][found["own"]] == 3
 
 
 def test_the_attractor_of_the_own_initial_state_has_the_bits_of_solve_tile() -> None:
     params = {"omega": np.linspace(2.0, 4.0, 5), "b": 0.15}
-    plain, found = solve_tile("two-mass", params, BRIEF), solved(params, Starts(4), BRIEF)
+    plain, found = solve_tile("two-mass", params, BRIEF), solved(params, AttractorSettings(4), BRIEF)
     for k, own in enumerate(found["own"]):
         for name in set(plain) - {"periods_used", "survived"}:
             assert np.array_equal(found[name][k, own], plain[name][k], equal_nan=plain[name].dtype.kind == "f"), name
@@ -66,7 +66,7 @@ def test_the_attractor_of_the_own_initial_state_has_the_bits_of_solve_tile() -> 
 @pytest.mark.parametrize("params", [FIG3, TWINS, SEVERAL])
 def test_each_initial_state_is_put_where_it_goes_alone(params: dict) -> None:
     """Truth: every one of them solved in full, without knowing of the others."""
-    starts = Starts(24)
+    starts = AttractorSettings(24)
     found = solved(params, starts)
     states = states_of(params, starts)
     alone = solve_tile("two-mass", params | dict(zip(STATES, states.T, strict=True)), Settings(section_samples=64))
@@ -83,62 +83,62 @@ def test_each_initial_state_is_put_where_it_goes_alone(params: dict) -> None:
 def test_a_cell_does_not_depend_on_those_beside_it() -> None:
     cells = [FIG3 | TWINS, FIG3 | ONE, FIG3 | CHAOS]
     names = cells[0].keys()
-    together = solved({name: np.array([cell[name] for cell in cells]) for name in names}, Starts(8), BRIEF)
+    together = solved({name: np.array([cell[name] for cell in cells]) for name in names}, AttractorSettings(8), BRIEF)
     for k, cell in enumerate(cells):
-        assert same({name: values[k] for name, values in together.items()}, solved(cell, Starts(8), BRIEF))
+        assert same({name: values[k] for name, values in together.items()}, solved(cell, AttractorSettings(8), BRIEF))
 
 
 def test_mirror_images_are_paired_and_hit_the_stops_the_other_way_round() -> None:
-    found = solved(TWINS, Starts(16))
+    found = solved(TWINS, AttractorSettings(16))
     assert found["mirror"][:2].tolist() == [1, 0]
     assert found["impacts_upper"][0] == found["impacts_lower"][1]
     assert found["largest"][0] == pytest.approx(found["largest"][1], rel=1e-9)
 
 
 def test_two_pairs_of_twins_are_told_apart() -> None:
-    mirror = solved(SEVERAL, Starts(32))["mirror"]
+    mirror = solved(SEVERAL, AttractorSettings(32))["mirror"]
     assert sorted(mirror.tolist()) == [0, 1, 2, 3]
     assert np.all(mirror[mirror] == np.arange(4)) and np.all(mirror != np.arange(4))
 
 
 def test_a_symmetric_orbit_is_its_own_mirror_image() -> None:
-    found = solved(FIG3, Starts(8))
+    found = solved(FIG3, AttractorSettings(8))
     assert found["symmetric"][0] and found["mirror"][0] == 0
 
 
 def test_a_cell_with_one_attractor_is_done_after_half_of_its_initial_states() -> None:
-    found = solved(ONE, Starts(32))
+    found = solved(ONE, AttractorSettings(32))
     assert (found["attractors"], found["starts"]) == (1, 16)
     assert found["unseen_share"] == pytest.approx(1.0 - 0.05 ** (1 / 16))
 
 
 def test_known_attractors_cost_less_than_new_ones() -> None:
     """In periods: sixteen initial states that reach one orbit cost less than as many alone."""
-    params = ONE | dict(zip(STATES, states_of(ONE, Starts(16)).T, strict=True))
+    params = ONE | dict(zip(STATES, states_of(ONE, AttractorSettings(16)).T, strict=True))
     alone = solve_tile("two-mass", params)["periods_used"].sum()
-    assert solved(ONE, Starts(16))["periods_used"] < alone
+    assert solved(ONE, AttractorSettings(16))["periods_used"] < alone
 
 
 def test_a_motion_into_a_known_orbit_is_recognised_from_its_sections() -> None:
     record = find_system("two-mass")
     values = {p.name: np.array([ONE.get(p.name, p.default)]) for p in record.parameters}
-    cell = Coexistence(record, values, Settings(), Starts(1))
+    cell = CoexistenceSearch(record, values, Settings(), AttractorSettings(1))
     cell.solve()
-    search = cell.search(np.zeros(7, dtype=np.int64), states_of(ONE, Starts(8))[1:])
+    search = cell.search(np.zeros(7, dtype=np.int64), states_of(ONE, AttractorSettings(8))[1:])
     search.solve()
     assert search.label.tolist() == [0] * 7
     assert np.all((search.arrival > 0) & (search.arrival <= search.cells.flown))
 
 
 def test_attractors_beyond_those_kept_are_counted() -> None:
-    found, all_of_them = solved(SEVERAL, Starts(32, keep=1)), solved(SEVERAL, Starts(32))
+    found, all_of_them = solved(SEVERAL, AttractorSettings(32, keep=1)), solved(SEVERAL, AttractorSettings(32))
     assert found["attractors"] == all_of_them["attractors"] == 4
     assert found["left"] == round(32 * all_of_them["share"][1:].sum())
     assert found["share"].tolist() == all_of_them["share"][:1].tolist()
 
 
 def test_motions_on_one_chaos_are_lumped_and_it_is_said() -> None:
-    found = solved(CHAOS, Starts(8), BRIEF)
+    found = solved(CHAOS, AttractorSettings(8), BRIEF)
     assert (found["attractors"], found["regime"][0]) == (1, CHAOTIC)
     assert found["lumped"][0] == found["starts"] - 1
     assert 0.0 < found["lumped_distance"][0] <= DIFFERENT
@@ -146,13 +146,13 @@ def test_motions_on_one_chaos_are_lumped_and_it_is_said() -> None:
 
 
 def test_chaos_survives_for_the_periods_of_all_its_motions() -> None:
-    alone, found = solve_tile("two-mass", CHAOS, BRIEF), solved(CHAOS, Starts(8), BRIEF)
+    alone, found = solve_tile("two-mass", CHAOS, BRIEF), solved(CHAOS, AttractorSettings(8), BRIEF)
     others = found["lumped"][0] * FIRST_LOOK * BATCH
     assert found["survived"][0] >= alone["survived"] + BATCH * REFERENCE + others
 
 
 def test_mirror_images_of_a_chaos_are_told_apart_and_paired() -> None:
-    found = solved(CHAOTIC_TWINS, Starts(12), BRIEF)
+    found = solved(CHAOTIC_TWINS, AttractorSettings(12), BRIEF)
     assert found["regime"][:2].tolist() == [CHAOTIC, CHAOTIC]
     assert found["mirror"][:2].tolist() == [1, 0]
 
@@ -164,39 +164,39 @@ def test_what_ends_in_an_orbit_is_no_attractor() -> None:
         "omega": np.linspace(1.5, 4.5, 60)[35], "R": np.linspace(0.9, 1, 60)[3],
     }  # fmt: skip
     short = Settings(exponents="none", max_periods=2000, survival=20000)
-    found = solved(params, Starts(6), short)
+    found = solved(params, AttractorSettings(6), short)
     assert found["regime"][: found["attractors"]].tolist() == [NO_IMPACT]
     assert found["share"][0] + found["undecided"] / found["starts"] == pytest.approx(1.0)
 
 
 def test_motions_that_lock_onto_a_stop_are_on_one_attractor_without_a_period() -> None:
     """Truth: the load on the table has one phase at which it lets go, so that all follow the same release."""
-    found = solve_attractors("bouncing-ball", {"omega": 1.0, "A": 3.3, "R": 0.5}, Settings(), Starts(8))
+    found = solve_attractors("bouncing-ball", {"omega": 1.0, "A": 3.3, "R": 0.5}, Settings(), AttractorSettings(8))
     assert (found["attractors"], found["undecided"], found["own"]) == (1, 0, 0)
     assert (found["regime"][0], found["period"][0], found["share"][0]) == (LOCKING, 0, 1.0)
     assert not found["exact"][0] and found["lumped"][0] == 0 and found["mirror"][0] == -1
 
 
 def test_a_cell_whose_parameters_make_no_sense_is_invalid_in_the_first_place() -> None:
-    found = solved({"b": np.array([-1.0, 0.1])}, Starts(4))
+    found = solved({"b": np.array([-1.0, 0.1])}, AttractorSettings(4))
     assert found["regime"][0].tolist() == [INVALID, PENDING, PENDING, PENDING]
     assert found["attractors"].tolist()[0] == 0 and np.isnan(found["share"][0]).all()
     assert found["attractors"][1] > 0
 
 
 def test_an_initial_state_beyond_a_stop_is_not_counted() -> None:
-    found = solved({**FIG3, "x1": 0.2}, Starts(8))
+    found = solved({**FIG3, "x1": 0.2}, AttractorSettings(8))
     assert (found["own"], found["starts"]) == (-1, 7)
 
 
 def test_the_schedule_of_the_paper_has_no_attractors() -> None:
     with pytest.raises(ValueError, match='found "fixed"'):
-        solved(FIG3, Starts(4), Settings(method="fixed"))
+        solved(FIG3, AttractorSettings(4), Settings(method="fixed"))
 
 
 def test_a_box_of_no_component_is_refused() -> None:
     with pytest.raises(KeyError, match="y is no component of the state; they are x1, x2, v1, v2"):
-        solved(FIG3, Starts(4, box=(("y", 0.0, 1.0),)))
+        solved(FIG3, AttractorSettings(4, box=(("y", 0.0, 1.0),)))
 
 
 def test_statistics_put_two_motions_of_one_law_together_and_those_of_two_apart() -> None:
@@ -228,7 +228,7 @@ def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:
     cells = [FIG3 | {"b": b} for b in (0.1, 0.193)]
     cells = [FIG3, FIG3 | {"b": 0.193}]
     values = {p.name: np.array([cell.get(p.name, p.default) for cell in cells]) for p in record.parameters}
-    both = Coexistence(record, values, Settings(), Starts(8))
+    both = CoexistenceSearch(record, values, Settings(), AttractorSettings(8))
     both.solve()
     assert all(len(cell.attractors) >= 1 for cell in both.cells)
     assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == both.tried.sum()
@@ -240,10 +240,10 @@ def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contracti
     values = {
         p.name: np.array([(FIG3 | {"b": b}).get(p.name, p.default) for b in (0.1, 0.193)]) for p in record.parameters
     }
-    both = Coexistence(record, values, Settings(), Starts(32))
+    both = CoexistenceSearch(record, values, Settings(), AttractorSettings(32))
     both.solve()
     of_cells = [cell.attractors for cell in both.cells]
-    known = Known(both.oscillators, of_cells)
+    known = KnownAttractors(both.oscillators, of_cells)
     assert {a.regime for a in known.attractors} == {PERIODIC, NO_IMPACT}
     for c, attractors in enumerate(of_cells):
         compared = known.places[known.orbits.first[c] : known.orbits.last[c]]

@@ -13,12 +13,12 @@ import pytest
 from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.attractors.basins import AttractorTable, section_points, solve_basins
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.results import CENTRE, NO_IMPACT, PERIODIC, REASONS, UNDETERMINED
 
 SETTINGS = Settings(exponents="spectrum", max_periods=1000, survival=500)
-ROUND = Starts(64, box=(("x", -2.0, 2.0), ("v", 0.0, 2.0)))
+ROUND = AttractorSettings(64, box=(("x", -2.0, 2.0), ("v", 0.0, 2.0)))
 
 
 def belt(c: float = 0.1, speed: float = 0.5) -> System:
@@ -38,7 +38,7 @@ def decaying() -> System:
 def test_the_equilibrium_of_a_belt_has_the_share_of_bstab_within_both_errors(
     u: float, share: float, error: float
 ) -> None:
-    many = Starts(400, box=ROUND.box)
+    many = AttractorSettings(400, box=ROUND.box)
     found = solve_attractors(decaying(), {"u": u}, SETTINGS, many)
     (still,) = np.flatnonzero(found["regime"] == NO_IMPACT)
     (cycle,) = np.flatnonzero(found["regime"] == PERIODIC)
@@ -69,7 +69,7 @@ def test_the_basin_of_sliding_is_where_the_closed_form_never_reaches_the_belt() 
     c, speed = 0.1, 0.5
     x, v = (values.ravel() for values in np.meshgrid(np.linspace(-0.55, 1.35, 24), np.linspace(-0.95, 0.45, 20)))
     beyond = reaches_belt(x, v, c, speed)
-    found = solve_basins(belt(c, speed), {"x": x, "v": v}, SETTINGS, Starts(32))
+    found = solve_basins(belt(c, speed), {"x": x, "v": v}, SETTINGS, AttractorSettings(32))
     sure = np.abs(beyond) > 1e-4
     assert np.array_equal(found["regime"][sure], np.where(beyond > 0.0, PERIODIC, NO_IMPACT)[sure])
     assert 0.2 < np.mean(found["regime"] == NO_IMPACT) < 0.8
@@ -83,7 +83,7 @@ def test_a_block_without_damping_sticks_and_slips_or_swings_about_its_centre() -
     """B1 is the only attractor: within v of x = .4 the block slides for ever, in a continuum of circles."""
     speed = 0.2
     system = belt(0.0, speed)
-    starts = Starts(200, box=(("x", 0.1, 0.7), ("v", -0.4, 0.15)))
+    starts = AttractorSettings(200, box=(("x", 0.1, 0.7), ("v", -0.4, 0.15)))
     found = solve_attractors(system, {}, SETTINGS, starts)
     T = 2.0 * 0.6 / speed + math.pi + 2.0 * math.atan(speed / 0.6)
     assert (found["attractors"], found["regime"][0]) == (1, PERIODIC)
@@ -104,10 +104,10 @@ def test_a_centre_is_told_after_one_stretch() -> None:
 
 def test_phases_do_not_count_and_no_state_of_a_cycle_is_another_attractor() -> None:
     """Initial states all along one cycle reach it."""
-    table = AttractorTable(belt(), {p.name: p.default for p in belt().parameters}, SETTINGS, Starts(16))
+    table = AttractorTable(belt(), {p.name: p.default for p in belt().parameters}, SETTINGS, AttractorSettings(16))
     (cycle,) = (k for k, attractor in enumerate(table.attractors) if attractor.cycle)
     points = section_points(table, 40)[cycle]
-    found = solve_basins(belt(), {"x": points[:, 0], "v": points[:, 1]}, SETTINGS, Starts(16))
+    found = solve_basins(belt(), {"x": points[:, 0], "v": points[:, 1]}, SETTINGS, AttractorSettings(16))
     assert found["label"].tolist() == [cycle] * 40
     assert np.ptp(points[:, 0]) > 1.0
     assert np.ptp(found["cycle_period"]) == 0.0
@@ -116,7 +116,7 @@ def test_phases_do_not_count_and_no_state_of_a_cycle_is_another_attractor() -> N
 def test_the_attractor_of_the_own_initial_state_is_that_of_solve_tile_to_the_bit() -> None:
     for x in (0.45, 1.6):
         alone = solve_tile(belt(), {"x": x}, SETTINGS)
-        many = solve_attractors(belt(), {"x": x}, SETTINGS, Starts(8))
+        many = solve_attractors(belt(), {"x": x}, SETTINGS, AttractorSettings(8))
         for name, value in alone.items():
             if name != "periods_used":
                 np.testing.assert_array_equal(many[name][many["own"]], value, err_msg=name)
@@ -137,7 +137,7 @@ def buckled(**more: Any) -> System:
 
 def test_equilibria_that_are_mirror_images_are_two_attractors() -> None:
     """-x + 2.8 (x - .5) = 0: x = 1.4 / 1.8, with the rates of x'' + .2 x' + 1.8 x = 0."""
-    found = solve_attractors(buckled(damping=[[0.2]]), {"x": 0.3}, SETTINGS, Starts(32))
+    found = solve_attractors(buckled(damping=[[0.2]]), {"x": 0.3}, SETTINGS, AttractorSettings(32))
     assert found["attractors"] == 2
     assert sorted(found["state"][:2, 0].tolist()) == pytest.approx([-1.4 / 1.8, 1.4 / 1.8], abs=1e-9)
     np.testing.assert_allclose(found["spectrum"][:2], -0.1, rtol=1e-9)
@@ -150,7 +150,7 @@ def two_wells() -> System:
 
 
 def test_cycles_that_are_mirror_images_are_two_attractors() -> None:
-    found = solve_attractors(two_wells(), {"x": 0.7}, SETTINGS, Starts(32))
+    found = solve_attractors(two_wells(), {"x": 0.7}, SETTINGS, AttractorSettings(32))
     cycles = np.flatnonzero(found["regime"] == PERIODIC)
     one_sided = [k for k in cycles.tolist() if not found["symmetric"][k]]
     assert len(one_sided) == 2
@@ -162,7 +162,7 @@ def test_cycles_that_are_mirror_images_are_two_attractors() -> None:
 def test_a_cycle_is_told_once_round_from_wherever_it_is_reached(seed: int) -> None:
     """No two cycles have lengths in a whole ratio: motions that return after two or three turns are on the same one."""
     found = solve_attractors(
-        pair_of(*random_pair(seed)), {}, Settings(exponents="none", max_periods=500, survival=0), Starts(8)
+        pair_of(*random_pair(seed)), {}, Settings(exponents="none", max_periods=500, survival=0), AttractorSettings(8)
     )
     T = found["cycle_period"][: int(found["attractors"])]
     ratios = T[:, None] / T

@@ -5,8 +5,8 @@ import pytest
 
 from workers import Settings, System, solve_tile
 from workers.attractors.basins import solve_basins
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import find_system
 from workers.results import CHAOTIC, PERIODIC
 
@@ -25,7 +25,7 @@ CELLS = {
 @pytest.fixture(scope="module", params=list(CELLS))
 def found(request: pytest.FixtureRequest) -> tuple[str, dict[str, list[float]], dict[str, np.ndarray]]:
     name = request.param
-    return name, CELLS[name], solve_attractors(name, CELLS[name], SETTINGS, Starts(12))
+    return name, CELLS[name], solve_attractors(name, CELLS[name], SETTINGS, AttractorSettings(12))
 
 
 def test_every_start_is_put_to_an_attractor_or_counted_as_undecided(
@@ -62,9 +62,9 @@ def test_no_two_orbits_of_a_cell_are_one(found: tuple[str, dict[str, list[float]
 
 def test_labels_of_basins_are_those_of_attractors() -> None:
     values = {"omega": 0.86, "a": 0.63}
-    table = solve_attractors("soft-impact", values, SETTINGS, Starts(12))
+    table = solve_attractors("soft-impact", values, SETTINGS, AttractorSettings(12))
     x = np.linspace(-0.5, 0.5, 5)
-    basins = solve_basins("soft-impact", values | {"x": x}, SETTINGS, Starts(12))
+    basins = solve_basins("soft-impact", values | {"x": x}, SETTINGS, AttractorSettings(12))
     assert set(basins["label"].tolist()) <= set(range(-2, int(table["attractors"])))
     known = basins["label"] >= 0
     assert known.any() and (basins["regime"][known] != CHAOTIC).any()
@@ -84,7 +84,7 @@ def test_twin_orbits_in_two_soft_stops_are_mirror_images() -> None:
         "name": "wells", "coordinates": ["x"], "mass": [[1.0]], "damping": [[0.3]], "stiffness": [[-1.0]],
         "load": [-3.0], "force": [0.05], "contacts": [stops],
     })  # fmt: skip
-    found = solve_attractors(wells, {"omega": 1.0, "x": 4.1}, Settings(), Starts(8, box=(("x", 0.0, 6.0),)))
+    found = solve_attractors(wells, {"omega": 1.0, "x": 4.1}, Settings(), AttractorSettings(8, box=(("x", 0.0, 6.0),)))
     steady = 0.05 / (18.0 + 0.3j)
     upper = np.array([3.0 + 20.0 / 19.0 + steady.imag, steady.real])
     lower = np.array([3.0 - 20.0 / 19.0 + steady.imag, steady.real])
@@ -102,7 +102,7 @@ def test_twin_cycles_in_two_wells_are_mirror_images() -> None:
         "load": [-3.0], "contacts": [soft, hard],
     })  # fmt: skip
     box = (("x", 1.85, 4.15), ("v", -0.1, 0.1))
-    found = solve_attractors(wells, {"x": 4.1}, Settings(), Starts(8, box=box))
+    found = solve_attractors(wells, {"x": 4.1}, Settings(), AttractorSettings(8, box=box))
     assert found["attractors"] == 2 and found["mirror"].tolist() == [1, 0, -1, -1]
     assert not found["symmetric"].any()
     assert found["cycle_period"][0] == pytest.approx(found["cycle_period"][1], rel=1e-12)

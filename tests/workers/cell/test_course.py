@@ -11,9 +11,9 @@ from tests import naive
 from tests.workers.cell.test_solve import TORI
 from tests.workers.cell.test_survival import cells_of, relaxation
 from workers import Settings, solve_tile
-from workers.cell.averages import under_way, whole_average
-from workers.cell.course import AVERAGING, RELAXATIONS, WARM_UP, Course
-from workers.cell.stretch import Mask, Rows
+from workers.cell.averages import combined_average, current_average
+from workers.cell.interval import Mask, Rows
+from workers.cell.schedule import AVERAGING, RELAXATIONS, WARM_UP, AdaptiveSchedule
 from workers.kernel.averages import MEAN
 from workers.results import (
     CHAOTIC,
@@ -36,9 +36,9 @@ FIRST_AVERAGED = 256 + WARM_UP + 192
 class Led:
     """A cell led through its course, which found, when its first average was looked at, what was put there."""
 
-    def __init__(self, params: dict[str, float], settings: Settings, put: Callable[[Course], None]) -> None:
+    def __init__(self, params: dict[str, float], settings: Settings, put: Callable[[AdaptiveSchedule], None]) -> None:
         self.cells = cells_of({name: np.array([value]) for name, value in params.items()}, settings)
-        self.course, self.put, self.flown_then = Course(self.cells, is_known=self.nothing_known), put, 0
+        self.course, self.put, self.flown_then = AdaptiveSchedule(self.cells, is_known=self.nothing_known), put, 0
         with np.errstate(all="ignore"):
             self.course.take()
         self.found: dict[str, Any] = {name: values[0] for name, values in self.cells.results.items()}
@@ -50,10 +50,10 @@ class Led:
         return np.zeros(len(rows), dtype=np.bool_)
 
 
-def earlier(mean: float) -> Callable[[Course], None]:
+def earlier(mean: float) -> Callable[[AdaptiveSchedule], None]:
     """An average of a thousand periods, closed before."""
 
-    def put(course: Course) -> None:
+    def put(course: AdaptiveSchedule) -> None:
         average = course.cells.earlier
         average.mean[0], average.error[0], average.periods[0] = mean, 1e-3, 1000.0
 
@@ -83,7 +83,7 @@ def test_motion_that_has_changed_to_another_chaos_counts_from_there() -> None:
 def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
     """Said to have begun to average too early, before it changed."""
 
-    def put(course: Course) -> None:
+    def put(course: AdaptiveSchedule) -> None:
         earlier(3.0)(course)
         course.cells.first[0], course.memory[0] = 100, 200.0
 
@@ -94,7 +94,7 @@ def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
 def test_motion_that_ends_without_impact_has_no_impact_speeds_of_the_chaos_before() -> None:
     """Put where it meets no stop any more, when its average is no longer that of chaos."""
 
-    def put(course: Course) -> None:
+    def put(course: AdaptiveSchedule) -> None:
         earlier(3.0)(course)
         course.cells.batch.levels[0, 0, MEAN] = -0.01
         course.cells.batch.motions.h[0] = 0.0
@@ -109,7 +109,7 @@ def test_averages_that_agree_are_one() -> None:
     """The thousand periods known to a thousandth outweigh those that are averaged beside them."""
     course = Led(naive.FIGURES[5], Settings(tolerance=0.2, survival=0), earlier(1.123))
     found = course.found
-    now = under_way(course.cells, np.arange(1))
+    now = current_average(course.cells, np.arange(1))
     assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)
     apart = abs(now.mean[0] - 1.123) * math.sqrt(1000.0 * now.periods[0])
     wanted = max(math.hypot(1.0, now.error[0] * now.periods[0]), apart) / (1000.0 + now.periods[0])
@@ -153,7 +153,7 @@ def test_where_chaos_has_ended_and_the_budget_is_spent_the_class_is_open() -> No
 def test_an_exponent_is_zero_where_two_averages_are_and_do_not_agree_that_it_is_negative(
     before: float, now: float, flat: bool
 ) -> None:
-    def put(course: Course) -> None:
+    def put(course: AdaptiveSchedule) -> None:
         course.weighted[0] = before
         course.cells.batch.weighted[0] = now, 1.0
 
@@ -168,7 +168,7 @@ def test_an_exponent_is_zero_where_two_averages_are_and_do_not_agree_that_it_is_
 def test_what_may_be_an_orbit_that_closes_slowly_is_no_torus_yet() -> None:
     """Averages as of a torus, and a section that is met again."""
 
-    def put(course: Course) -> None:
+    def put(course: AdaptiveSchedule) -> None:
         course.weighted[0] = 1e-7
         course.cells.batch.weighted[0] = 1e-7, 1.0
         sections = course.cells.batch.sections
@@ -185,13 +185,13 @@ def test_what_may_be_an_orbit_that_closes_slowly_is_no_torus_yet() -> None:
 def test_no_period_is_averaged_twice() -> None:
     """The second average begins where the first ends, or later."""
     cells = cells_of(naive.FIGURES[5] | {"tau": np.linspace(0.0, 1.0, 4)}, Settings(tolerance=0.03, survival=0))
-    course, ready, second = Course(cells), np.arange(4), False
+    course, ready, second = AdaptiveSchedule(cells), np.arange(4), False
     with np.errstate(all="ignore"):
         while len(ready):
             course.begin(ready)
             course.look(cells.run(cells.ready, to_end=True))
             ready = cells.ready
-            average, _ = whole_average(cells, ready)
+            average, _ = combined_average(cells, ready)
             since = cells.flown[ready] - cells.since[ready] - WARM_UP
             assert not np.any(average.periods > np.maximum(since, 0))
             second |= bool(np.any(cells.earlier.periods[ready] > 0.0))

@@ -12,10 +12,10 @@ import pytest
 
 from atlas.check.rules import broken_rules
 from atlas.errors import InputError
-from atlas.spec.spec import Spec, checked_parameters
-from rig.oracle.pieces.machine import Contact, Friction, Machine
-from rig.oracle.pieces.motion import simulate
-from rig.oracle.pieces.rows import belt as belt_of_oracle
+from atlas.spec.spec import Spec, validate_parameters
+from rig.oracle.piecewise.machine import PiecewiseContact, PiecewiseFriction, PiecewiseMachine
+from rig.oracle.piecewise.motion import simulate
+from rig.oracle.piecewise.reference_orbits import belt as belt_of_oracle
 from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.history import within_periods
@@ -206,7 +206,7 @@ def test_a_machine_without_a_force_has_no_frequency_and_no_phase() -> None:
         with pytest.raises(KeyError, match=line):
             solve_tile(belt(), {name: 1.0})
         with pytest.raises(InputError, match=f"parameter {line}"):
-            checked_parameters(belt(), {name: 1.0})
+            validate_parameters(belt(), {name: 1.0})
         with pytest.raises(InputError, match=f"parameter in axes {line}"):
             Spec(belt(), {name: [1.0, 2.0]})
         with pytest.raises(DefinitionError, match=f"system.parameters.{name}: the machine has no force"):
@@ -291,8 +291,8 @@ def cycles_close(seed: int) -> bool:
     found = solved(system, Settings(exponents="spectrum", max_periods=500, survival=0), x1=0.3)
     if found["regime"] != PERIODIC:
         return False
-    there = Machine(**matrices, load=[0.0, 0.0], omega=1.0, contacts=(Contact([0.0, 1.0], **stop),),
-                    friction=(Friction(**rub),))  # fmt: skip
+    there = PiecewiseMachine(**matrices, load=[0.0, 0.0], omega=1.0, contacts=(PiecewiseContact([0.0, 1.0], **stop),),
+                    friction=(PiecewiseFriction(**rub),))  # fmt: skip
     T, none = float(found["cycle_period"]), {p.name: np.array([p.default]) for p in system.parameters}
     machines, _ = system.build_many(system.with_cycle(none, T))
     start = within_periods(machines, found["state"][None], np.array([0.37 * T]))[0, 0]  # away from the event

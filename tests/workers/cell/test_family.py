@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle import Machine, section_jacobian, simulate
+from rig.oracle import OracleMachine, section_jacobian, simulate
 from rig.oracle.machines import random_machine
 from tests.oscillators import build_one
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.period import propagate
 from workers.kernel.tangent import reset_frame
-from workers.model.oscillator import Machines, Oscillator
+from workers.model.oscillator import Oscillator, SingleContactMachines
 
 pytestmark = pytest.mark.slow
 
@@ -43,7 +43,7 @@ class Sections:
     stuck: list[float]
 
 
-def solver_sections(machine: Machine, state: np.ndarray, periods: int) -> Sections:
+def solver_sections(machine: OracleMachine, state: np.ndarray, periods: int) -> Sections:
     """What the solver makes of a machine from a section state."""
     osc = solver_of(machine)
     size = len(state)
@@ -67,14 +67,16 @@ def solver_sections(machine: Machine, state: np.ndarray, periods: int) -> Sectio
     return found
 
 
-def solver_jacobian(machine: Machine, state: np.ndarray) -> np.ndarray:
+def solver_jacobian(machine: OracleMachine, state: np.ndarray) -> np.ndarray:
     """d(section state after one period) / d(section state), by the solver."""
     return solver_sections(machine, state, 1).jacobians[0]
 
 
-def solver_of(machine: Machine) -> Oscillator:
-    fields = {name: np.asarray(getattr(machine, name), dtype=np.float64)[None] for name in Machines._fields}
-    return build_one(Machines(**fields))
+def solver_of(machine: OracleMachine) -> Oscillator:
+    fields = {
+        name: np.asarray(getattr(machine, name), dtype=np.float64)[None] for name in SingleContactMachines._fields
+    }
+    return build_one(SingleContactMachines(**fields))
 
 
 def physical_directions(osc: Oscillator, motion: Motion) -> np.ndarray:
@@ -92,11 +94,11 @@ def physical_directions(osc: Oscillator, motion: Motion) -> np.ndarray:
 # Random machines
 
 
-def drawn(seed: int, n: int, **kind: Any) -> Machine:
+def drawn(seed: int, n: int, **kind: Any) -> OracleMachine:
     return random_machine(np.random.default_rng([20, seed, n]), n, **kind)
 
 
-def assert_sections_agree(machine: Machine) -> None:
+def assert_sections_agree(machine: OracleMachine) -> None:
     """Rounding may grow as the Jacobians do; the orbits are compared until it has grown too far.
 
     Jumping to rest neglects what is of third order in the last 1e-4 of the chatter.
@@ -123,7 +125,7 @@ def assert_sections_agree(machine: Machine) -> None:
     assert sum(found.stuck) == pytest.approx(stuck, abs=5e-3 * stuck)
 
 
-def assert_jacobians_agree(machine: Machine) -> None:
+def assert_jacobians_agree(machine: OracleMachine) -> None:
     """Truth: differences of orbits that follow a chatter to 1e-14 of a time scale; the solver leaves it earlier."""
     true = np.array([[float(value) for value in row] for row in section_jacobian(machine, 1, 40)])
     rested = bool(simulate(machine, 1, digits=25).stuck)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.hybrids import follow
+from rig.solver_bridge import follow
 from workers import Settings, System, solve_tile
-from workers.cell.cells import Results
+from workers.cell.cell_batch import Results
 from workers.results import CHAOTIC, NO_REASON, PERIODIC
 
 SPECTRUM = Settings(exponents="spectrum", survival=0, max_periods=3000)

@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from rig.hybrids import machines_of
-from rig.oracle.pieces import Machine
+from rig.oracle.piecewise import PiecewiseMachine
+from rig.solver_bridge import machines_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, machine_in
 from workers import Settings
-from workers.cell.cells import Cells, Results
+from workers.cell.cell_batch import CellBatch, Results
 from workers.cell.solve import solve
-from workers.model.hybrid import build_hybrid
+from workers.model.mode_table import build_hybrid
 from workers.results import NO_IMPACT, PERIODIC, QUASIPERIODIC, REASONS, result_variables
 from workers.tile import result_arrays
 
@@ -34,11 +34,11 @@ each_found = pytest.mark.parametrize("name", FOUND)
 def cell_of(name: str) -> Results:
     """The cell of a record, as arrays of one; none of its masses begins on a stop or sticking."""
     record, settings = RECORDS[name], Settings(exponents="spectrum")
-    machine = machine_in(record) if record["periods"] else Machine.of(record["machine"])
+    machine = machine_in(record) if record["periods"] else PiecewiseMachine.of(record["machine"])
     state = np.array(record["state"])
     oscillators, reasons = build_hybrid(machines_of([machine]))
     found = result_arrays(result_variables(settings), settings, 1, len(state))
-    solve(Cells(oscillators, reasons, (state - NEAR)[None], settings, found))  # type: ignore[arg-type]
+    solve(CellBatch(oscillators, reasons, (state - NEAR)[None], settings, found))  # type: ignore[arg-type]
     return found
 
 

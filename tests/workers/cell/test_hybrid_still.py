@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from workers import Settings, System, solve_tile
-from workers.cell.cells import Results
+from workers.cell.cell_batch import Results
 from workers.results import NO_IMPACT, PERIODIC
 
 SPECTRUM = Settings(exponents="spectrum", survival=0, max_periods=3000)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.hybrids import built, follow, shown
-from rig.oracle.pieces import measures
-from rig.oracle.pieces.draw import random_state
+from rig.oracle.piecewise import measures
+from rig.oracle.piecewise.random_machines import random_state
+from rig.solver_bridge import built, follow, shown
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in, number_in
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, drawn
 from workers import Settings, System, solve_tile, trace
-from workers.cell.measuring import followed
-from workers.kernel.hybrid.measuring import LEGS, Meters, Readings
+from workers.cell.measures import follow_motions
+from workers.kernel.hybrid.measures import LEGS, MeasurePlan, MeasureTotals
 from workers.kernel.motion import RUNNING
 from workers.model.entries import DefinitionError
 from workers.model.oscillator import Oscillator
@@ -42,21 +42,21 @@ ONE_MASS: dict[str, Any] = {
 """A mass on a spring under a force and a load, with one stop, which is far away."""
 
 
-def meters_of(hybrid: Oscillator) -> Meters:
+def meters_of(hybrid: Oscillator) -> MeasurePlan:
     """Each displacement, velocity and acceleration, all with their extremes."""
     own, n = hybrid.table.machines, hybrid.gap_row.shape[1]
     orders = np.repeat(np.arange(3.0), n)[None]
     rows, elements = np.tile(np.eye(n), (3, 1))[None], (own.damping, own.pad, own.rub, own.law, own.grip)
-    return Meters(rows, orders, np.ones((1, 3 * n)), *elements)
+    return MeasurePlan(rows, orders, np.ones((1, 3 * n)), *elements)
 
 
 @functools.cache
-def readings_of(name: str) -> tuple[Oscillator, Readings, float]:
+def readings_of(name: str) -> tuple[Oscillator, MeasureTotals, float]:
     """What a turn of an orbit of the oracle shows, and its periods."""
     record = RECORDS[name]
     hybrid = built(machine_in(record))
     state, code, periods = np.array([record["state"]]), np.array([[number_in(record)]]), np.array([record["periods"]])
-    readings, told = followed(hybrid, meters_of(hybrid), state, code, periods, np.array([True]))
+    readings, told = follow_motions(hybrid, meters_of(hybrid), state, code, periods, np.array([True]))
     assert told[0]
     return hybrid, readings, record["periods"]
 
@@ -161,7 +161,7 @@ def test_random_motions_show_what_the_oracle_integrates_of_them(seed: int) -> No
     if motion.status != RUNNING or growth > SENSITIVE:
         pytest.skip("more modes than there is room for, or errors grow too far")
     code, turns = np.array([[shown(hybrid, start)]]), np.array([2])
-    readings, told = followed(hybrid, meters_of(hybrid), np.array([start]), code, turns, np.array([False]))
+    readings, told = follow_motions(hybrid, meters_of(hybrid), np.array([start]), code, turns, np.array([False]))
     assert told[0]
     span, soft = 2.0 * hybrid.period[0], hybrid.table.machines.soft[0] > 0.0
     wanted_of = measures(machine, start, 2, digits=30)
@@ -270,7 +270,7 @@ def test_integrals_over_a_leg_are_exact_to_rounding_from_no_damping_to_stiff(c: 
     values = {p.name: p.default for p in machine.parameters} | {"omega": omega, "c": c}
     hybrid, _ = machine.build_many({name: np.array([value]) for name, value in values.items()})
     states = np.array([[float(component) for component in start]])
-    readings, told = followed(
+    readings, told = follow_motions(
         hybrid,
         meters_of(hybrid),
         states,

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.cell.orbit import cell_orbit
-from rig.hybrids import built
+from atlas.cell.trajectory import cell_orbit
 from rig.oracle.closed_form import one_sided_orbit
 from rig.oracle.free_mass import impact_pair_orbits
 from rig.oracle.machines import single_mass
 from rig.oracle.simulate import simulate
+from rig.solver_bridge import built
 from tests.workers.cell.test_measures import ORBITS, readings_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, expected_events, machine_in, number_in
 from workers import Settings, System, solve_tile
-from workers.cell.observing import observe_orbits, observed
+from workers.cell.observables import observe_orbits, record_observables
 from workers.model.observables import Observable, observables_of
 from workers.model.system import find_system
 from workers.results import CHAOTIC, INVALID, PERIODIC
@@ -128,7 +128,7 @@ def observed_on(name: str, asked: tuple[Observable, ...]) -> dict[str, Any]:
         np.array([record["state"]]), np.array([[number_in(record)]]), np.array([record["periods"]]), np.array([True]),
     )  # fmt: skip
     outputs = np.zeros((1, len(asked), n)), np.zeros((1, len(asked)))
-    found, whole = observed(hybrid, asked, outputs, motions, 64, 1)
+    found, whole = record_observables(hybrid, asked, outputs, motions, 64, 1)
     assert whole[0]
     return found
 

@@ -8,7 +8,7 @@ import pytest
 from tests import naive
 from tests.workers.cell.test_survival import cells_of
 from workers import Settings
-from workers.cell.cells import Cells
+from workers.cell.cell_batch import CellBatch
 from workers.cell.outcome import end_stopped, put_averaged, put_periodic
 from workers.kernel.averages import COUNT, add_to_blocks
 from workers.kernel.motion import MARCH_GAVE_UP, MIN_SPEED, NOT_FINITE, OUT_OF_WORK, RUNNING, STATUS, STUCK, UPPER, WORK
@@ -18,7 +18,7 @@ from workers.results import NOT_FINITE as NO_LONGER_FINITE
 ONE = np.arange(1)
 
 
-def one_cell(**settings: str) -> Cells:
+def one_cell(**settings: str) -> CellBatch:
     return cells_of({name: np.array([value]) for name, value in naive.FIGURES[5].items()}, Settings(**settings))
 
 

@@ -11,8 +11,8 @@ from tests import naive
 from tests.workers.cell.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.cell.averages import restart
+from workers.cell.interval import run_periods
 from workers.cell.outcome import put_averaged
-from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import LOST, MIN_SPEED, STUCK
 from workers.results import CHAOTIC, LOCKING, PERIODIC, RESTED
@@ -84,7 +84,7 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     cells.batch.motions.tally[0, [LOST, STUCK, MIN_SPEED]] = 2.0, 3.0, 0.0
     restart(cells, one)
     cells.averaging[0] = True
-    cells.aim(one, 50)
+    cells.set_interval(one, 50)
     cells.framed[0] = True
     cells.run(one, to_end=True)
     with np.errstate(all="ignore"):

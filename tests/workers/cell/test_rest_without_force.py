@@ -12,9 +12,9 @@ import pytest
 
 from tests.unforced import machine
 from workers import Settings, System, solve_tile
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
-from workers.cell import cycles
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
+from workers.cell import autonomous
 from workers.results import AT_EQUILIBRIUM, FREE_PHASE, NO_IMPACT, PERIODIC, UNDETERMINED, WORK_SPENT
 
 SPECTRUM = Settings(exponents="spectrum")
@@ -102,7 +102,9 @@ def test_all_starts_come_to_the_one_rest_at_a_vertex() -> None:
         machine(damping=[[0.1]], friction=rubbed(kinetic=0.0, slope=0.2)),
         (("x", -2.0, 2.0), ("v", -2.0, 2.0)),
     )
-    found = solve_attractors(system, {}, replace(SPECTRUM, max_periods=1000, survival=500), Starts(16, box=box))
+    found = solve_attractors(
+        system, {}, replace(SPECTRUM, max_periods=1000, survival=500), AttractorSettings(16, box=box)
+    )
     assert (found["attractors"], found["undecided"], found["share"][0]) == (1, 0, 1.0)
 
 
@@ -203,7 +205,7 @@ def two_blocks_on_belts() -> System:
 
 def test_a_torus_is_examined_at_a_cost_that_grows_with_its_periods(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each look takes up an event about ten times, not once for each period that follows it."""
-    looks, legs, former = list[int](), list[int](), cycles.trail_of
+    looks, legs, former = list[int](), list[int](), autonomous.trail_of
 
     def counted(rows: Any, *given: Any) -> Any:
         if not legs or len(rows) < legs[-1]:
@@ -212,14 +214,14 @@ def test_a_torus_is_examined_at_a_cost_that_grows_with_its_periods(monkeypatch: 
         legs.append(len(rows))
         return former(rows, *given)
 
-    monkeypatch.setattr(cycles, "trail_of", counted)
+    monkeypatch.setattr(autonomous, "trail_of", counted)
     solve_tile(two_blocks_on_belts(), {}, Settings(exponents="none", max_periods=3000, survival=0, max_period=1000))
     assert max(legs) > 1500  # of more than 600 periods
     assert max(looks) < 10 * max(legs)
 
 
 def test_the_look_at_events_is_paid_from_the_budget_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("workers.cell.cells.WORK_PER_PERIOD", 1)
-    monkeypatch.setattr("workers.cell.cells.LEAST_WORK", 9000)
+    monkeypatch.setattr("workers.cell.cell_batch.WORK_PER_PERIOD", 1)
+    monkeypatch.setattr("workers.cell.cell_batch.MIN_WORK", 9000)
     found = solve_tile(two_blocks_on_belts(), {}, Settings(exponents="none", max_periods=3000, survival=0))
     assert found["reason"] == WORK_SPENT

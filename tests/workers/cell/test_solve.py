@@ -11,11 +11,11 @@ import pytest
 
 from tests import naive
 from tests.paths import ROOT
-from workers.cell.course import Course
 from workers.cell.exponents import free_exponents
+from workers.cell.schedule import AdaptiveSchedule
 from workers.history import trace
-from workers.model import modes
-from workers.model.modes import undamped_modes
+from workers.model import block_decomposition
+from workers.model.block_decomposition import undamped_modes
 from workers.results import (
     APERIODIC,
     CHAOTIC,
@@ -348,7 +348,7 @@ def test_the_structure_of_a_machine_is_worked_out_once_for_cells_solved_alone(mo
         worked_out.append(mass)
         return undamped_modes(mass, stiffness)
 
-    monkeypatch.setattr(modes, "undamped_modes", counted)
+    monkeypatch.setattr(block_decomposition, "undamped_modes", counted)
     for mass in (2.03125, 2.0625):
         for omega, b in ((4.0, 5.0), (4.0, 6.0), (3.0, 5.0)):
             cell({"mu_m": mass, "omega": omega, "b": b})
@@ -369,11 +369,11 @@ def test_a_machine_without_mass_is_invalid_and_changes_no_other(stop: dict[str, 
 
 
 def test_a_cell_on_an_orbit_goes_through_no_other_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unwanted(course: Course, rows: np.ndarray) -> None:
+    def unwanted(course: AdaptiveSchedule, rows: np.ndarray) -> None:
         raise AssertionError(rows)
 
     for stage in ("searching", "averaging", "watching"):
-        monkeypatch.setattr(Course, stage, unwanted)
+        monkeypatch.setattr(AdaptiveSchedule, stage, unwanted)
     assert cell({"omega": 4.0, "b": 0.15})["regime"] == PERIODIC
     assert cell({"omega": 4.0, "b": 5.0})["regime"] == NO_IMPACT
 

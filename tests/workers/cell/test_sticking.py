@@ -10,9 +10,9 @@ from rig.oracle.simulate import section_jacobian
 from tests import naive
 from tests.oscillators import mass_spring
 from tests.workers.orbit.test_stroboscopic import KINDS, differences, jacobian
-from workers.cell.cells import Cells
+from workers.cell.cell_batch import CellBatch
+from workers.cell.interval import run_periods
 from workers.cell.solve import solve
-from workers.cell.stretch import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import FLIGHT, LOST, STUCK
 from workers.model.hybrid_modes import ON
@@ -54,7 +54,7 @@ def solved(osc: Oscillator, start: np.ndarray) -> dict[str, Any]:
     """The results of one cell, with all exponents."""
     settings = Settings(exponents="spectrum")
     found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4})
-    solve(Cells(many_of(osc), np.zeros(1, dtype=np.int8), start[None], settings, found))
+    solve(CellBatch(many_of(osc), np.zeros(1, dtype=np.int8), start[None], settings, found))
     return {name: array[0] for name, array in found.items()}
 
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from atlas.robustness.linear import slips_at_a_push
-from rig.hybrids import follow
+from atlas.robustness.linear_measures import slips_at_a_push
+from rig.solver_bridge import follow
 from workers import Settings, System, solve_tile
-from workers.kernel.hybrid.state import meet
-from workers.model.oscillator import Oscillator, one_of
+from workers.kernel.hybrid.state import satisfy_rows
+from workers.model.oscillator import Oscillator, take_one
 from workers.results import PERIODIC
 
 SETTINGS = Settings(exponents="none", survival=0, max_periods=3000)
@@ -44,7 +44,7 @@ def test_a_cell_goes_on_from_its_state_as_it_did(changes: dict[str, Any]) -> Non
         built, state = machine(system, values), np.array(cell["state"])
         again = follow(built, state, periods=int(cell["period"]))
         np.testing.assert_allclose(again.state, state, rtol=0.0, atol=1e-11)
-        elements = one_of(built, 0).table.elements
+        elements = take_one(built, 0).table.elements
         row = elements.row[0] if "contacts" in changes else elements.slide[0]
         at_rest += float(row @ state[2:]) == 0.0
         at_edge += slips_at_a_push(built, state[None])
@@ -90,12 +90,12 @@ def test_random_rows_show_what_was_put_on_them() -> None:
         n = int(rng.integers(1, 5))
         count = int(rng.integers(1, n + 1))
         rows, values, x = rng.normal(size=(count, n)), rng.normal(size=count), rng.normal(size=n)
-        meet(rows, values, x)
+        satisfy_rows(rows, values, x)
         size = np.abs(rows) @ np.abs(x) + np.abs(values)
         assert np.all(np.abs(rows @ x - values) <= 1e-13 * size * np.linalg.cond(rows))
 
 
 def test_rows_that_depend_on_each_other_are_met_once() -> None:
     x = np.array([0.3, 0.1, 0.7])
-    meet(np.array([[1.0, -1.0, 0.0], [-2.0, 2.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.5, -1.0, 0.2]), x)
+    satisfy_rows(np.array([[1.0, -1.0, 0.0], [-2.0, 2.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.5, -1.0, 0.2]), x)
     np.testing.assert_array_equal(x, [0.7, 0.2, 0.7])

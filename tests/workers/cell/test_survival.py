@@ -10,10 +10,10 @@ from tests import naive
 from tests.paths import DATA
 from workers import Settings, System, solve_tile
 from workers.cell.averages import clearly_positive
-from workers.cell.cells import RETURNS, Cells
-from workers.cell.course import RELAXATIONS, TORUS_RETURN, relaxation_periods
+from workers.cell.cell_batch import RETURNS, CellBatch
 from workers.cell.exponents import impact_count
 from workers.cell.orbits import has_coexisting_orbit
+from workers.cell.schedule import RELAXATIONS, TORUS_RETURN, relaxation_periods
 from workers.model.system import find_system
 from workers.orbit.newton import far_from_closing
 from workers.results import (
@@ -51,7 +51,7 @@ def params_of(known: dict) -> dict[str, float]:
     return {name: number(value) for name, value in known["params"].items()}
 
 
-def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = None) -> Cells:
+def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = None) -> CellBatch:
     """Cells at the start of their course."""
     settings = settings or Settings()
     record = find_system("two-mass")
@@ -59,13 +59,13 @@ def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = 
     flat = {p.name: np.broadcast_to(np.asarray(params.get(p.name, p.default), float), count) for p in record.parameters}
     oscillators, reasons = record.build_many({name: values.copy() for name, values in flat.items()})
     found = empty_results(result_variables(settings), (count,), {"exponent": 4, "state": 4, "sample": 0})
-    return Cells(oscillators, reasons, np.zeros((count, 4)), settings, found)
+    return CellBatch(oscillators, reasons, np.zeros((count, 4)), settings, found)
 
 
 # Survival
 
 
-def relaxation(cells: Cells) -> np.ndarray:
+def relaxation(cells: CellBatch) -> np.ndarray:
     """Periods in which the energy of these motions relaxes, with the impacts that they have had."""
     hits = impact_count(cells.batch.motions.tally) / np.maximum(cells.flown, 1)
     return relaxation_periods(cells.oscillators, np.arange(len(hits)), hits)
@@ -75,7 +75,7 @@ def relaxation_of(params: dict[str, float | np.ndarray]) -> np.ndarray:
     """Periods in which the energy of cells relaxes, with their impacts in the first 256 periods."""
     cells = cells_of(params)
     every = np.arange(len(cells.used))
-    cells.aim(every, 256)
+    cells.set_interval(every, 256)
     cells.run(every, to_end=True)
     return relaxation(cells)
 
@@ -213,7 +213,7 @@ def test_energy_relaxes_at_the_rate_of_the_slowest_mode_without_impact() -> None
 
 def test_impacts_shorten_the_memory() -> None:
     cells = cells_of({"omega": 2.0, "b": 0.1, "R": np.array([1.0, 0.9, 0.5])})
-    cells.aim(np.arange(3), 200)
+    cells.set_interval(np.arange(3), 200)
     cells.run(np.arange(3), to_end=True)
     memory = relaxation(cells)
     assert np.all(np.diff(memory) < 0.0)
@@ -257,7 +257,7 @@ def test_weak_chaos_is_no_torus() -> None:
     assert found["error"] <= 0.002
 
 
-def torus(count: int, radius: float, cells: Cells) -> np.ndarray:
+def torus(count: int, radius: float, cells: CellBatch) -> np.ndarray:
     """So many sections of a rotation by the golden mean on a circle about the motion's own state."""
     angle = 2.0 * math.pi * 0.5 * (math.sqrt(5.0) - 1.0) * np.arange(count)
     sections = np.zeros((1, count, *cells.batch.motions.h.shape[1:]))
@@ -310,7 +310,7 @@ FAR = {"name": "far", "gap": [1.0, 0.0], "upper": 9.0, "stiffness": 1.0}
 """A soft contact that is never met: it makes a machine one with modes, and changes no motion."""
 
 
-def both_kinds(omega: float) -> list[Cells]:
+def both_kinds(omega: float) -> list[CellBatch]:
     """A cell of one flow with a light mode, as a machine with one rigid contact and as one with modes."""
     cells = []
     for given in (STOP, {"contacts": [{"name": "stop", **STOP}, FAR]}):
@@ -318,7 +318,7 @@ def both_kinds(omega: float) -> list[Cells]:
         values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([omega])}
         oscillators, reasons = system.build_many(values)
         found = empty_results(system.variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-        cells.append(Cells(oscillators, reasons, np.zeros((1, 4)), settings, found))
+        cells.append(CellBatch(oscillators, reasons, np.zeros((1, 4)), settings, found))
     return cells
 
 
@@ -359,7 +359,7 @@ def test_a_mass_that_a_stop_can_hold_has_an_orbit_beside_its_motion_in_both_kind
         values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([1.0])}
         oscillators, reasons = system.build_many(values)
         found = empty_results(system.variables(settings), (1,), {"exponent": 2, "state": 2, "sample": 0})
-        cells = Cells(oscillators, reasons, np.ones((1, 2)), settings, found)
+        cells = CellBatch(oscillators, reasons, np.ones((1, 2)), settings, found)
         with np.errstate(invalid="ignore"):
             assert has_coexisting_orbit(cells, np.array([0])).tolist() == [load < 1.0]
 

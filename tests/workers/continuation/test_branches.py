@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
+from workers.continuation.families import family_of
+from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.motion import OrbitMotion
 from workers.continuation.orbits import orbit_from_state
-from workers.continuation.oscillator import family_of
-from workers.continuation.stability import multipliers
+from workers.continuation.shooting import OrbitMotion
 from workers.model.system import find_system
 from workers.settings import Settings
 from workers.tile import solve_tile

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from workers.continuation import Condition, Event, Itinerary, Orbit, Point, curve, family_of
+from workers.continuation import Condition, Event, Itinerary, Orbit, SolutionPoint, curve, family_of
 from workers.continuation.branches import branch
-from workers.continuation.extended import GRAZE, UNIT
-from workers.continuation.oscillator import Family
+from workers.continuation.extended_system import GRAZE, UNIT
+from workers.continuation.families import Family
 from workers.model.system import System, find_system
 
 R, PHI = 0.5, 1.0
@@ -47,7 +47,9 @@ def test_two_folds_meet_at_the_cusp_of_a_ball_on_a_table_of_two_tones() -> None:
     exact = np.array(fold(at))
     v, start = -2.0 * math.pi / (1.0 + R), np.array(fold(0.0))
     orbit = Orbit(Itinerary((-1,), 1), np.zeros(1), np.array([v]))
-    event = Event("fold", (Condition(UNIT),), Point(start, orbit, np.zeros(0), np.zeros(0, dtype=np.complex128), 0))
+    event = Event(
+        "fold", (Condition(UNIT),), SolutionPoint(start, orbit, np.zeros(0), np.zeros(0, dtype=np.complex128), 0)
+    )
     run = curve(two_tones(), event, start, {"A": (-5.0, 1.5), "B": (-3.0, 1.0)})
     cusps = [met.point for met in run.events if met.kind == "cusp"]
     assert [point.values for point in cusps] == [pytest.approx(exact, abs=1e-9)]

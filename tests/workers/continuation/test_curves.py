@@ -18,10 +18,10 @@ from tests.handmade import (
 from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
 from workers.continuation.branches import BUDGET, CLOSED, EDGE, branch
 from workers.continuation.curves import curve
-from workers.continuation.events import Event, Point
-from workers.continuation.extended import GRAZE, Condition
+from workers.continuation.events import Event, SolutionPoint
+from workers.continuation.extended_system import GRAZE, Condition
+from workers.continuation.families import Family, family_of
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.oscillator import Family, family_of
 from workers.model.system import find_system
 
 pytestmark = pytest.mark.slow
@@ -112,7 +112,7 @@ def test_the_graze_of_motion_without_impact_is_b_equal_to_the_amplitude() -> Non
     lin = family.model(np.array([[1.5, 0.5]]))
     values = np.array([1.5, amplitude(lin)[0]])
     orbit = Orbit(Itinerary((), 1, symmetric=True), np.zeros(0), np.zeros(0))
-    point = Point(values, orbit, np.array([upper_peak(family, values)]), np.zeros(0, dtype=np.complex128), 0)
+    point = SolutionPoint(values, orbit, np.array([upper_peak(family, values)]), np.zeros(0, dtype=np.complex128), 0)
     event = Event("graze", (Condition(GRAZE, side=1),), point)
     run = curve(family, event, values, {"omega": (1.0, 3.0), "b": (0.01, 3.0)})
     assert run.ends == (EDGE, EDGE)

@@ -9,8 +9,8 @@ from tests.handmade import TWO_MASS
 from tests.workers.continuation.test_hybrid_branches import machine
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state
-from workers.continuation.orbits import attract, continued_to, many_of, refined
-from workers.continuation.same import distance, same_orbit
+from workers.continuation.orbit_equality import distance, is_same_orbit
+from workers.continuation.orbits import attract, continued_to, many_of, refine_orbit
 
 ASYMMETRIC = {"omega": 2.32, "b": 0.193}
 """Parameters of an orbit of one impact at either stop that is not its own mirror image."""
@@ -32,16 +32,16 @@ def test_an_orbit_begun_later_is_the_same(orbit: Orbit) -> None:
         np.array([orbit.times[1], orbit.times[0] + turn]),
         orbit.speeds[::-1].copy(),
     )
-    assert same_orbit(orbit, later, omega)
-    assert same_orbit(orbit, other_first, omega)
+    assert is_same_orbit(orbit, later, omega)
+    assert is_same_orbit(orbit, other_first, omega)
 
 
 def test_a_mirror_image_half_a_period_later_is_the_same(orbit: Orbit) -> None:
     omega = ASYMMETRIC["omega"]
     sides = tuple(-side for side in orbit.itinerary.sides)
     mirror = Orbit(Itinerary(sides, 1), orbit.times + math.pi / omega, -orbit.speeds)
-    assert same_orbit(orbit, mirror, omega)
-    assert not same_orbit(orbit, Orbit(Itinerary(sides, 1), orbit.times, -orbit.speeds), omega)
+    assert is_same_orbit(orbit, mirror, omega)
+    assert not is_same_orbit(orbit, Orbit(Itinerary(sides, 1), orbit.times, -orbit.speeds), omega)
 
 
 def test_other_speeds_times_and_itineraries_are_other_orbits(orbit: Orbit) -> None:
@@ -59,7 +59,9 @@ def test_many_orbits_are_moved_as_each_one_is(orbit: Orbit) -> None:
     found = continued_to(family, many_of([orbit] * 4, np.repeat(start, 4, axis=0)), values)
     assert found.converged.all()
     for k in range(4):
-        alone = refined(family_of(TWO_MASS, dict(zip(("omega", "b"), values[k], strict=True)), ()), orbit, np.zeros(0))
+        alone = refine_orbit(
+            family_of(TWO_MASS, dict(zip(("omega", "b"), values[k], strict=True)), ()), orbit, np.zeros(0)
+        )
         assert found.orbit(k).times == pytest.approx(alone.times, abs=1e-12)
         assert found.orbit(k).speeds == pytest.approx(alone.speeds, abs=1e-12)
     assert attract(family, found).all()

@@ -12,7 +12,7 @@ import pytest
 from tests.unforced import machine
 from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
-from workers.continuation import BranchRun, Family, Point, branch, family_of, leaving_branch, orbit_from_state
+from workers.continuation import BranchRun, Family, SolutionPoint, branch, family_of, leaving_branch, orbit_from_state
 
 pytestmark = pytest.mark.slow
 
@@ -45,11 +45,11 @@ def followed(system: System, along: str, window: tuple[float, float], **given: f
     return branch(family, orbit, values[along], window), family
 
 
-def period_of(point: Point) -> float:
+def period_of(point: SolutionPoint) -> float:
     return float(point.orbit.length) / point.orbit.itinerary.turn
 
 
-def at(run: BranchRun, value: float) -> Point:
+def at(run: BranchRun, value: float) -> SolutionPoint:
     """The point at a value of the parameter that the run was begun at."""
     return min(run.points, key=lambda point: abs(float(point.values[0]) - value))
 
@@ -139,7 +139,7 @@ def test_the_cycle_on_a_belt_with_a_law_in_segments_ends_by_grazing_sliding_wher
     assert {before, after} == {0, 1}
 
 
-def start_of(family: Family, point: Point) -> np.ndarray:
+def start_of(family: Family, point: SolutionPoint) -> np.ndarray:
     """The state of a point just before its first event."""
     from workers.continuation.equations import motion_of
     from workers.continuation.itinerary import many_orbits

@@ -11,7 +11,7 @@ import pytest
 
 from workers import Settings, solve_tile
 from workers.continuation import branch, orbit_from_state
-from workers.continuation.oscillator import family_of
+from workers.continuation.families import family_of
 from workers.model.system import find_system
 from workers.results import PERIODIC
 

@@ -11,13 +11,15 @@ from atlas.errors import InputError
 from tests.unforced import machine
 from workers import Settings, System
 from workers.continuation import family_of
-from workers.continuation.equilibria import Equilibria, equilibria, equilibrium_of
+from workers.continuation.equilibria import EquilibriumBranch, equilibria, equilibrium_of
 
 SMOOTH = 0.5 * math.log(10.0)
 """B5: the speed of a belt with friction .5 + .5 e^(-2 v) and damping .1 at which sliding becomes stable."""
 
 
-def followed(system: System, along: str, window: tuple[float, float], state: list[float], **given: float) -> Equilibria:
+def followed(
+    system: System, along: str, window: tuple[float, float], state: list[float], **given: float
+) -> EquilibriumBranch:
     values = {parameter.name: parameter.default for parameter in system.parameters} | given
     orbit = equilibrium_of(system, values, np.array(state))
     return equilibria(family_of(system, values, (along,)), orbit, values[along], window)
@@ -35,7 +37,7 @@ def chords(h: float) -> System:
     return machine(damping=[[0.1]], friction=[chords_of(h)], parameters={"u": 1.3})
 
 
-def hopf_of(found: Equilibria) -> tuple[float, float]:
+def hopf_of(found: EquilibriumBranch) -> tuple[float, float]:
     """The value and the frequency of the only event, which is a Hopf point."""
     (event,) = found.run.events
     assert event.kind == "hopf"

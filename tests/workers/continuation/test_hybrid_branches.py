@@ -10,9 +10,9 @@ import pytest
 import atlas
 from tests.paths import DATA
 from workers.continuation import BranchRun, Family, Itinerary, Orbit, branch, family_of, orbit_from_state
-from workers.continuation.extended import Extended
-from workers.continuation.same import begun_with, distance
-from workers.continuation.walk import PseudoArclength
+from workers.continuation.extended_system import ExtendedSystem
+from workers.continuation.orbit_equality import begun_with, distance
+from workers.continuation.pseudo_arclength import PseudoArclength
 from workers.model.system import System
 
 RECORDS = {
@@ -198,7 +198,7 @@ def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
     """As a start that has been recorded beyond changes of contacts; events from the third on are of the other half."""
     family, orbit = pushed_by_damping()
     value, width = np.array([0.994272244]), np.array([2.2])
-    equations = Extended(family, orbit, (), value, width)
+    equations = ExtendedSystem(family, orbit, (), value, width)
     walk = PseudoArclength(equations, equations.pack(orbit, np.zeros(0), value), 0.2, np.eye(6)[5])
     (sides, periods, _, legs), whole = orbit.itinerary, orbit.itinerary.twice
     turned = Itinerary(
@@ -206,7 +206,7 @@ def test_a_walk_closes_at_its_start_as_told_from_any_event(first: int) -> None:
         tuple((2 * whole.legs)[first : first + len(legs)]),
     )  # fmt: skip
     other = begun_with(orbit, first, turned, orbit.span(equations.model(value)))
-    told = Extended(family, other, (), value, width)
+    told = ExtendedSystem(family, other, (), value, width)
     walk.start = told, told.pack(other, np.zeros(0), value)
     steps, closed = 0, None
     while closed is None and steps < 100:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from atlas.orbits.curves.record import orbit_as_json, orbit_from_json
+from atlas.orbits.curves.to_json import orbit_as_json, orbit_from_json
 from tests.workers.continuation.test_hybrid_branches import RECORDS, TWO_STOPS, rubbing, soft
 from workers.continuation import BranchRun, Event, branch, curve, family_of, orbit_from_state
 from workers.model.system import System

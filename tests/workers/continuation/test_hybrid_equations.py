@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.hybrids import machines_of
+from rig.solver_bridge import machines_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in
 from workers import Settings
-from workers.continuation.admissible import first_fault
+from workers.continuation.admissibility import first_fault
 from workers.continuation.equations import motion_of, motion_of_unknowns
+from workers.continuation.families import Family, family_of
+from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Orbit, many_orbits
-from workers.continuation.motion import OrbitMotion
-from workers.continuation.orbits import orbit_from_state, refined
-from workers.continuation.oscillator import Family, family_of
-from workers.continuation.recording import recorded
-from workers.continuation.stability import multipliers
+from workers.continuation.orbit_from_motion import record_orbit
+from workers.continuation.orbits import orbit_from_state, refine_orbit
+from workers.continuation.shooting import OrbitMotion
 from workers.model.family import with_modes
 from workers.model.hybrid_machines import HybridMachines
 from workers.model.hybrid_modes import code_of
@@ -48,8 +48,8 @@ def solved(name: str) -> OrbitMotion:
     """The orbit of a record by the equations, from times that are all a little late."""
     record = RECORDS[name]
     machines = machines_of([machine_in(record)])
-    orbit = recorded(with_modes(machines), np.array(record["state"]), record["periods"])
-    found = refined(always(machines), orbit._replace(times=orbit.times + 1e-4), np.zeros(0))
+    orbit = record_orbit(with_modes(machines), np.array(record["state"]), record["periods"])
+    found = refine_orbit(always(machines), orbit._replace(times=orbit.times + 1e-4), np.zeros(0))
     motion = motion_of(with_modes(machines), many_orbits([found]))
     return motion
 
@@ -141,9 +141,9 @@ def test_an_orbit_through_a_stop_is_no_orbit() -> None:
     """The linear answer above its graze, followed as if there were no contact."""
     record = RECORDS["row 1, omega 0.782"]
     machines = machines_of([replace(machine_in(record), omega=0.7825)])
-    still = recorded(with_modes(machines_of([replace(machine_in(record), omega=0.5)])), np.array([0.1, 0.0]), 1)
+    still = record_orbit(with_modes(machines_of([replace(machine_in(record), omega=0.5)])), np.array([0.1, 0.0]), 1)
     assert not still.itinerary.sides
-    orbit = refined(always(machines), still, np.zeros(0))
+    orbit = refine_orbit(always(machines), still, np.zeros(0))
     motion = motion_of(with_modes(machines), many_orbits([orbit]))
     fault = first_fault(motion)
     assert fault is not None

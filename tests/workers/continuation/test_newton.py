@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from workers.continuation.newton import UNCERTAIN, Solved, newton
+from workers.continuation.newton import UNCERTAIN, NewtonResult, newton
 from workers.model.oscillator import Array, Rows
 
 EPS = float(np.finfo(np.float64).eps)
@@ -11,7 +11,7 @@ RNG = np.random.default_rng(3)
 SIZE = 5
 
 
-def solved(A: Array, root: Array, start: Array) -> Solved:
+def solved(A: Array, root: Array, start: Array) -> NewtonResult:
     """Newton's method on A (sin x - sin root) = 0, N problems of five unknowns."""
 
     def values(X: Array, rows: Rows) -> Array:
@@ -81,7 +81,7 @@ def test_a_root_at_which_the_jacobian_is_singular_does_not_converge_where_its_st
     assert not found.converged.all()
 
 
-def rounded(condition: float, errors: float) -> Solved:
+def rounded(condition: float, errors: float) -> NewtonResult:
     """From near (1, 1), the solution of x = 1 and x + (y - 1) / condition = 1.
 
     The second is evaluated ``errors`` units in the last place too high, then as much too low, and so on.

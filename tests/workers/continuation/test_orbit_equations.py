@@ -17,14 +17,14 @@ from tests.handmade import (
     reference_orbit,
     reference_values,
 )
-from workers.continuation.admissible import CONTACT, LOST, Touch, first_fault
+from workers.continuation.admissibility import CONTACT, LOST, Graze, first_fault
 from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
-from workers.continuation.extended import Extended, solve
+from workers.continuation.extended_system import ExtendedSystem, solve
+from workers.continuation.families import family_of, machine_of
+from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit, many_orbits
-from workers.continuation.motion import OrbitMotion
 from workers.continuation.orbits import section_state
-from workers.continuation.oscillator import family_of, machine_of
-from workers.continuation.stability import multipliers
+from workers.continuation.shooting import OrbitMotion
 from workers.kernel.flow import flow_with_tangent
 from workers.kernel.motion import axes
 from workers.model.family import OrbitMachines
@@ -45,7 +45,7 @@ def motion_at(record: dict[str, Any]) -> OrbitMotion:
 def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]) -> None:
     """Truth: 40-digit residuals. Newton starts a ten-thousandth away."""
     family, event, values = reference_event(record, tuple(record["free"]))
-    square = Extended(family, event.point.orbit, event.conditions, values, 0.2 * values)
+    square = ExtendedSystem(family, event.point.orbit, event.conditions, values, 0.2 * values)
     exact = square.pack(event.point.orbit, event.point.contacts, values)
     square = square.at(exact)
     moved = exact * (1.0 + 1e-4 * np.random.default_rng(0).standard_normal(len(exact)))
@@ -76,8 +76,8 @@ def test_a_reference_orbit_has_its_multipliers_and_its_section_state(record: dic
 def test_a_reference_orbit_is_admissible(record: dict[str, Any]) -> None:
     family, event, values = reference_event(record, tuple(record["free"]))
     orbit = event.point.orbit
-    lin = Extended(family, orbit, (), values, values).model(values)
-    grazes = [Touch(float(t), 0, 1) for t in event.point.contacts]
+    lin = ExtendedSystem(family, orbit, (), values, values).model(values)
+    grazes = [Graze(float(t), 0, 1) for t in event.point.contacts]
     assert first_fault(motion_of(lin, many_orbits([orbit])), grazes) is None
 
 
@@ -90,7 +90,7 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
     faults = []
     for b in (given["b"] * (1 - 1e-4), given["b"] * (1 + 1e-4)):
         values = np.array([b])
-        equations = Extended(family, orbit, (), values, values)
+        equations = ExtendedSystem(family, orbit, (), values, values)
         row = np.eye(1, 7, 6)[0]
         found = solve(equations, equations.pack(orbit, np.zeros(0), values), row)
         faults.append(first_fault(equations.motion(found.X)))
@@ -104,7 +104,7 @@ def test_a_contact_that_the_itinerary_lacks_is_found() -> None:
 def test_an_impact_that_moves_off_its_stop_is_a_fault() -> None:
     record = CURVES[4]
     family, event, values = reference_event(record, ("omega",))
-    lin = Extended(family, event.point.orbit, (), values, values).model(values)
+    lin = ExtendedSystem(family, event.point.orbit, (), values, values).model(values)
     motion = motion_of(lin, many_orbits([event.point.orbit]))
     first, second = motion.itinerary.sides
     turned = replace(motion, itinerary=motion.itinerary._replace(sides=(first, -second)))

@@ -11,11 +11,11 @@ import atlas
 from tests.handmade import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
-from workers.continuation.admissible import first_fault
+from workers.continuation.admissibility import first_fault
 from workers.continuation.equations import motion_of
+from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import many_orbits
-from workers.continuation.same import is_minimal
-from workers.continuation.stability import multipliers
+from workers.continuation.orbit_equality import is_minimal
 from workers.model.system import System, find_system
 from workers.results import PERIODIC
 

@@ -9,15 +9,15 @@ import pytest
 from numba import typeof, types
 from numba.core.errors import TypingError
 
-from workers.kernel.apart import FLOATS, _loading, apart, load
+from workers.kernel.by_reference import by_value
+from workers.kernel.external import FLOATS, _loading, external, load
 from workers.kernel.jit import kernel
-from workers.kernel.lend import whole
 from workers.model.system import find_system
 
 
-@apart(FLOATS[2], types.float64, types.boolean, result=types.float64)
+@external(FLOATS[2], types.float64, types.boolean, result=types.float64)
 def norm(matrix: Any, power: float, rooted: bool) -> float:
-    matrix = whole(matrix)
+    matrix = by_value(matrix)
     total = 0.0
     for row in matrix:
         for entry in row:
@@ -25,9 +25,9 @@ def norm(matrix: Any, power: float, rooted: bool) -> float:
     return total ** (1.0 / power) if rooted else total
 
 
-@apart(FLOATS[1], types.int64)
+@external(FLOATS[1], types.int64)
 def fill(row: Any, value: int) -> None:
-    row = whole(row)
+    row = by_value(row)
     for k in range(len(row)):
         row[k] = value
 
@@ -63,9 +63,9 @@ def test_a_kernel_that_gives_a_function_apart_another_type_is_not_compiled() -> 
 
 
 def test_a_function_of_machines_with_modes_is_compiled_when_a_kernel_first_sees_one() -> None:
-    @apart(FLOATS[1], result=types.float64, modes=True)
+    @external(FLOATS[1], result=types.float64, modes=True)
     def first(row: Any) -> float:
-        return float(whole(row)[0])
+        return float(by_value(row)[0])
 
     typeof(find_system("two-mass").build(defaults("two-mass")))
     load()

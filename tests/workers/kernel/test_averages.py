@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests import naive
-from workers.cell.stretch import batch_of, run, run_periods
+from workers.cell.interval import batch_of, run, run_periods
 from workers.kernel.averages import COUNT, LEVELS, MEAN, add_growth, add_to_blocks, standard_error
 from workers.kernel.coordinates import motion_from
-from workers.kernel.lanes.run import Batch
+from workers.kernel.lanes.run import MotionBatch
 from workers.kernel.motion import SPREAD, Motion
 from workers.kernel.tangent import reset_frame
 from workers.model.oscillator import Oscillator, many_of, map_fields
@@ -17,7 +17,7 @@ from workers.model.oscillator import Oscillator, many_of, map_fields
 ONE = np.zeros(1, dtype=np.int64)
 
 
-def averaged(osc: Oscillator, motion: Motion, periods: int, kept: int = 0) -> Batch:
+def averaged(osc: Oscillator, motion: Motion, periods: int, kept: int = 0) -> MotionBatch:
     """The batch of one motion, after a stretch of this many periods that takes it on in place."""
     batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]), kept)
     batch.periods[0] = periods

@@ -7,10 +7,10 @@ import pytest
 
 from tests import naive
 from workers import Settings, solve_tile
-from workers.cell.stretch import batch_of, ended, run
+from workers.cell.interval import batch_of, has_ended, run
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.lanes.layout import VECTOR_WIDTH, room_for_vectors
-from workers.kernel.lanes.run import Batch
+from workers.kernel.lanes.run import MotionBatch
 from workers.kernel.motion import EVALUATIONS, FLIGHT, LOWER, RUNNING, STATUS, STUCK, UPPER, WORK, motions_at
 from workers.kernel.period import advance
 from workers.model.oscillator import Oscillator, map_fields
@@ -29,7 +29,7 @@ def oscillators_of(params: Mapping[str, np.ndarray], count: int) -> Oscillator:
     return oscillators
 
 
-def at_rest(oscillators: Oscillator, vectors: int, periods: int | np.ndarray) -> Batch:
+def at_rest(oscillators: Oscillator, vectors: int, periods: int | np.ndarray) -> MotionBatch:
     """Cells that start with all masses in the middle, so many periods to go."""
     N, n = oscillators.gap_row.shape
     h = np.empty((N, n, 2))
@@ -40,7 +40,7 @@ def at_rest(oscillators: Oscillator, vectors: int, periods: int | np.ndarray) ->
     return batch
 
 
-def family(figure: int, vectors: int, count: int, periods: int | np.ndarray) -> Batch:
+def family(figure: int, vectors: int, count: int, periods: int | np.ndarray) -> MotionBatch:
     """Cells near that of a figure, each with a b of its own."""
     params = naive.FIGURES[figure]
     return at_rest(
@@ -48,7 +48,7 @@ def family(figure: int, vectors: int, count: int, periods: int | np.ndarray) -> 
     )
 
 
-def random_cells(seed: int, count: int, vectors: int, periods: int) -> Batch:
+def random_cells(seed: int, count: int, vectors: int, periods: int) -> MotionBatch:
     """Cells of every kind: under- and overdamped, R from 0 to 1, sticking, chattering, free of impacts."""
     rng = np.random.default_rng(seed)
     params = {
@@ -64,22 +64,22 @@ def random_cells(seed: int, count: int, vectors: int, periods: int) -> Batch:
     return at_rest(oscillators_of(params, count), vectors, periods)
 
 
-def part(batch: Batch, cells: np.ndarray) -> Batch:
+def part(batch: MotionBatch, cells: np.ndarray) -> MotionBatch:
     """A copy of some cells."""
-    copied: Batch = map_fields(batch, lambda field: field[cells].copy())
+    copied: MotionBatch = map_fields(batch, lambda field: field[cells].copy())
     return copied
 
 
-def finish(batch: Batch, **how: int) -> Batch:
+def finish(batch: MotionBatch, **how: int) -> MotionBatch:
     run(batch, np.arange(len(batch.done)), **how)
     return batch
 
 
-def one_by_one(batch: Batch) -> list[Batch]:
+def one_by_one(batch: MotionBatch) -> list[MotionBatch]:
     return [finish(part(batch, np.array([k]))) for k in range(len(batch.done))]
 
 
-def assert_same_bits(one: Batch, other: Batch, cells: np.ndarray) -> None:
+def assert_same_bits(one: MotionBatch, other: MotionBatch, cells: np.ndarray) -> None:
     """Everything of ``other`` is what ``one`` has of these cells."""
     picked = part(one, cells)
     for name in ("done", "levels", "weighted", "sections"):
@@ -130,7 +130,7 @@ def test_the_other_cells_and_the_order_do_not_matter() -> None:
     assert_same_bits(whole, part(mixed, np.arange(77)), order)
 
 
-def each_pair(one: Batch, other: Batch) -> Batch:
+def each_pair(one: MotionBatch, other: MotionBatch) -> MotionBatch:
     """Both batches in one."""
 
     def joined(a: object, b: object) -> object:
@@ -146,9 +146,9 @@ def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits() -> N
     start = family(5, 1, 18, 10 + 20 * np.arange(18))
     whole = finish(part(start, np.arange(18)))
     left = []
-    while not np.all(ended(start)):
-        run(start, np.flatnonzero(~ended(start)), to_end=False, lanes=16)
-        left.append(int(np.sum(~ended(start))))
+    while not np.all(has_ended(start)):
+        run(start, np.flatnonzero(~has_ended(start)), to_end=False, lanes=16)
+        left.append(int(np.sum(~has_ended(start))))
     assert_same_bits(whole, start, np.arange(18))
     assert len(left) > 2
     assert all(after <= before / 2 + 2 for before, after in zip([16, *left], left, strict=False))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrow
 from workers.kernel.jit import kernel
 
 
@@ -19,7 +19,7 @@ class Pair(NamedTuple):
 def add_up(pair, times):
     total = 0.0
     for _ in range(times):
-        mine = borrowed(pair)
+        mine = borrow(pair)
         mine.row[0] += 1.0
         total += mine.row[0] * mine.of_both[0][1] * mine.of_both[1]
     return total
@@ -40,4 +40,4 @@ def test_borrowing_leaves_the_count_of_references_as_it_is() -> None:
 
 def test_outside_kernels_a_borrowed_array_is_that_array() -> None:
     array = np.zeros(1)
-    assert borrowed(array) is array
+    assert borrow(array) is array

@@ -11,10 +11,10 @@ import pytest
 import workers
 from atlas.task.compile import WITH_MODES
 from workers import Settings, solve_tile
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.kernel import jit
-from workers.kernel.borrow import borrowed
+from workers.kernel.borrow import borrow
 from workers.kernel.jit import kernel
 from workers.model.system import System
 
@@ -28,7 +28,7 @@ BORROWING = ("borrowed(", "lend(", "row_of(", "whole(", "with_phase(")
 @kernel
 def lend(values):
     """What must not be."""
-    return borrowed(values[1:])
+    return borrow(values[1:])
 
 
 @kernel
@@ -72,7 +72,7 @@ def test_no_kernel_that_python_calls_returns_a_borrowed_array(monkeypatch: pytes
     cells = {"omega": np.linspace(2.0, 4.0, 6), "b": np.linspace(0.1, 0.5, 6)}
     solve_tile("two-mass", cells, brief)
     solve_tile("bouncing-ball", {}, Settings(max_periods=500, survival=100, exponents="spectrum"))
-    solve_attractors("two-mass", {"omega": 4.0, "b": 0.1}, brief, Starts(4))
+    solve_attractors("two-mass", {"omega": 4.0, "b": 0.1}, brief, AttractorSettings(4))
     solve_tile(System.from_mapping(WITH_MODES), {"omega": [0.8, 1.2]}, brief)
     assert {"run_batch", "take_along", "settle_cells", "start_motions", "physical_states"} <= called
     assert not LENT & called
@@ -96,7 +96,7 @@ def borrows(function: ast.FunctionDef) -> set[str]:
     found = set()
     for node in ast.walk(function):
         if isinstance(node, ast.Return) and node.value and ast.unparse(node.value).startswith(BORROWING):
-            found.add("borrowed")
+            found.add("borrow")
         if isinstance(node, ast.Assign) and any(word in ast.unparse(node.value) for word in BORROWING):
             for target in node.targets:
                 found |= {name.id for name in ast.walk(target) if isinstance(name, ast.Name)}
@@ -109,6 +109,6 @@ def test_no_function_of_workers_returns_what_it_borrows_but_those_that_lend() ->
         for node in ast.walk(ast.parse(source.read_text())):
             if isinstance(node, ast.FunctionDef) and source.name not in ("borrow.py", "lend.py"):
                 names = borrows(node)
-                if "borrowed" in names or names & returned_names(node):
+                if "borrow" in names or names & returned_names(node):
                     guilty.add(node.name)
     assert guilty == LENT

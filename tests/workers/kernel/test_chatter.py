@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.hybrids import built, follow
 from rig.oracle.machines import bouncing_ball
-from rig.oracle.pieces import Contact, Machine, simulate
+from rig.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
 from rig.oracle.simulate import simulate as simulate_rigid
+from rig.solver_bridge import built, follow
 from workers import Settings, System, solve_tile, trace
 from workers.kernel.chatter import chatter_end, hop
 from workers.kernel.motion import RUNNING
@@ -79,8 +79,11 @@ def test_that_mass_is_chaotic() -> None:
 
 def test_another_element_that_engages_meanwhile_is_met_by_the_hops() -> None:
     """Under a constant load the first hops reach a soft stop. Truth: the oracle."""
-    contacts = (Contact([1.0], None, 0.0, restitution=0.8), Contact([1.0], 0.2, None, stiffness=20.0, damping=0.5))
-    machine = Machine([[1.0]], [[0.0]], [[0.0]], [-1.0], 1.0, (), contacts=contacts)
+    contacts = (
+        PiecewiseContact([1.0], None, 0.0, restitution=0.8),
+        PiecewiseContact([1.0], 0.2, None, stiffness=20.0, damping=0.5),
+    )
+    machine = PiecewiseMachine([[1.0]], [[0.0]], [[0.0]], [-1.0], 1.0, (), contacts=contacts)
     found = follow(built(machine), [0.1, -1.0], duration=3.0)
     assert found.status == RUNNING and any(e.index == 1 for e in found.events)
     expected = simulate(machine, [0.1, -1.0], span=3.0, digits=30, rest=1e-8).sections[-1]

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from atlas.cell.orbit import cell_orbit
+from atlas.cell.trajectory import cell_orbit
 from tests import naive
 from tests.oscillators import mass_spring
 from workers import Settings, solve_tile
 from workers.attractors.basins import AttractorTable, section_points
-from workers.attractors.same import mirrored
-from workers.attractors.starts import Starts
-from workers.cell.cells import Cells
+from workers.attractors.initial_states import AttractorSettings
+from workers.attractors.matching import mirror_states
+from workers.cell.cell_batch import CellBatch
 from workers.cell.outcome import end_stopped
-from workers.kernel.cells import physical_states, start_motions
+from workers.kernel.cell_loops import physical_states, start_motions
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import BEYOND, FLIGHT, STARTED_BEYOND, STATUS, motion_at, motions_at
 from workers.kernel.period import propagate
@@ -123,9 +123,9 @@ def test_a_motion_beyond_a_stop_goes_nowhere_and_is_invalid_for_that_reason() ->
     np.testing.assert_array_equal(motion.h, h)
     settings = Settings()
     found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-    cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
+    cells = CellBatch(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
     cells.batch.motions.mode[0, 0] = BEYOND
-    cells.aim(cells.ready, 1)
+    cells.set_interval(cells.ready, 1)
     cells.run(cells.ready)
     assert cells.ready.size == 1 and end_stopped(cells, cells.ready).size == 0
     assert (found["regime"][0], found["reason"][0]) == (INVALID, BEYOND_STOP)
@@ -139,7 +139,7 @@ def test_a_motion_that_goes_on_has_the_contact_that_it_had() -> None:
     other = FLIGHT + (DETACHED if shown == FLIGHT + ON else ON)
     for mode, expected in ((None, shown), (np.array([other]), other)):
         found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
-        cells = Cells(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, mode)
+        cells = CellBatch(many_of(osc), np.array([NO_REASON], dtype=np.int8), state, settings, found, mode)
         assert cells.batch.motions.mode[0, 0] == expected
 
 
@@ -150,7 +150,7 @@ def test_a_mirror_image_has_the_contact_of_its_own_instant() -> None:
         osc, _ = naive.two_mass(**(naive.STICKING | {"tau": tau}))
         motion = motion_from(osc, np.array([side * osc.upper, x2, 0.0, 0.0]))
         mode = int(motion.mode[0])
-        images, its = mirrored(many_of(osc), blocks_to_physical(osc, motion)[None], motion.mode.copy())
+        images, its = mirror_states(many_of(osc), blocks_to_physical(osc, motion)[None], motion.mode.copy())
         propagate(osc, motion, 0.5 * osc.period)
         later = osc._replace(tau=osc.tau + 0.5 * osc.period * osc.gap.omega)
         assert images[0] == pytest.approx(-blocks_to_physical(later, motion), abs=1e-12)
@@ -193,7 +193,7 @@ def test_section_points_of_an_attractor_that_rests_at_the_section_stay_there() -
     for k in range(5):
         cell = {name: values[k] for name, values in HELD_AT_THE_SECTION.items()}
         values = {p.name: p.default for p in system.parameters} | cell
-        table = AttractorTable(system, values, Settings(max_periods=500, survival=0), Starts(1))
+        table = AttractorTable(system, values, Settings(max_periods=500, survival=0), AttractorSettings(1))
         (only,) = table.attractors
         assert (abs(only.mode - FLIGHT), only.period) == (ON, 1)
         only.period = 0

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from tests.paths import ROOT
-from workers.kernel.device import translated
+from workers.kernel.device import make_translator
 from workers.kernel.jit import Kernel, kernel
 
 
@@ -27,7 +27,7 @@ def test_a_kernel_and_all_that_it_calls_are_translated_once() -> None:
         seen.append(function.__name__)
         return function
 
-    translate = translated(decorate)
+    translate = make_translator(decorate)
     assert translate(quarter)(3.0) == 0.75
     assert translate(half) is translate(quarter).__globals__["half"]
     assert seen == ["half", "quarter"]

@@ -9,7 +9,7 @@ from scipy.linalg import eigvals
 from tests import naive
 from workers import Settings, solve_tile
 from workers.cell.exponents import free_exponents, impact_count, sum_law_holds, sum_of_exponents
-from workers.cell.stretch import run_periods
+from workers.cell.interval import run_periods
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import WORK, WORK_OF_A_TRIAL
 from workers.kernel.tangent import reset_frame

@@ -10,7 +10,7 @@ from tests import naive
 from workers.kernel.crossing import next_crossing, safe_step
 from workers.kernel.flow import block_flow
 from workers.kernel.signal import derivative_bounds
-from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Mode, make_blocks
+from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, GuardedFlow, make_blocks
 
 
 def flow(eta: float, lam: float, s: float) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_the_flow_is_continuous_where_its_formula_changes() -> None:
 # Random signals
 
 
-def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float] = (0.01, 3.0)) -> Mode:
+def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float] = (0.01, 3.0)) -> GuardedFlow:
     lam = np.exp(rng.uniform(np.log(0.2), np.log(40.0), n))
     eta = np.sqrt(lam) * np.exp(rng.uniform(*np.log(damping), n))
     row = rng.normal(size=(n, 2)) * [1.0, 0.2]
@@ -69,14 +69,14 @@ def random_signal(rng: np.random.Generator, n: int, damping: tuple[float, float]
     blocks = make_blocks(eta, lam)
     blocks[:, OF_FLOW:OF_GUARD] = np.hstack([row, row1, np.zeros((n, 4)), row2])
     numbers = np.array([omega, *(size * omega**k for k in (0, 2, 3, 4))])
-    return Mode(blocks, np.array([[sin_part, cos_part]]), numbers, np.zeros((n, 2, 1, 2)))
+    return GuardedFlow(blocks, np.array([[sin_part, cos_part]]), numbers, np.zeros((n, 2, 1, 2)))
 
 
-def without_force(signal: Mode) -> Mode:
+def without_force(signal: GuardedFlow) -> GuardedFlow:
     return signal._replace(waves=np.zeros((1, 2)), numbers=np.array([signal.omega, 0.0, 0.0, 0.0, 0.0]))
 
 
-def random_state(rng: np.random.Generator, signal: Mode) -> np.ndarray:
+def random_state(rng: np.random.Generator, signal: GuardedFlow) -> np.ndarray:
     lam = np.array(signal.lam)
     return rng.normal(size=(len(lam), 2)) * np.column_stack([np.ones_like(lam), np.sqrt(lam)])
 
@@ -227,7 +227,7 @@ def test_no_motion_at_all_reaches_nothing() -> None:
     assert crossing(signal, np.zeros((2, 2)), 0.0, 1e-3, -1e-3, 5.0) == (5.0, 0, 0)
 
 
-def on_stop(rng: np.random.Generator, zero: int) -> tuple[Mode, np.ndarray, float, naive.Exponentials]:
+def on_stop(rng: np.random.Generator, zero: int) -> tuple[GuardedFlow, np.ndarray, float, naive.Exponentials]:
     """A flight whose first ``zero`` derivatives vanish and whose next one points away from the upper stop at y(0)."""
     signal = random_signal(rng, 2)
     phase = rng.uniform(0, 2 * math.pi)

@@ -8,9 +8,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from rig.hybrids import Array, machines_of
-from rig.oracle.pieces import Contact, Force, Machine, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseMachine, simulate
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import Array, machines_of
 from tests import naive
 from tests.oscillators import build_one
 from tests.workers.kernel.test_hybrid_random import check_derivative, check_volume, compare
@@ -20,9 +20,9 @@ from workers.kernel.flow import block_flow, moved_by_load
 from workers.kernel.motion import RUNNING, SIMULTANEOUS, STATUS
 from workers.kernel.period import advance
 from workers.kernel.signal import derivative_bounds
-from workers.model.hybrid import build_hybrid
-from workers.model.modes import Modes, split
-from workers.model.oscillator import OF_FLOW, OF_GUARD, Machines, Mode, make_blocks
+from workers.model.block_decomposition import BlockDecomposition, split
+from workers.model.mode_table import build_hybrid
+from workers.model.oscillator import OF_FLOW, OF_GUARD, GuardedFlow, SingleContactMachines, make_blocks
 from workers.results import NO_REASON, UNSTABLE
 
 FLUTTER = (np.array([[3.0, 1.0], [1.0, 1.0]]), np.array([[2.0, -1.0], [-1.0, 1.0]]))
@@ -36,7 +36,7 @@ def follower(P: float) -> Array:
     return np.array([[2.0 - P, P - 1.0], [-1.0, 1.0]])
 
 
-def only(*matrices: Array) -> Modes:
+def only(*matrices: Array) -> BlockDecomposition:
     return split(*(np.asarray(matrix, dtype=np.float64)[None] for matrix in matrices))
 
 
@@ -186,12 +186,12 @@ def test_a_load_drives_a_mode_without_stiffness_as_its_equation_says(eta: float)
         assert moved_by_load(s, eta) == pytest.approx(float(true), rel=2e-14)
 
 
-def block_signal(eta: float, lam: float, row: Array) -> Mode:
+def block_signal(eta: float, lam: float, row: Array) -> GuardedFlow:
     row1 = np.array([-lam * row[1], row[0] - 2 * eta * row[1]])
     row2 = np.array([-lam * row1[1], row1[0] - 2 * eta * row1[1]])
     blocks = constants(eta, lam)[None]
     blocks[0, OF_FLOW:OF_GUARD] = [*row, *row1, 0, 0, 0, 0, *row2]
-    return Mode(blocks, np.zeros((1, 2)), np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.zeros((1, 2, 1, 2)))
+    return GuardedFlow(blocks, np.zeros((1, 2)), np.array([1.0, 0.0, 0.0, 0.0, 0.0]), np.zeros((1, 2, 1, 2)))
 
 
 def states_of(rng: np.random.Generator, eta: float, lam: float) -> Array:
@@ -262,7 +262,7 @@ def test_no_impact_is_missed_or_invented_while_motion_grows() -> None:
         blocks, size = np.concatenate([part.blocks for part in parts]), 0.3
         omega = float(rng.uniform(0.5, 4.0))
         numbers = np.array([omega, *(size * omega**k for k in (0, 2, 3, 4))])
-        signal = Mode(blocks, np.array([[size, 0.0]]), numbers, np.zeros((2, 2, 1, 2)))
+        signal = GuardedFlow(blocks, np.array([[size, 0.0]]), numbers, np.zeros((2, 2, 1, 2)))
         h = np.array([states_of(rng, eta, lam) for eta, lam in pairs])
         phase, H = float(rng.uniform(0.0, 6.0)), float(3.0 / -np.min(blocks[:, 5]))
         truth = naive.Exponentials.of(signal, h, phase)
@@ -288,7 +288,7 @@ def fits(seed: int) -> bool:
     return bool(build_hybrid(machines_of([general(seed)]))[1][0] == NO_REASON)
 
 
-def general(seed: int) -> Machine:
+def general(seed: int) -> PiecewiseMachine:
     return random_machine(seed, switched_elements=seed % 2 == 1, general=True)
 
 
@@ -329,23 +329,25 @@ def test_volumes_of_general_machines_change_by_the_sum_law() -> None:
     assert sum(check_volume(seed, general) for seed in seeds(0, 100)) >= 60
 
 
-def rigid_machine(seed: int) -> Machine:
+def rigid_machine(seed: int) -> PiecewiseMachine:
     """One to three masses of any matrices with a single rigid contact."""
     machine = general(seed)
     rng = np.random.default_rng([seed, 72])
     row = [1.0, *(-rng.integers(0, 2, machine.n - 1)).astype(float).tolist()]
-    contact = Contact(row, 0.4, None if seed % 2 else -0.5, restitution=float(rng.choice([0.0, 0.3, 0.8, 1.0])))
+    contact = PiecewiseContact(
+        row, 0.4, None if seed % 2 else -0.5, restitution=float(rng.choice([0.0, 0.3, 0.8, 1.0]))
+    )
     fields: dict[str, Any] = {key: getattr(machine, key) for key in ("mass", "damping", "stiffness", "load", "omega")}
-    return Machine(**fields, forces=machine.forces, contacts=(contact,))
+    return PiecewiseMachine(**fields, forces=machine.forces, contacts=(contact,))
 
 
-def rigid(machine: Machine) -> Any:
+def rigid(machine: PiecewiseMachine) -> Any:
     """The solver's machine with one rigid contact, unless there is a reason against it."""
     many = machines_of([machine])
     fields = (many.mass, many.damping[:, 0], many.stiffness[:, 0], many.row[:, 0], many.force_sin[:, 0],
               many.force_cos[:, 0], many.load[:, 0], many.omega, many.tau, many.stops[:, 0, 1], many.stops[:, 0, 0],
               many.R[:, 0])  # fmt: skip
-    return build_one(Machines(*map(np.ascontiguousarray, fields)))
+    return build_one(SingleContactMachines(*map(np.ascontiguousarray, fields)))
 
 
 def compare_rigid(seed: int, periods: int) -> bool:
@@ -380,7 +382,7 @@ def test_general_machines_with_one_rigid_contact_go_where_the_oracle_takes_them(
 
 def test_the_loop_of_rigid_contacts_and_that_of_modes_take_a_growing_motion_to_the_same_state() -> None:
     """A mass pushed off its crest onto a stop, which chatters there to rest and is torn off again by the force."""
-    machine = Machine([[1.0]], [[-0.1]], [[-0.5]], [0.3], 1.1, (Force(1, [0.9], [0.0]),), (Contact([1.0], 0.4, None,
+    machine = PiecewiseMachine([[1.0]], [[-0.1]], [[-0.5]], [0.3], 1.1, (HarmonicForce(1, [0.9], [0.0]),), (PiecewiseContact([1.0], 0.4, None,
                       restitution=0.5),))  # fmt: skip
     start = [0.39, 0.1]
     expected = simulate(machine, start, 1, digits=30, rest=1e-8)

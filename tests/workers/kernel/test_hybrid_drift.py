@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.hybrids import built, follow, machines_of
+from rig.solver_bridge import built, follow, machines_of
 from tests.workers.cell.test_hybrid_cells import exponents_in
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, machine_in, number_in
 from workers import Settings, System, solve_tile, trace
-from workers.cell.cells import Cells, Results
+from workers.cell.cell_batch import CellBatch, Results
 from workers.cell.solve import solve
-from workers.continuation.oscillator import family_of
+from workers.continuation.families import family_of
 from workers.model.entries import DefinitionError
-from workers.model.hybrid import build_hybrid
+from workers.model.mode_table import build_hybrid
 from workers.model.system import find_system
 from workers.results import (
     CHAOTIC,
@@ -66,7 +66,7 @@ def cell_of_row(off: float) -> Results:
     oscillators, reasons = build_hybrid(machines_of([machine], DRIFTS))
     variables = (*result_variables(SPECTRUM), ADVANCE)
     found = result_arrays(variables, SPECTRUM, 1, len(state), exponents=len(state) - 1)
-    solve(Cells(oscillators, reasons, (state - off)[None], SPECTRUM, found))  # type: ignore[arg-type]
+    solve(CellBatch(oscillators, reasons, (state - off)[None], SPECTRUM, found))  # type: ignore[arg-type]
     return found
 
 
@@ -139,7 +139,7 @@ def test_its_mirror_image_goes_the_other_way() -> None:
     other = replace(machine, contacts=(replace(stop, row=tuple(-g for g in stop.row)),))
     oscillators, reasons = build_hybrid(machines_of([other], DRIFTS))
     found = result_arrays((*result_variables(SPECTRUM), ADVANCE), SPECTRUM, 1, 4, exponents=3)
-    solve(Cells(oscillators, reasons, np.zeros((1, 4)), SPECTRUM, found))  # type: ignore[arg-type]
+    solve(CellBatch(oscillators, reasons, np.zeros((1, 4)), SPECTRUM, found))  # type: ignore[arg-type]
     assert found["progress"][0] == pytest.approx(-PROGRESS, abs=1e-12)
 
 

@@ -5,34 +5,46 @@ import math
 import numpy as np
 import pytest
 
-from rig.hybrids import built, follow, machines_of
-from rig.oracle.pieces import Contact, Force, Friction, Machine, Phase, monodromy, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.piecewise import (
+    HarmonicForce,
+    PiecewiseContact,
+    PiecewiseFriction,
+    PiecewiseMachine,
+    PiecewisePhase,
+    monodromy,
+    simulate,
+)
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import built, follow, machines_of
 from workers import Settings, System, solve_tile
-from workers.cell.cells import Cells, Results
+from workers.cell.cell_batch import CellBatch, Results
 from workers.cell.solve import solve
 from workers.kernel.motion import RUNNING
-from workers.model.hybrid import build_hybrid
+from workers.model.mode_table import build_hybrid
 from workers.results import INVALID, PERIODIC, REASONS, result_variables
 from workers.tile import result_arrays
 
 
-def one(omega: float = 1.0, damping: float = 0.1, load: float = 0.0, force: float = 0.0, **elements) -> Machine:
-    return Machine([[1.0]], [[damping]], [[1.0]], [load], omega, (Force(1, [force], [0.0]),), **elements)
+def one(
+    omega: float = 1.0, damping: float = 0.1, load: float = 0.0, force: float = 0.0, **elements
+) -> PiecewiseMachine:
+    return PiecewiseMachine(
+        [[1.0]], [[damping]], [[1.0]], [load], omega, (HarmonicForce(1, [force], [0.0]),), **elements
+    )
 
 
-def agree(machine: Machine, start: list[float], duration: float | None = None, periods: int = 1) -> None:
+def agree(machine: PiecewiseMachine, start: list[float], duration: float | None = None, periods: int = 1) -> None:
     found = follow(built(machine), start, periods=periods, duration=duration)
     assert found.status == RUNNING
     expected = simulate(machine, start, periods, span=duration, digits=30, rest=1e-8).sections[-1]
     np.testing.assert_allclose(found.state, np.array(expected, float), rtol=0.0, atol=1e-9)
 
 
-def cell(machine: Machine, start: list[float]) -> Results:
+def cell(machine: PiecewiseMachine, start: list[float]) -> Results:
     settings = Settings(exponents="spectrum")
     oscillators, reasons = build_hybrid(machines_of([machine]))
     found = result_arrays(result_variables(settings), settings, 1, len(start))
-    solve(Cells(oscillators, reasons, np.array([start]), settings, found))
+    solve(CellBatch(oscillators, reasons, np.array([start]), settings, found))
     return found
 
 
@@ -48,7 +60,9 @@ def test_dead_impacts_with_friction(seed: int) -> None:
 def test_friction_that_slows_the_approach_does_not_pull_the_mass_off_the_stop() -> None:
     """Load .35 presses at x = .5 with friction off; on the way there the spring and friction take more than that."""
     machine = one(
-        load=0.85, contacts=(Contact([1.0], 0.5, None, restitution=0.0),), friction=(Friction([1.0], 0.4, 0.4),)
+        load=0.85,
+        contacts=(PiecewiseContact([1.0], 0.5, None, restitution=0.0),),
+        friction=(PiecewiseFriction([1.0], 0.4, 0.4),),
     )
     found = follow(built(machine), [0.0, 1.5], duration=2.0)
     assert [e.element for e in found.events] == ["contact"]
@@ -58,7 +72,7 @@ def test_friction_that_slows_the_approach_does_not_pull_the_mass_off_the_stop() 
 
 
 def test_a_mass_that_starts_on_a_stop_comes_back_to_it() -> None:
-    machine = one(force=1.0, load=0.49, contacts=(Contact([1.0], 0.5, None, restitution=0.5),))
+    machine = one(force=1.0, load=0.49, contacts=(PiecewiseContact([1.0], 0.5, None, restitution=0.5),))
     agree(machine, [0.5, 0.0], duration=0.05)
 
 
@@ -66,8 +80,8 @@ def test_a_rest_that_a_switch_ends_may_begin_again_at_once() -> None:
     machine = one(
         force=1.0,
         load=0.8,
-        contacts=(Contact([1.0], 0.5, None, restitution=0.5),),
-        phases=(Phase(0.0), Phase(0.01, load=[0.42])),
+        contacts=(PiecewiseContact([1.0], 0.5, None, restitution=0.5),),
+        phases=(PiecewisePhase(0.0), PiecewisePhase(0.01, load=[0.42])),
     )
     agree(machine, [0.5, 0.0], duration=0.15)
 
@@ -76,7 +90,7 @@ def test_a_rest_that_a_switch_ends_may_begin_again_at_once() -> None:
 
 
 def test_a_dead_impact_loses_a_direction() -> None:
-    machine = one(omega=1.6, load=-0.4, force=1.0, contacts=(Contact([1.0], 0.1, None, restitution=0.0),))
+    machine = one(omega=1.6, load=-0.4, force=1.0, contacts=(PiecewiseContact([1.0], 0.1, None, restitution=0.0),))
     found = cell(machine, [0.0, 0.0])
     assert found["impacts_upper"][0] == 1 and found["stuck_fraction"][0] == 0.0
     assert found["spectrum"][0, 1] == -math.inf
@@ -87,10 +101,10 @@ def test_a_dead_impact_loses_a_direction() -> None:
 
 
 def test_the_derivative_through_a_rest_that_turns_another_friction() -> None:
-    machine = Machine(
+    machine = PiecewiseMachine(
         [[1.0, 0.0], [0.0, 1.0]], [[0.1, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 1.0]], [2.0, 0.0], 1.0,
-        (Force(1, [0.0, 1.0], [0.0, 0.0]),), (Contact([1.0, 0.0], 0.5, None, restitution=0.0),),
-        (Friction([-1.0, 1.0], 0.5, 0.5),),
+        (HarmonicForce(1, [0.0, 1.0], [0.0, 0.0]),), (PiecewiseContact([1.0, 0.0], 0.5, None, restitution=0.0),),
+        (PiecewiseFriction([-1.0, 1.0], 0.5, 0.5),),
     )  # fmt: skip
     start = [0.0, 0.0, 2.0, 1.5]
     found = follow(built(machine), start, duration=1.5).jacobian
@@ -112,8 +126,8 @@ def test_friction_that_a_phase_changes(seed: int, periods: int) -> None:
 def test_friction_even_in_one_phase_breaks_away_once() -> None:
     machine = one(
         force=1.0,
-        friction=(Friction([1.0], 0.4, 0.4),),
-        phases=(Phase(0.0), Phase(0.9, friction={0: {"kinetic": 0.2}})),
+        friction=(PiecewiseFriction([1.0], 0.4, 0.4),),
+        phases=(PiecewisePhase(0.0), PiecewisePhase(0.9, friction={0: {"kinetic": 0.2}})),
     )
     found = follow(built(machine), [0.0, 0.0], duration=1.0)
     assert len(found.events) == 1 and np.isfinite(found.jacobian).all()
@@ -123,9 +137,9 @@ def test_friction_even_in_one_phase_breaks_away_once() -> None:
 
 
 def test_a_free_mass_moves_on_while_another_one_sticks() -> None:
-    machine = Machine(
+    machine = PiecewiseMachine(
         [[1.0, 0.0], [0.0, 1.0]], [[0.5, -0.2], [-0.2, 0.3]], [[0.0, 0.0], [0.0, 4.0]], [0.0, 0.0], 1.0,
-        (Force(1, [1.0, 0.1], [0.0, 0.0]),), (), (Friction([0.0, 1.0], 0.8, 0.9),),
+        (HarmonicForce(1, [1.0, 0.1], [0.0, 0.0]),), (), (PiecewiseFriction([0.0, 1.0], 0.8, 0.9),),
     )  # fmt: skip
     agree(machine, [0.0, 0.0, 0.1, 0.2], periods=2)
 

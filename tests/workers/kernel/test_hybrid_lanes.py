@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.hybrids import machines_of
-from rig.oracle.pieces import Machine
-from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.piecewise import PiecewiseMachine
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import machines_of
 from workers import Settings, solve_tile
-from workers.cell.stretch import batch_of, begin, ended, run
-from workers.kernel.lanes.run import Batch
+from workers.cell.interval import batch_of, begin, has_ended, run
+from workers.kernel.lanes.run import MotionBatch
 from workers.kernel.motion import RUNNING, STATUS
 from workers.kernel.period import advance
-from workers.model.hybrid import build_hybrid
-from workers.model.oscillator import map_fields, one_of
+from workers.model.mode_table import build_hybrid
+from workers.model.oscillator import map_fields, take_one
 from workers.model.system import find_system
 from workers.results import NO_REASON
 
@@ -26,13 +26,13 @@ SENSITIVE = 1e3
 """Growth of errors beyond which states are not compared any more."""
 
 
-def family(seed: int) -> list[Machine]:
+def family(seed: int) -> list[PiecewiseMachine]:
     """Machines of one random kind, each with a frequency of its own."""
     machine = random_machine(seed, switched_elements=seed % 2 == 1)
     return [replace(machine, omega=machine.omega * (1.0 + 1e-3 * k)) for k in range(CELLS)]
 
 
-def starting(seed: int, cells: np.ndarray, vectors: bool = True) -> Batch:
+def starting(seed: int, cells: np.ndarray, vectors: bool = True) -> MotionBatch:
     """These machines of a family, on their way from one state."""
     machines = family(seed)
     oscillators, reasons = build_hybrid(machines_of([machines[k] for k in cells]))
@@ -45,12 +45,12 @@ def starting(seed: int, cells: np.ndarray, vectors: bool = True) -> Batch:
     return batch
 
 
-def finished(batch: Batch, cells: np.ndarray, **how: int) -> Batch:
+def finished(batch: MotionBatch, cells: np.ndarray, **how: int) -> MotionBatch:
     run(batch, cells, **how)
     return batch
 
 
-def assert_same_bits(one: Batch, rows: np.ndarray, other: Batch) -> None:
+def assert_same_bits(one: MotionBatch, rows: np.ndarray, other: MotionBatch) -> None:
     for name in ("done", "levels", "weighted", "sections"):
         np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
     for name in ("h", "mode", "V", "growth", "tally"):
@@ -78,8 +78,8 @@ def test_order_and_number_of_lanes_do_not_matter(seed: int) -> None:
 def test_what_stops_for_others_to_take_its_place_goes_on_to_the_same_bits(seed: int) -> None:
     whole = finished(starting(seed, np.arange(CELLS)), np.arange(CELLS))
     parts = starting(seed, np.arange(CELLS))
-    while not np.all(ended(parts)):
-        run(parts, np.flatnonzero(~ended(parts)), to_end=False, lanes=8)
+    while not np.all(has_ended(parts)):
+        run(parts, np.flatnonzero(~has_ended(parts)), to_end=False, lanes=8)
     assert_same_bits(whole, np.arange(CELLS), parts)
 
 
@@ -94,7 +94,7 @@ def test_a_period_is_that_of_the_map_of_one_motion(seed: int) -> None:
         for k in rows:
             motion = map_fields(single.motions, lambda field: field[k])  # noqa: B023
             motion.tally[STATUS] = RUNNING
-            advance(one_of(single.oscillators, k), motion)
+            advance(take_one(single.oscillators, k), motion)
 
     single.oscillators.with_modes(go_on, np.arange(CELLS))
     np.testing.assert_array_equal(together.motions.tally[:, STATUS], single.motions.tally[:, STATUS])

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.hybrids import Array, built, follow, machines_of
-from rig.oracle.pieces import Contact, Force, Friction, Machine, Phase
-from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, PiecewisePhase
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import Array, built, follow, machines_of
 from workers import Settings
-from workers.cell.cells import Cells, Results
+from workers.cell.cell_batch import CellBatch, Results
+from workers.cell.interval import begin, sections_from
 from workers.cell.solve import solve
-from workers.cell.stretch import begin, sections_from
 from workers.kernel.motion import RUNNING
-from workers.model.hybrid import build_hybrid, code_of
+from workers.model.mode_table import build_hybrid, code_of
 from workers.model.oscillator import Oscillator
 from workers.model.system import find_system
 from workers.results import PERIODIC, result_variables
@@ -23,25 +23,25 @@ from workers.tile import broadcast, initial_state, result_arrays
 SETTINGS = Settings(exponents="spectrum", max_periods=2000, survival=0, section_samples=2)
 
 
-def solved(machines: list[Machine], states: list[list[float]], settings: Settings = SETTINGS) -> Results:
+def solved(machines: list[PiecewiseMachine], states: list[list[float]], settings: Settings = SETTINGS) -> Results:
     """Cells of machines of one kind through their whole course."""
     oscillators, reasons = build_hybrid(machines_of(machines))
     found = result_arrays(result_variables(settings), settings, len(machines), len(states[0]))
-    solve(Cells(oscillators, reasons, np.array(states), settings, found))  # type: ignore[arg-type]
+    solve(CellBatch(oscillators, reasons, np.array(states), settings, found))  # type: ignore[arg-type]
     return found
 
 
 # Neighbours
 
 
-def rubbed(omega: float) -> Machine:
+def rubbed(omega: float) -> PiecewiseMachine:
     """Two masses: friction on one of them, a soft and a rigid stop, a load that is switched."""
-    return Machine(
+    return PiecewiseMachine(
         [[1.0, 0.0], [0.0, 2.0]], [[0.2, -0.1], [-0.1, 0.1]], [[2.0, -1.0], [-1.0, 1.5]], [0.0, 0.2], omega,
-        (Force(1, [0.0, 1.0], [0.5, 0.0]),),
-        (Contact([1.0, 0.0], 0.4, None, restitution=0.6), Contact([-1.0, 1.0], None, -0.3, stiffness=20.0, damping=0.1,
+        (HarmonicForce(1, [0.0, 1.0], [0.5, 0.0]),),
+        (PiecewiseContact([1.0, 0.0], 0.4, None, restitution=0.6), PiecewiseContact([-1.0, 1.0], None, -0.3, stiffness=20.0, damping=0.1,
                                                                     preload=0.05, release="force")),
-        (Friction([0.0, 1.0], 0.2, 0.3),), (Phase(0.0), Phase(0.4, load=[0.1, -0.1])),
+        (PiecewiseFriction([0.0, 1.0], 0.2, 0.3),), (PiecewisePhase(0.0), PiecewisePhase(0.4, load=[0.1, -0.1])),
     )  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def codes(hybrid: Oscillator) -> list[int]:
     return [int(number) for number in hybrid.table.codes[0] if number >= 0]
 
 
-def with_modes(machine: Machine, numbers: list[int]) -> Oscillator:
+def with_modes(machine: PiecewiseMachine, numbers: list[int]) -> Oscillator:
     """A machine with these modes built beforehand, in their order."""
     hybrid = built(machine)
     for number in numbers:
@@ -100,10 +100,10 @@ def test_the_number_of_a_mode_says_which_it_is() -> None:
 # Mirrors
 
 
-def mirrored(machine: Machine) -> Machine:
+def mirrored(machine: PiecewiseMachine) -> PiecewiseMachine:
     """The machine in which -z(t) moves where z(t) moves in this one."""
 
-    def law(phase: Phase) -> Phase:
+    def law(phase: PiecewisePhase) -> PiecewisePhase:
         return replace(phase, load=None if phase.load is None else [-value for value in phase.load])
 
     def negative(value: float | None) -> float | None:
@@ -112,7 +112,7 @@ def mirrored(machine: Machine) -> Machine:
     return replace(
         machine,
         load=[-value for value in machine.load],
-        forces=tuple(Force(f.order, [-a for a in f.sin], [-a for a in f.cos]) for f in machine.forces),
+        forces=tuple(HarmonicForce(f.order, [-a for a in f.sin], [-a for a in f.cos]) for f in machine.forces),
         contacts=tuple(replace(c, upper=negative(c.lower), lower=negative(c.upper)) for c in machine.contacts),
         friction=tuple(replace(f, belt=-f.belt) for f in machine.friction),
         phases=tuple(law(phase) for phase in machine.phases),
@@ -147,7 +147,7 @@ SEEDS = [seed for seed in range(40) if not random_machine(seed).friction][:12]
 def test_friction_of_no_strength_changes_nothing(seed: int) -> None:
     machine = random_machine(seed)
     row = [1.0, *[0.0] * (machine.n - 1)]
-    idle = replace(machine, friction=(Friction(row, 0.0, 0.0, 0.1),))
+    idle = replace(machine, friction=(PiecewiseFriction(row, 0.0, 0.0, 0.1),))
     close(built(idle), built(machine), random_state(machine, seed))
 
 
@@ -156,7 +156,7 @@ def test_friction_of_no_strength_changes_nothing(seed: int) -> None:
 def test_a_soft_contact_without_stiffness_changes_nothing(seed: int, release: str) -> None:
     machine = random_machine(seed)
     row = [1.0, *[0.5] * (machine.n - 1)]
-    idle = replace(machine, contacts=(*machine.contacts, Contact(row, 0.1, -0.2, release=release)))
+    idle = replace(machine, contacts=(*machine.contacts, PiecewiseContact(row, 0.1, -0.2, release=release)))
     close(built(idle), built(machine), random_state(machine, seed))
 
 
@@ -164,7 +164,7 @@ def test_a_soft_contact_without_stiffness_changes_nothing(seed: int, release: st
 def test_a_phase_that_changes_nothing_changes_nothing(seed: int) -> None:
     machine = random_machine(seed)
     if len(machine.phases) == 1:
-        split = replace(machine, phases=(Phase(0.0), Phase(0.3), Phase(0.71)))
+        split = replace(machine, phases=(PiecewisePhase(0.0), PiecewisePhase(0.3), PiecewisePhase(0.71)))
         close(built(split), built(machine), random_state(machine, seed))
 
 
@@ -204,7 +204,7 @@ def test_one_rigid_contact_has_the_exponents_that_it_has_without_modes() -> None
     found = []
     for oscillators in (rigid, hybrid):
         results = result_arrays(result_variables(settings), settings, 16, 4)
-        solve(Cells(oscillators, np.zeros(16, dtype=np.int8), states, settings, results))
+        solve(CellBatch(oscillators, np.zeros(16, dtype=np.int8), states, settings, results))
         found.append(results)
     expected, other = found
     np.testing.assert_array_equal(other["regime"], expected["regime"])

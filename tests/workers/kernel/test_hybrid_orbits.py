@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.hybrids import Array, Event, Followed, built, code_in, follow
-from rig.oracle.pieces import Machine, Mode
+from rig.oracle.piecewise import PiecewiseMachine, PiecewiseMode
+from rig.solver_bridge import Array, SolverEvent, SolverMotion, built, code_in, follow
 from tests.paths import DATA
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING
 from workers.model.hybrid_modes import code_of
@@ -37,10 +37,10 @@ each_orbit = pytest.mark.parametrize("name", RECORDS)
 each_symmetric = pytest.mark.parametrize("name", [name for name, record in RECORDS.items() if record["symmetric"]])
 
 
-def machine_in(record: dict[str, Any]) -> Machine:
+def machine_in(record: dict[str, Any]) -> PiecewiseMachine:
     """The machine of a record. Unforced, it is given the frequency of its cycle; at the onset of stick, the lower
     static friction with which the orbit is the same and no rounding decides whether it sticks."""
-    machine = Machine.of(record["machine"])
+    machine = PiecewiseMachine.of(record["machine"])
     if record["periods"] is None:
         machine = replace(machine, omega=2.0 * math.pi / record["cycle"])
     if record.get("bifurcation", {}).get("kind") == "onset of stick":
@@ -49,11 +49,11 @@ def machine_in(record: dict[str, Any]) -> Machine:
 
 
 def number_in(record: dict[str, Any]) -> int:
-    return code_in(Mode(0, tuple(record["mode"]["contacts"]), tuple(record["mode"]["friction"]))).number
+    return code_in(PiecewiseMode(0, tuple(record["mode"]["contacts"]), tuple(record["mode"]["friction"]))).number
 
 
 @functools.cache
-def turn_of(name: str) -> tuple[Oscillator, Array, Followed]:
+def turn_of(name: str) -> tuple[Oscillator, Array, SolverMotion]:
     """The machine, the state where it is followed from, and the motion over one turn."""
     record = RECORDS[name]
     hybrid = built(machine_in(record))
@@ -73,11 +73,11 @@ def expected_events(record: dict[str, Any]) -> list[tuple[float, str, int, float
     return sorted(((t - since) % length, kind, index, value) for t, kind, index, value in record["events"])
 
 
-def is_of(event: Event, kind: str, index: int) -> bool:
+def is_of(event: SolverEvent, kind: str, index: int) -> bool:
     return (event.element == "friction") == (kind in FRICTION_KINDS) and event.index == index
 
 
-def nearest(name: str, t: float, kind: str, index: int) -> Event:
+def nearest(name: str, t: float, kind: str, index: int) -> SolverEvent:
     """The event of that element next to a time."""
     return min((e for e in turn_of(name)[2].events if is_of(e, kind, index)), key=lambda e: abs(e.t - t))
 

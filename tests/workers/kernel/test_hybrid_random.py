@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from rig.hybrids import Array, Followed, built, follow
-from rig.oracle.pieces import Machine, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
+from rig.oracle.piecewise import PiecewiseMachine, simulate
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.solver_bridge import Array, SolverMotion, built, follow
 from workers.kernel.motion import CONTRACTION, LOST, MODE_MISSING, RUNNING
 from workers.model.oscillator import Oscillator
 
@@ -25,14 +25,14 @@ STOPPED = 0.08
 """Share of machines at most that go through more modes than the solver has room for, where it stops."""
 
 
-def drawn(seed: int) -> Machine:
+def drawn(seed: int) -> PiecewiseMachine:
     return random_machine(seed, switched_elements=seed % 2 == 1)
 
 
-Draw = Callable[[int], Machine]
+Draw = Callable[[int], PiecewiseMachine]
 
 
-def by_period(hybrid: Oscillator, start: list[float], periods: int) -> Iterator[Followed]:
+def by_period(hybrid: Oscillator, start: list[float], periods: int) -> Iterator[SolverMotion]:
     """The motion period by period, each with the derivative over it alone; the last one may have stopped."""
     state, number = np.array(start), None
     for _ in range(periods):
@@ -100,7 +100,7 @@ def differences(hybrid: Oscillator, start: Array, itinerary: list[tuple[str, int
     return np.stack(columns, axis=1)
 
 
-def itinerary_of(found: Followed) -> list[tuple[str, int, int]]:
+def itinerary_of(found: SolverMotion) -> list[tuple[str, int, int]]:
     return [(e.element, e.index, e.side) for e in found.events]
 
 

@@ -22,9 +22,9 @@ from workers.kernel.contact import (
 )
 from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
-from workers.kernel.held import from_held, load_on_stop, stay_on_stop, to_held
-from workers.kernel.hybrid.state import turned
+from workers.kernel.hybrid.state import harmonics_at
 from workers.kernel.motion import FLIGHT, motion_at
+from workers.kernel.sticking import from_held, load_on_stop, stay_on_stop, to_held
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
 
@@ -191,7 +191,7 @@ def onto_stop(osc: Oscillator, u: np.ndarray, phase: float, side: int) -> np.nda
     """The block state in flight of a state u (n - 1, 2) of the blocks that move while y is on a stop."""
     n = len(u) + 1
     h, V, room = np.zeros((n, 2)), np.zeros((0, n, 2)), (np.empty(2 * n), np.empty((0, 2 * n)))
-    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, turned(phase, len(osc.gap.waves)), side, *room, h, V)
+    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, harmonics_at(phase, len(osc.gap.waves)), side, *room, h, V)
     return h
 
 
@@ -207,7 +207,7 @@ def test_held_coordinates_give_a_state_on_the_stop_at_rest(osc: Oscillator, side
         rounding = 2e-15 * (1 + np.abs(u).max())
         assert guard_of(osc.gap.blocks, h) + Y == pytest.approx(stop_position(osc, side), abs=rounding)
         assert guard_rate_of(osc.gap.blocks, h) + dY == pytest.approx(0.0, abs=4 * rounding)
-        to_held(osc, h, V, turned(phase, len(osc.gap.waves)), *room, back, V)
+        to_held(osc, h, V, harmonics_at(phase, len(osc.gap.waves)), *room, back, V)
         assert back[:-1] == pytest.approx(u, abs=1e-14)
         assert not back[-1].any()
 
@@ -222,7 +222,7 @@ def test_the_load_gives_the_gap_mass_its_free_acceleration_toward_the_stop(osc: 
         h = onto_stop(osc, u[:-1], phase, side)
         _, _, ddY = forced(osc, phase)
         free = float(np.sum(osc.gap.row2 * h)) + ddY
-        load = load_on_stop(osc, u, turned(phase, len(osc.gap.waves)), side)
+        load = load_on_stop(osc, u, harmonics_at(phase, len(osc.gap.waves)), side)
         assert load == pytest.approx(osc.gap_mass * side * free, abs=1e-13)
 
 

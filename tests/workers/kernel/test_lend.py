@@ -9,10 +9,10 @@ from numba import types
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from workers.kernel.apart import FLOATS, apart
 from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference, by_value
+from workers.kernel.external import FLOATS, external
 from workers.kernel.jit import kernel
-from workers.kernel.lend import lend, whole
 
 
 class Inner(NamedTuple):
@@ -43,17 +43,17 @@ def weigh(record):
 
 @kernel
 def weigh_lent(record):
-    return weigh(lend(record))
+    return weigh(by_reference(record))
 
 
 @kernel
 def weigh_changed(record):
     """A record made of the fields of one that is lent, lent again."""
-    mine = whole(lend(record))
-    return weigh(lend(Outer(10.0, mine.inner, mine.matrix)))
+    mine = by_value(by_reference(record))
+    return weigh(by_reference(Outer(10.0, mine.inner, mine.matrix)))
 
 
-@apart(OUTER, types.int64, result=types.float64)
+@external(OUTER, types.int64, result=types.float64)
 def weigh_apart(record, times):
     total = 0.0
     for _ in range(times):
@@ -64,17 +64,17 @@ def weigh_apart(record, times):
 @kernel
 def weigh_apart_both(record):
     """A function apart is given a record by value, and one that is lent already."""
-    return weigh_apart(record, 1) + weigh_apart(lend(record), 1)
+    return weigh_apart(record, 1) + weigh_apart(by_reference(record), 1)
 
 
 @kernel
 def weigh_row(records, r):
-    return weigh(lend(row_of(records, r)))
+    return weigh(by_reference(row_of(records, r)))
 
 
 @kernel
 def read_missing(record):
-    return lend(record).missing
+    return by_reference(record).missing
 
 
 def test_a_lent_record_has_the_fields_of_the_record_at_each_depth() -> None:
@@ -130,4 +130,4 @@ def test_a_field_that_a_lent_record_lacks_is_not_compiled() -> None:
 
 def test_outside_kernels_what_is_lent_is_the_record() -> None:
     mine = outer()
-    assert lend(mine) is mine and whole(mine) is mine
+    assert by_reference(mine) is mine and by_value(mine) is mine

@@ -11,14 +11,14 @@ from rig.oracle.closed_form import symmetric_orbit
 from rig.oracle.simulate import simulate
 from tests import naive
 from tests.paths import DATA
-from workers.cell.stretch import run_periods
+from workers.cell.interval import run_periods
 from workers.history import trace
 from workers.kernel.coordinates import motion_from
 from workers.kernel.linalg import moduli, solution, spectral_radius
 from workers.kernel.motion import motion_at
 from workers.kernel.period import propagate
 from workers.kernel.tangent import reset_frame
-from workers.orbit.newton import corrected, recurrence
+from workers.orbit.newton import newton_step, recurrence
 from workers.results import PERIODIC
 from workers.settings import Settings
 from workers.tile import solve_tile
@@ -169,7 +169,7 @@ def test_recurrence_puts_the_lag_that_closes_first() -> None:
 def test_a_newton_step_without_an_answer_is_not_finite() -> None:
     """J = I: every point is fixed, or none."""
     h = np.ones((2, 2))
-    assert not np.any(np.isfinite(corrected(h, 2.0 * h, np.eye(4))))
+    assert not np.any(np.isfinite(newton_step(h, 2.0 * h, np.eye(4))))
 
 
 @pytest.mark.parametrize("size", [1, 2, 4, 6])

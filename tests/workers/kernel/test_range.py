@@ -11,7 +11,7 @@ from tests import naive
 from tests.followed import ball_in_flight, follow, on_attractor
 from workers import Settings, System, solve_tile
 from workers.cell.ranges import FOLLOWED, free_range
-from workers.kernel.cells import excursions
+from workers.kernel.cell_loops import excursions
 from workers.kernel.motion import FLIGHT
 from workers.model.oscillator import many_of
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from workers.model.expression import DEEPEST, FUNCTIONS, LONGEST, ExpressionError, parse
+from workers.model.expression import DEEPEST, FUNCTIONS, MAX_LENGTH, ExpressionError, parse
 
 NAMES = ("omega", "a", "b", "mu_k")
 VALUES = {"omega": 1.7, "a": 0.3, "b": -2.0, "mu_k": 5.0}
@@ -80,7 +80,7 @@ HOSTILE = [
     ("a.real", "found '.'"),
     ("a.__class__", "found '.'"),
     ("().__class__", "found '.'"),
-    ("(" * 100_000 + "1" + ")" * 100_000, f"found 200001 characters, must be at most {LONGEST}"),
+    ("(" * 100_000 + "1" + ")" * 100_000, f"found 200001 characters, must be at most {MAX_LENGTH}"),
     ("(" * 200 + "1" + ")" * 200, f"nested more than {DEEPEST} deep"),
     ("-" * 200 + "1", f"nested more than {DEEPEST} deep"),
     ("2" + "**2" * 100, f"nested more than {DEEPEST} deep"),
@@ -189,7 +189,7 @@ def test_spelling_aside_expressions_are_equal() -> None:
 
 
 def test_the_longest_expression_is_pickled_and_evaluated() -> None:
-    expression = parse("1" + "+a" * ((LONGEST - 1) // 2), NAMES)
+    expression = parse("1" + "+a" * ((MAX_LENGTH - 1) // 2), NAMES)
     arrays = {name: np.ones(2) for name in NAMES}
     assert pickle.loads(pickle.dumps(expression))(arrays)[0] == 250.0
 
@@ -198,10 +198,10 @@ def test_the_longest_expression_is_pickled_and_evaluated() -> None:
 def test_the_normal_form_of_an_expression_is_that_expression(text: str) -> None:
     """As stores have it: one of up to 500 characters may be longer there."""
     expression = parse(text, NAMES)
-    assert len(text) <= LONGEST < len(expression.text)
+    assert len(text) <= MAX_LENGTH < len(expression.text)
     assert parse(expression.text, NAMES) == expression
 
 
 def test_a_longer_text_is_refused_in_its_normal_form_too() -> None:
-    with pytest.raises(ExpressionError, match=f"found 1001 characters, must be at most {LONGEST}"):
+    with pytest.raises(ExpressionError, match=f"found 1001 characters, must be at most {MAX_LENGTH}"):
         parse("a" + " + a" * 250, NAMES)

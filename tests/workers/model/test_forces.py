@@ -11,22 +11,22 @@ import pytest
 import xarray as xr
 
 from atlas import Spec, branch
-from atlas.cell.orbit import samples_of
+from atlas.cell.trajectory import samples_of
 from atlas.query.grazing import grazing_ratio
 from atlas.query.queries import per_unit_time
 from atlas.robustness.norm import weights_of
 from atlas.spec.equation import equation_of
-from rig.oracle import Machine, simulate
+from rig.oracle import OracleMachine, simulate
 from rig.oracle.machines import random_machine
-from rig.oracle.pieces import Force
-from rig.oracle.pieces import Machine as Pieces
-from rig.oracle.pieces.draw import random_machine as pieces_at_random
+from rig.oracle.piecewise import HarmonicForce
+from rig.oracle.piecewise import PiecewiseMachine as Pieces
+from rig.oracle.piecewise.random_machines import random_machine as pieces_at_random
 from tests.workers.cell.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, assert_few_stop, compare
 from workers import Settings, System, solve_tile
-from workers.attractors.starts import REACH, Starts, boxes
+from workers.attractors.initial_states import REACH, AttractorSettings, boxes
 from workers.model.entries import DefinitionError
-from workers.model.reading_force import HARMONICS, HIGHEST
+from workers.model.parse_force import HARMONICS, HIGHEST
 from workers.model.waveform import WAVEFORMS, Waveform
 from workers.results import PERIODIC
 
@@ -183,7 +183,7 @@ def test_units_of_velocity_are_those_of_omega_and_not_of_the_longer_period() -> 
     system = System.from_mapping(two_frequencies("3/2").table() | {"lower": "-b"})
     values = {p.name: np.array([p.default]) for p in system.parameters} | {"omega": np.array([1.4])}
     oscillators, _ = system.build_many(values)
-    low, high = boxes(Starts(), oscillators, system)
+    low, high = boxes(AttractorSettings(), oscillators, system)
     assert high[0].tolist() == pytest.approx([100.0, REACH * 1.4 * 100.0])
     assert low == pytest.approx(-high)
     assert weights_of({}, system, float(oscillators.period[0])) == pytest.approx([1.0, 1 / 1.4])
@@ -223,7 +223,7 @@ def test_a_path_has_points_for_the_fastest_harmonic() -> None:
 # Many orders
 
 
-def with_orders(drawn: Machine, rng: np.random.Generator) -> Machine:
+def with_orders(drawn: OracleMachine, rng: np.random.Generator) -> OracleMachine:
     """A machine with up to HARMONICS orders up to HIGHEST, the response to each of about the same size or less."""
     n, orders = len(drawn.gap_row), rng.choice(HIGHEST, int(rng.integers(1, HARMONICS + 1)), replace=False) + 1
     force = np.zeros((2, int(orders.max()), n))
@@ -232,7 +232,7 @@ def with_orders(drawn: Machine, rng: np.random.Generator) -> Machine:
     return replace(drawn, force_sin=force[0], force_cos=force[1], omega=float(drawn.omega) * slow)
 
 
-def drawn(seed: int) -> Machine:
+def drawn(seed: int) -> OracleMachine:
     rng = np.random.default_rng([51, seed])
     return with_orders(random_machine(rng, int(rng.choice([1, 2, 3])), damping="general", rigid=False), rng)
 
@@ -291,7 +291,9 @@ def of_many_modes(seed: int) -> Pieces:
     made = pieces_at_random(seed, switched_elements=seed % 2 == 1)
     orders = sorted(rng.choice(HIGHEST, int(rng.integers(1, HARMONICS + 1)), replace=False).tolist())
     parts = rng.normal(size=(len(orders), 2, made.n)) * rng.uniform(0.2, 0.6)
-    forces = (Force(k + 1, *(part * (k + 1) * made.omega).tolist()) for k, part in zip(orders, parts, strict=True))
+    forces = (
+        HarmonicForce(k + 1, *(part * (k + 1) * made.omega).tolist()) for k, part in zip(orders, parts, strict=True)
+    )
     return replace(made, forces=tuple(forces))
 
 

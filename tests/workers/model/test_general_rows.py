@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.pieces import Contact, Force, Friction, Machine, orbit
+from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, orbit
 from workers import Settings, System, solve_tile
 from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system
@@ -114,18 +114,18 @@ def test_friction_that_falls_faster_than_damping_rises_sticks_and_slips_on_the_o
 @pytest.mark.parametrize("name", ["bistable", "rigid rotor", "soft rotor", "belt"])
 def test_the_oracle_finds_these_orbits_too(name: str) -> None:
     """By Newton's method in 50 digits on its own simulations; multipliers by differences of these."""
-    turning = {"forces": (Force(1, [0.0, 0.3 * 0.81], [0.3 * 0.81, 0.0]),)}
+    turning = {"forces": (HarmonicForce(1, [0.0, 0.3 * 0.81], [0.3 * 0.81, 0.0]),)}
     rotors: dict[str, Any] = {"mass": [[1, 0], [0, 1]], "damping": [[0.1, -0.6], [0.6, 0.1]],
                               "stiffness": [[1, 0.05], [-0.05, 1]], "load": [0, 0], "omega": 0.9} | turning  # fmt: skip
     one: dict[str, Any] = {"mass": [[1]], "damping": [[0.1]], "load": [0]}
     system, truth, start = {
-        "bistable": (bistable(), Machine(**one, stiffness=[[-1]], omega=1.0, forces=(Force(1, [0], [0.4]),), contacts=(
-            Contact([1], 0.5, -0.5, stiffness=3.0),)), {"x": 1.83, "v": 1.465}),
-        "rigid rotor": (rotor(**RIGID), Machine(**rotors, contacts=(Contact([1, 0], 0.2, restitution=0.7),)), {}),
-        "soft rotor": (rotor(**SOFT), Machine(**rotors, contacts=(
-            Contact([1, 0], 0.2, stiffness=20.0, damping=0.2, release="displacement"),)), {}),
-        "belt": (falling_friction(), Machine(**one, stiffness=[[1]], omega=1.2, forces=(Force(1, [0], [0.3]),),
-                 friction=(Friction([1], 1.0, 1.0, 0.5, -0.2),)), {"x": 0.3, "v": 0.5}),
+        "bistable": (bistable(), PiecewiseMachine(**one, stiffness=[[-1]], omega=1.0, forces=(HarmonicForce(1, [0], [0.4]),), contacts=(
+            PiecewiseContact([1], 0.5, -0.5, stiffness=3.0),)), {"x": 1.83, "v": 1.465}),
+        "rigid rotor": (rotor(**RIGID), PiecewiseMachine(**rotors, contacts=(PiecewiseContact([1, 0], 0.2, restitution=0.7),)), {}),
+        "soft rotor": (rotor(**SOFT), PiecewiseMachine(**rotors, contacts=(
+            PiecewiseContact([1, 0], 0.2, stiffness=20.0, damping=0.2, release="displacement"),)), {}),
+        "belt": (falling_friction(), PiecewiseMachine(**one, stiffness=[[1]], omega=1.2, forces=(HarmonicForce(1, [0], [0.3]),),
+                 friction=(PiecewiseFriction([1], 1.0, 1.0, 0.5, -0.2),)), {"x": 0.3, "v": 0.5}),
     }[name]  # fmt: skip
     found = solve_tile(system, start, SPECTRUM)
     exact = orbit(truth, found["state"].tolist())
@@ -209,17 +209,19 @@ def test_what_grows_where_no_contact_sees_it_is_refused() -> None:
 # The packaged systems
 
 
-def oracle_harvester(omega: float, A: float) -> Machine:
+def oracle_harvester(omega: float, A: float) -> PiecewiseMachine:
     k, stop = 0.5, 1.0 / 1.5
-    return Machine([[1]], [[2 * (0.02 + 0.05)]], [[-k]], [0], omega, (Force(1, [A], [0]),), (
-        Contact([1], stop, -stop, stiffness=1 + k),))  # fmt: skip
+    return PiecewiseMachine([[1]], [[2 * (0.02 + 0.05)]], [[-k]], [0], omega, (HarmonicForce(1, [A], [0]),), (
+        PiecewiseContact([1], stop, -stop, stiffness=1 + k),))  # fmt: skip
 
 
-def oracle_rotor(omega: float, b: float) -> Machine:
+def oracle_rotor(omega: float, b: float) -> PiecewiseMachine:
     turn, whirl, push = 0.2 * omega, 2 * 0.02 * omega, 0.1 * omega**2
     damping, stiffness = [[2 * (0.02 + 0.02), turn], [-turn, 2 * (0.02 + 0.02)]], [[1, whirl], [-whirl, 1]]
-    stops = (Contact([1, 0], b, -b, restitution=0.7),)
-    return Machine([[1, 0], [0, 1]], damping, stiffness, [0, 0], omega, (Force(1, [0, push], [push, 0]),), stops)
+    stops = (PiecewiseContact([1, 0], b, -b, restitution=0.7),)
+    return PiecewiseMachine(
+        [[1, 0], [0, 1]], damping, stiffness, [0, 0], omega, (HarmonicForce(1, [0, push], [push, 0]),), stops
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from workers.model.kept import LARGEST, kept
+from workers.model.memoize import MAX_ARGUMENT_BYTES, memoize_arrays
 
 
 def test_a_result_is_worked_out_once_for_the_same_bits_and_again_for_others() -> None:
     """Zero of either sign is equal, but has other bits."""
     asked = []
 
-    @kept
+    @memoize_arrays
     def halved(values: np.ndarray, shares: np.ndarray) -> np.ndarray:
         asked.append(values.copy())
         return values * shares
@@ -23,7 +23,7 @@ def test_a_result_is_worked_out_once_for_the_same_bits_and_again_for_others() ->
 
 
 def test_arrays_of_other_shapes_with_the_same_bits_are_others() -> None:
-    @kept
+    @memoize_arrays
     def shape_of(values: np.ndarray) -> np.ndarray:
         return np.array(values.shape)
 
@@ -33,12 +33,12 @@ def test_arrays_of_other_shapes_with_the_same_bits_are_others() -> None:
 def test_the_results_of_many_machines_are_not_kept() -> None:
     asked = []
 
-    @kept
+    @memoize_arrays
     def counted(values: np.ndarray) -> np.ndarray:
         asked.append(len(values))
         return values
 
-    many = np.zeros(LARGEST // 8 + 1)
+    many = np.zeros(MAX_ARGUMENT_BYTES // 8 + 1)
     for _ in range(2):
         counted(many)
         counted(many[:-1])

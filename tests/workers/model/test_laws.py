@@ -15,27 +15,27 @@ import pytest
 import tomli_w
 from click.testing import CliRunner
 
-from atlas.cell.law import check_law, finer
+from atlas.cell.law_check import check_law, finer
 from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import Spec
-from rig.hybrids import Array, Followed, follow, machines_of
-from rig.oracle.pieces import Contact, Machine, simulate
-from rig.oracle.pieces.draw import random_machine, random_state
-from rig.oracle.segments import Mass
-from rig.oracle.segments import simulate as simulate_segments
+from rig.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
+from rig.oracle.piecewise.random_machines import random_machine, random_state
+from rig.oracle.segmented_mass import SegmentedMass
+from rig.oracle.segmented_mass import simulate as simulate_segments
 from rig.oracle.smooth import SmoothMass
 from rig.oracle.smooth import orbit as smooth_orbit
+from rig.solver_bridge import Array, SolverMotion, follow, machines_of
 from workers import Settings, solve_tile
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING, SIMULTANEOUS
 from workers.model import laws
-from workers.model.chords import fewest
 from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
-from workers.model.hybrid import build_hybrid
 from workers.model.hybrid_machines import HybridMachines
+from workers.model.mode_table import build_hybrid
 from workers.model.oscillator import Oscillator
+from workers.model.piecewise_fit import fewest
 from workers.model.system import SYSTEMS, System, find_system
 from workers.results import INVALID, NO_IMPACT, NO_REASON, PERIODIC
 
@@ -65,7 +65,7 @@ def hertz(h: float, **changes: Any) -> dict[str, Any]:
     return ONE_MASS | {"name": "hertz", "stiffness": [[1.0]], "contacts": [ball], "parameters": parameters, **changes}
 
 
-def orbit_of(definition: dict[str, Any]) -> tuple[dict[str, Array], Followed]:
+def orbit_of(definition: dict[str, Any]) -> tuple[dict[str, Array], SolverMotion]:
     """The results of the machine at its defaults, and the turn of its orbit from the state that they tell."""
     found = solve_tile(System.from_mapping(definition), {}, Settings(exponents="spectrum"))
     return found, follow(hybrid_of(definition), found["state"])
@@ -80,7 +80,7 @@ def hybrid_of(definition: dict[str, Any]) -> Oscillator:
     return hybrid
 
 
-def speeds_before(turn: Followed, contact: int) -> list[tuple[float, float]]:
+def speeds_before(turn: SolverMotion, contact: int) -> list[tuple[float, float]]:
     """When and how fast a contact is reached or left at its stop."""
     return [(event.t, event.rate) for event in turn.events if (event.element, event.index) == ("contact", contact)]
 
@@ -169,7 +169,7 @@ class Drawn(NamedTuple):
     """A machine with laws, as the solver has it, the oracle's, and a state to start from."""
 
     solver: HybridMachines
-    oracle: Machine
+    oracle: PiecewiseMachine
     start: list[float]
 
 
@@ -207,7 +207,7 @@ def drawn(seed: int) -> Drawn:
             )
             for phase in phases
         ]
-        stacked += [Contact(row[0].tolist(), upper=x, stiffness=s) for x, s in _kinks(table[0])]
+        stacked += [PiecewiseContact(row[0].tolist(), upper=x, stiffness=s) for x, s in _kinks(table[0])]
     oracle = replace(
         machine, contacts=tuple(stacked), stiffness=stiffness.tolist(), load=load.tolist(), phases=tuple(phases)
     )
@@ -233,9 +233,9 @@ def _kinks(table: Array) -> list[tuple[float, float]]:
     return list(zip(table[1:-1, 0].tolist(), np.diff(_slopes(table)).tolist(), strict=True))
 
 
-def _kink(contact: Contact, x: float, stiffness: float) -> Contact:
+def _kink(contact: PiecewiseContact, x: float, stiffness: float) -> PiecewiseContact:
     upper = None if contact.upper is None else contact.upper + x
-    return Contact(contact.row, upper, None if contact.lower is None else contact.lower - x, None, stiffness)
+    return PiecewiseContact(contact.row, upper, None if contact.lower is None else contact.lower - x, None, stiffness)
 
 
 def built(machine: Drawn) -> Oscillator:
@@ -314,7 +314,7 @@ def test_derivatives_of_many_random_machines_with_laws_are_those_of_the_oracle()
     assert sum(check_volume(seed) for seed in range(100, 300)) >= 100
 
 
-def segmented(seed: int) -> Mass:
+def segmented(seed: int) -> SegmentedMass:
     """A random mass with a contact that can only push, with friction, or both."""
     rng = np.random.default_rng([seed, 52])
     contact, friction = _table(rng, 0.0, 10.0)[0], np.array([[0.0, 0.0]])
@@ -323,7 +323,7 @@ def segmented(seed: int) -> Mass:
         friction = np.stack([np.cumsum(rng.uniform(0.05, 0.5, V)), rng.uniform(0.1, 0.4, V)], axis=1)
         friction[0, 0], friction[-1, 1] = 0.0, friction[-2, 1]
     kinetic = float(friction[0, 1])
-    return Mass(
+    return SegmentedMass(
         c=float(rng.uniform(0.05, 0.3)), k=1.0, A=float(rng.uniform(0.5, 1.5)), omega=float(rng.uniform(0.5, 2.0)),
         contact=[tuple(row) for row in contact.tolist()] if seed % 3 != 1 else (), stop=float(rng.uniform(0.0, 0.5)),
         damping=float(rng.uniform(0.0, 1.0)),
@@ -332,7 +332,7 @@ def segmented(seed: int) -> Mass:
     )  # fmt: skip
 
 
-def definition_of(mass: Mass) -> dict[str, Any]:
+def definition_of(mass: SegmentedMass) -> dict[str, Any]:
     contact = {"name": "stop", "gap": [1.0], "upper": mass.stop, "damping": mass.damping, "release": "force"}
     friction = {"name": "belt", "row": [1.0], "static": mass.static, "belt": mass.belt}
     found: dict[str, Any] = ONE_MASS | {

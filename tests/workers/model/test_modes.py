@@ -4,7 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from workers.model.modes import split
+from workers.model.block_decomposition import split
 
 MASS = np.array([[1.86, -0.022, -1.44], [-0.022, 3.4, -0.4], [-1.44, -0.4, 3.98]])
 DAMPING = np.array([[46.97, -46.97, -11.06], [-46.97, 46.97, 11.06], [-11.06, 11.06, 46.88]])

@@ -13,7 +13,7 @@ from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import STUCK
 from workers.kernel.period import mirror, propagate
 from workers.model.build import build
-from workers.model.oscillator import COLUMN, Machines, Oscillator, one_of
+from workers.model.oscillator import COLUMN, Oscillator, SingleContactMachines, take_one
 from workers.results import NO_IMPACT, NO_REASON, PERIODIC
 
 
@@ -38,10 +38,10 @@ def machine(**given: Any) -> Oscillator:
         "R": 0.8,
     } | given  # fmt: skip
     oscillators, reasons = build(
-        Machines(**{name: np.asarray(v, dtype=np.float64)[None] for name, v in fields.items()})
+        SingleContactMachines(**{name: np.asarray(v, dtype=np.float64)[None] for name, v in fields.items()})
     )
     assert reasons[0] == NO_REASON
-    return one_of(oscillators, 0)
+    return take_one(oscillators, 0)
 
 
 def preloaded(rng: np.random.Generator, decades: float = 2.0) -> dict[str, Any]:

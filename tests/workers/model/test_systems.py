@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from workers import Settings, System, solve_tile
+from workers.model.definition_checks import check_at_defaults
 from workers.model.entries import DefinitionError
-from workers.model.oscillator import Machines
-from workers.model.soundness import check_at_defaults
+from workers.model.oscillator import SingleContactMachines
 from workers.model.system import find_system, identity, system_names
 from workers.results import INVALID, NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE, REASONS, RIGID_MODE
 
@@ -56,12 +56,12 @@ def values_of(system: System, **given: float | np.ndarray) -> dict[str, np.ndarr
     return dict(zip([p.name for p in system.parameters], np.broadcast_arrays(*columns), strict=True))
 
 
-def machine_of(name: str, **given: float) -> Machines:
+def machine_of(name: str, **given: float) -> SingleContactMachines:
     """The only machine of a packaged system at these parameters."""
     system = find_system(name)
     with np.errstate(all="ignore"):
         machines = system.definition.machines(values_of(system, **given))
-    return Machines(*(field[0] for field in machines))
+    return SingleContactMachines(*(field[0] for field in machines))
 
 
 def two_mass_by_hand(p: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -97,7 +97,7 @@ def test_the_two_mass_system_in_its_file_has_the_numbers_of_numpy_to_the_bit(cou
     p |= {"R": rng.random(count), "f2": rng.normal(size=count)}
     p["zeta"][::7] = p["f2"][::5] = 0.0
     found, wanted = system.definition.machines(values_of(system, **p)), two_mass_by_hand(p)
-    for name, field in zip(Machines._fields, found, strict=True):
+    for name, field in zip(SingleContactMachines._fields, found, strict=True):
         assert np.asarray(field).shape == wanted[name].shape, name
         nonzero = (field != 0.0) | (wanted[name] != 0.0)
         assert field[nonzero].tobytes() == wanted[name][nonzero].tobytes(), name
@@ -463,15 +463,15 @@ def test_a_parameter_may_be_its_default_alone() -> None:
 
 def test_a_parameter_that_no_entry_uses_is_told() -> None:
     unused = System.from_mapping(table(**with_parameter("idle", 1.0)))
-    assert unused.unused == ("idle",)
+    assert unused.unused_parameters == ("idle",)
     by_names = table(**with_parameter("idle", 1.0)) | {"let": {"half": "idle / 2"}}
-    assert System.from_mapping(by_names).unused == ("idle",)
-    assert System.from_mapping(by_names | {"load": ["half", 0.0]}).unused == ()
+    assert System.from_mapping(by_names).unused_parameters == ("idle",)
+    assert System.from_mapping(by_names | {"load": ["half", 0.0]}).unused_parameters == ()
 
 
 @pytest.mark.parametrize("name", system_names())
 def test_every_parameter_of_a_packaged_system_is_used(name: str) -> None:
-    assert find_system(name).unused == ()
+    assert find_system(name).unused_parameters == ()
 
 
 @pytest.mark.parametrize("size", [1e-200, 1e200])

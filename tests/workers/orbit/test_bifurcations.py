@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from workers.kernel.cells import scale_of
+from workers.kernel.cell_loops import scale_of
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import FLIGHT, motion_at
 from workers.model.oscillator import Oscillator

@@ -10,18 +10,18 @@ from tests import naive
 from tests.oscillators import mass_spring
 from tests.workers.orbit.test_attraction import naive_norm
 from tests.workers.orbit.test_stroboscopic import KINDS
-from workers.attractors.same import KnownOrbits, orbits_reached
-from workers.cell.stretch import run_periods
-from workers.kernel.cells import scale_of
+from workers.attractors.matching import KnownOrbits, orbits_reached
+from workers.cell.interval import run_periods
+from workers.kernel.cell_loops import scale_of
 from workers.kernel.coordinates import motion_from
 from workers.kernel.motion import EVALUATIONS, FLIGHT, motion_at, motions_at
-from workers.model.hybrid_modes import Code
-from workers.model.oscillator import Oscillator, make_blocks, many_of, one_of
+from workers.model.hybrid_modes import ModeCode
+from workers.model.oscillator import Oscillator, make_blocks, many_of, take_one
 from workers.model.system import find_system
 from workers.orbit.attraction import shrinking_norm
 from workers.orbit.map import iterate, iterate_alone, jacobian_of
 from workers.orbit.newton import (
-    Orbits,
+    PeriodicOrbits,
     far_from_closing,
     is_hopeless,
     newton,
@@ -37,7 +37,7 @@ class Proof(NamedTuple):
     """Whether a motion was shown to fall into an orbit, that orbit, and the periods it took."""
 
     found: bool
-    orbits: Orbits
+    orbits: PeriodicOrbits
     spent: int
 
 
@@ -397,7 +397,7 @@ def test_which_of_many_motions_are_far_from_closing_is_said_of_their_last_sectio
     assert far_from_closing(blocks, h, sections, rows, 4, 1e-5).tolist() == [False, False, True]
 
 
-SLIDING = Code(0, (), (1,)).number
+SLIDING = ModeCode(0, (), (1,)).number
 """The contact of a motion of a machine with one friction while that slides."""
 
 
@@ -410,6 +410,6 @@ def test_a_trial_state_that_is_no_number_costs_next_to_nothing(name: str, mode: 
     h = np.full((len(system.states) // 2, 2), value)
 
     def cost(_: np.ndarray) -> float:
-        return float(iterate_alone(one_of(osc, 0), h, mode, 3, np.bool_(False)).tally[EVALUATIONS])
+        return float(iterate_alone(take_one(osc, 0), h, mode, 3, np.bool_(False)).tally[EVALUATIONS])
 
     assert osc.with_modes(cost, np.zeros(1, dtype=np.int64)) <= 20.0

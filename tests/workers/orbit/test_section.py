@@ -12,8 +12,8 @@ import pytest
 
 from atlas.orbits.branches.seed import seed_of_point
 from workers import Settings
-from workers.attractors.starts import Starts
-from workers.attractors.waves import solve_attractors
+from workers.attractors.coexistence import solve_attractors
+from workers.attractors.initial_states import AttractorSettings
 from workers.continuation import section_state
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import FLIGHT, RECORDED, Motion
@@ -212,7 +212,7 @@ def test_a_symmetric_orbit_that_impacts_at_the_section_starts_a_branch_as_one() 
 
 def test_motions_that_reach_an_orbit_on_either_side_of_its_impact_reach_one_attractor() -> None:
     """Truth: the attractors of the same ball and the same initial states, seen from half a radian later."""
-    starts, settings = Starts(16), Settings(exponents="largest", max_periods=2000, survival=1000)
+    starts, settings = AttractorSettings(16), Settings(exponents="largest", max_periods=2000, survival=1000)
     found = [
         solve_attractors("bouncing-ball", BALL | {"tau": BALL["tau"] + late}, settings, starts)
         for late in (0.0, 1e-14, 0.5)

@@ -7,7 +7,7 @@ import pytest
 
 from rig.oracle.simulate import section_jacobian, simulate
 from tests import naive
-from workers.cell.stretch import run_periods
+from workers.cell.interval import run_periods
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import EVALUATIONS, FLIGHT, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
 from workers.kernel.period import advance, propagate, step

@@ -3,16 +3,24 @@
 import numpy as np
 from numba import types
 
-from workers.kernel.apart import FLOATS, apart
+from workers.kernel.by_reference import as_many, by_reference, by_value, row_in
 from workers.kernel.crossing import next_crossing
+from workers.kernel.external import FLOATS, external
 from workers.kernel.hybrid.neutral import count_progress
 from workers.kernel.hybrid.state import product, product_of_blocks
-from workers.kernel.hybrid.trip import CLOCK, PLACE, TRIPS, begin_leg, begin_trip, end_leg, trips_for
+from workers.kernel.hybrid.trajectory import (
+    CLOCK,
+    PLACE,
+    TRIPS,
+    begin_leg,
+    begin_trajectory,
+    finish_leg,
+    make_trajectories,
+)
 from workers.kernel.jit import kernel
-from workers.kernel.lend import as_many, lend, row_in, whole
 from workers.kernel.linalg import copy_into, identity
 from workers.kernel.motion import MARCH_GAVE_UP, MOTION, OSCILLATOR, RUNNING, STATUS, TABLES, spend
-from workers.model.oscillator import HEAD, Mode
+from workers.model.oscillator import HEAD, GuardedFlow
 
 
 @kernel
@@ -23,7 +31,9 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if low == -np.inf and high == np.inf:
             continue
-        mode = lend(Mode(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k]))
+        mode = by_reference(
+            GuardedFlow(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
+        )
         at, there, evaluations = next_crossing(mode, h, phase, pieces.offset[k, g], high, low, begun[g], s, scratch)
         spend(tally, evaluations)
         if there == 2:
@@ -33,21 +43,21 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
     return s, hit, side
 
 
-@apart(
+@external(
     TABLES, types.int64, TRIPS, types.int64, FLOATS[2], FLOATS[2], FLOATS[2], types.float64,
     result=types.boolean, modes=True,
 )  # fmt: skip
-def pass_leg(tables, r, trips, slot, hits, legs, scratch, duration):
+def advance_leg(tables, r, trips, slot, hits, legs, scratch, duration):
     """Find the first event of the leg of machine r on this trip, and end the leg there.
 
     Returns whether the trip is over; not if the motion cannot continue. See through_modes.
     """
     table, trip = row_in(tables, r), row_in(trips, slot)
     k, phase, H = trip.place[PLACE.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
-    s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, whole(scratch), trip.tally)
+    s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, by_value(scratch), trip.tally)
     if trip.tally[STATUS] != RUNNING:
         return False
-    return end_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, np.bool_(False))
+    return finish_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, np.bool_(False))
 
 
 @kernel
@@ -62,14 +72,14 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.LegRecord
     Stops early with tally[STATUS] set if the motion cannot continue.
     """
-    trips = trips_for(table, 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
+    trips = make_trajectories(table, 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
     take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
 
 
 @kernel
 def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration):
     """through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    trips = lend(trips)
+    trips = by_reference(trips)
     trip = row_in(trips, 0)
     copy_into(trip.z, z)
     copy_into(trip.W, W)
@@ -84,27 +94,27 @@ def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, 
     copy_into(tally, trip.tally)
 
 
-@apart(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
+@external(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
 def go_through(tables, trips, number, hits, legs, duration):
     """Advance a single trip from a section, beginning in the mode of this number; returns its last mode.
 
     See through_modes.
     """
-    table, trip, hits, legs = row_in(tables, 0), row_in(trips, 0), whole(hits), whole(legs)
+    table, trip, hits, legs = row_in(tables, 0), row_in(trips, 0), by_value(hits), by_value(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
-    begin_trip(table, trip, number)
+    begin_trajectory(table, trip, number)
     while True:
         trip.clock[CLOCK.horizon] = begin_leg(table, trip, duration)
         if tally[STATUS] != RUNNING:
             return number
         last = trip.place[PLACE.number]
-        if pass_leg(tables, 0, trips, 0, hits, legs, scratch, duration):
+        if advance_leg(tables, 0, trips, 0, hits, legs, scratch, duration):
             return last
 
 
 @kernel
-def take_up(to_physical, motion, trip, more):
+def load_motion(to_physical, motion, trip, more):
     """Copy a motion at a section into a trip: physical state, tangent vectors and counts.
 
     ``more`` is 1 if the drift direction precedes all others, with growth 0: components along it only tell the position
@@ -130,7 +140,7 @@ def take_up(to_physical, motion, trip, more):
 
 
 @kernel
-def put_down(to_blocks, omega, motion, trip, more, resets):
+def store_motion(to_blocks, omega, motion, trip, more, resets):
     """Copy the end of a trip back into its motion; ``resets`` says that a drifting coordinate is reset to 0."""
     size, V, h = len(trip.z), motion.V, trip.h
     for i in range(size):
@@ -153,21 +163,21 @@ def put_down(to_blocks, omega, motion, trip, more, resets):
 @kernel
 def take_on(osc, motion, trips, more, duration):
     """through_events with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    tables, motion, trips = as_many(osc.table), row_in(as_many(motion), 0), lend(trips)
+    tables, motion, trips = as_many(osc.table), row_in(as_many(motion), 0), by_reference(trips)
     table, trip = row_in(tables, 0), row_in(trips, 0)
-    take_up(osc.to_physical, motion, trip, more)
+    load_motion(osc.to_physical, motion, trip, more)
     go_through(tables, trips, motion.mode[0], motion.impacts, np.empty((0, 0)), duration)
     if trip.tally[STATUS] != RUNNING:
         motion.tally[STATUS] = trip.tally[STATUS]
         return
     resets = table.drifts > 0.0 and duration >= osc.head[HEAD.period]
-    put_down(osc.to_blocks, table.omega, motion, trip, more, resets)
+    store_motion(osc.to_blocks, table.omega, motion, trip, more, resets)
 
 
-@apart(OSCILLATOR, MOTION, types.float64, modes=True)
+@external(OSCILLATOR, MOTION, types.float64, modes=True)
 def through_events(osc, motion, duration):
     """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if osc.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more
-    take_on(osc, motion, trips_for(osc.table, 1, n, m, framed, square), more, duration)
+    take_on(osc, motion, make_trajectories(osc.table, 1, n, m, framed, square), more, duration)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from workers.kernel.apart import apart
+from workers.kernel.external import external
 from workers.kernel.hybrid.state import enter_frame, leave_frame, product, read_number, slot_of
 from workers.kernel.jit import inline_always
 from workers.kernel.motion import LOST, MOTION, NEUTRAL, OSCILLATOR, PROGRESS, SLID
@@ -10,7 +10,7 @@ from workers.model.hybrid_modes import ON
 
 
 @inline_always
-def keep_neighbours(elements, states, lost, V):
+def remove_held_motion(elements, states, lost, V):
     """Remove from tangent vectors V (m, n, 2) the motion of held and sticking coordinates: neighbours stop at once too.
 
     The last blocks are those of held coordinates, then of sticking ones, see hybrid_modes.
@@ -28,7 +28,7 @@ def keep_neighbours(elements, states, lost, V):
 
 
 @inline_always
-def note_slips(slips, tally):
+def record_slips(slips, tally):
     """Record which frictions slide, as binary digits: 2^e for friction e."""
     slid = int(tally[SLID])
     for e in range(len(slips)):
@@ -37,7 +37,7 @@ def note_slips(slips, tally):
     tally[SLID] = slid
 
 
-@apart(OSCILLATOR, MOTION, modes=True)
+@external(OSCILLATOR, MOTION, modes=True)
 def freeze(osc, motion):
     """Treat friction that has never slid as a parameter of the motion: remove changes of its position from all vectors.
 

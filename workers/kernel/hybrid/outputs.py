@@ -9,7 +9,7 @@ from workers.kernel.excursion import turning_points, velocity_of
 from workers.kernel.jit import kernel
 from workers.kernel.motion import MARCH_GAVE_UP, OVERDRAFT, STATUS, WORK, spend
 from workers.kernel.signal import derivative_bounds, evaluate
-from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, Mode
+from workers.model.oscillator import COLUMN, NUMBER, OF_FLOW, OF_GUARD, GuardedFlow
 
 NODES, WEIGHTS = (np.ascontiguousarray(array) for array in np.polynomial.legendre.leggauss(10))
 """Gauss points and weights on [-1, 1], exact for polynomials of degree 19."""
@@ -71,7 +71,7 @@ def mode_with(pieces, k, row, direct):
         block[COLUMN.cAA0], block[COLUMN.cAA1] = (
             -lam * block[COLUMN.cA1], block[COLUMN.cA0] - 2.0 * eta * block[COLUMN.cA1]
         )  # fmt: skip
-    return Mode(blocks, waves, pieces.numbers[k, 0], forced), offset
+    return GuardedFlow(blocks, waves, pieces.numbers[k, 0], forced), offset
 
 
 @kernel

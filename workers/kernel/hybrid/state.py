@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from workers.kernel.by_reference import as_many, row_in
 from workers.kernel.elementary import sin_cos
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lend import as_many, row_in
 from workers.kernel.linalg import copy_into
 from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
@@ -63,17 +63,17 @@ def slot_of(codes, number):
 
 
 @inlined
-def turn_to(phase, turn):
+def write_harmonics(phase, turn):
     """Write sine and cosine of each harmonic of the force at a phase to turn (H, 2)."""
     for w in range(len(turn)):
         turn[w, 0], turn[w, 1] = sin_cos((w + 1.0) * phase)
 
 
 @kernel
-def turned(phase, harmonics):
+def harmonics_at(phase, harmonics):
     """Sine and cosine (H, 2) of this many harmonics of the force at a phase."""
     turn = np.empty((harmonics, 2))
-    turn_to(phase, turn)
+    write_harmonics(phase, turn)
     return turn
 
 
@@ -159,7 +159,7 @@ def enter_from_section(osc, k, h, at):
     n = h.shape[0]
     z = np.empty((1, 2 * n))
     leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
-    turn = turned(osc.tau, osc.table.pieces.waves.shape[2])
+    turn = harmonics_at(osc.tau, osc.table.pieces.waves.shape[2])
     enter(row_in(as_many(osc.table), 0).pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
 
 
@@ -235,7 +235,7 @@ def damping_along(acceleration, row, kick):
 
 
 @kernel
-def shown_number(elements, z):
+def mode_number_of_state(elements, z):
     """Number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
 
     A contact on a rigid stop with v = 0, to ROUNDING, is held; friction sticks at sliding velocity zero. Forces that
@@ -265,7 +265,7 @@ def shown_number(elements, z):
 
 
 @kernel
-def show(elements, number, z):
+def snap_to_mode(elements, number, z):
     """Remove deviations of rounding size from a physical state z (2n,) in this mode: see shown_number.
 
     A held contact is on its stop with v = 0; sticking friction does not slide.
@@ -279,18 +279,18 @@ def show(elements, number, z):
             copy_into(rows[count], elements.row[c])
             values[count] = elements.stops[c, 1 if states[c] > 0 else 0]
             count += 1
-    meet(rows[:count], values[:count], z[:n])
+    satisfy_rows(rows[:count], values[:count], z[:n])
     values[:count] = 0.0
     for e in range(F):
         if slips[e] == 0:
             copy_into(rows[count], elements.slide[e])
             values[count] = elements.belt[e]
             count += 1
-    meet(rows[:count], values[:count], z[n:])
+    satisfy_rows(rows[:count], values[:count], z[n:])
 
 
 @kernel
-def meet(rows, values, x):
+def satisfy_rows(rows, values, x):
     """Set one coordinate of x (n,) for each row (r, n), the one with the largest weight, so that rows x = values.
 
     Exact for rows that are coordinates with weights +-1, or differences of two. Rows that depend on earlier ones, such

@@ -29,7 +29,7 @@ from workers.kernel.lanes.layout import (
     padded_blocks,
     room_for_vectors,
 )
-from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.lanes.search import list_lanes, padded_count
 from workers.kernel.lanes.two_blocks import BLOCKS, VECTORS, orthonormalise_frames, transfer_frames
 from workers.kernel.tangent import MAX_SPREAD, graded_flow, impact_spread, needs_reset, orthonormalise
 from workers.model.oscillator import Array
@@ -212,12 +212,12 @@ def orthonormalise_due(a, count, frames, growths, space, blocks):
     for k in range(m):
         gather_vector(lanes, count, blocks, frames[k], growths[k], U[k], growing[k])
     if is_whole(m, blocks):
-        orthonormalise_frames(metric, rank, U.ravel(), growing.ravel(), padded(count))
+        orthonormalise_frames(metric, rank, U.ravel(), growing.ravel(), padded_count(count))
     else:
         for k in range(m):
-            normalise_pass(metric, rank, k, U[k], growing[k], partial, padded(count))
+            normalise_pass(metric, rank, k, U[k], growing[k], partial, padded_count(count))
             for later in range(k + 1, m):
-                project_pass(metric, U[k], U[later], partial, padded(count))
+                project_pass(metric, U[k], U[later], partial, padded_count(count))
     for k in range(m):
         scatter_vector(lanes, count, blocks, U[k], growing[k], frames[k], growths[k])
 
@@ -297,10 +297,10 @@ def fly_frame_far(a, i, blocks, frames, growths):
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
     V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
-    take_frame(frames, growths, i, V, growth)
+    store_frame(frames, growths, i, V, growth)
     graded_flow(constants, a[LANE.flown + i], V, growth, no_triangle, rank)
     orthonormalise(constants, V, growth, no_triangle, rank)
-    give_frame(V, growth, frames, growths, i)
+    load_frame(V, growth, frames, growths, i)
 
 
 @inline_always
@@ -349,7 +349,7 @@ def measure_pass(a, u, growth, partial, n):
 
 
 @inlined
-def give_frame(V, growth, frames, growths, i):
+def load_frame(V, growth, frames, growths, i):
     """Copy tangent vectors V (m, n, 2) with their growth (m,) into lane i."""
     for k in range(V.shape[0]):
         growths[k, i] = growth[k]
@@ -358,7 +358,7 @@ def give_frame(V, growth, frames, growths, i):
 
 
 @inlined
-def take_frame(frames, growths, i, V, growth):
+def store_frame(frames, growths, i, V, growth):
     """Write the tangent vectors of lane i to V (m, n, 2) and their growth (m,)."""
     for k in range(V.shape[0]):
         growth[k] = growths[k, i]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workers.kernel.borrow import borrowed
-from workers.kernel.crossing import LEAST_STEP, REFRESH
+from workers.kernel.borrow import borrow
+from workers.kernel.crossing import MIN_STEP, REFRESH
 from workers.kernel.fma import fma
 from workers.kernel.jit import inline_always, inlined, kernel, named_constants
 from workers.kernel.lanes.layout import (
@@ -27,7 +27,7 @@ from workers.kernel.lanes.layout import (
     padded_blocks,
 )
 from workers.kernel.lanes.run import move_lane, park
-from workers.kernel.lanes.search import LONGEST_MARCH, safe_steps
+from workers.kernel.lanes.search import MAX_MARCH_STEPS, safe_steps
 from workers.kernel.lanes.signal import (
     add_share,
     block_pass,
@@ -73,7 +73,7 @@ def record_size(blocks, harmonics):
 @kernel
 def empty_lane(records, i):
     """Park an unused lane."""
-    records = borrowed(records)
+    records = borrow(records)
     for u in range(records.shape[0]):
         park(records[u], i)
 
@@ -81,13 +81,13 @@ def empty_lane(records, i):
 @kernel
 def copy_lane(records, source, target):
     """Copy a lane."""
-    records = borrowed(records)
+    records = borrow(records)
     for u in range(records.shape[0]):
         move_lane(records[u], source, target)
 
 
 @inlined
-def board(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
+def load_leg(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
     """Put a leg of at most H in mode k into lane i, from block state h (n, 2); returns whether all blocks oscillate.
 
     turn (H, 2) of the force at its phase, see state.turned.
@@ -166,7 +166,7 @@ def move_pass(legs, a, n):
         met = legs[LEG_FIELD.hit + i] >= 0.0
         over = later >= H and not met
         count = a[LANE.flight_evaluations + i] + 1.0
-        stuck = not later > s + LEAST_STEP * H or count >= LONGEST_MARCH
+        stuck = not later > s + MIN_STEP * H or count >= MAX_MARCH_STEPS
         event = LEFT if stuck else FLYING
         event = REACHED if met else event
         event = OVER if over else event
@@ -208,7 +208,7 @@ def oscillating_share_pass(a, q, flown, n):
 
 
 @inline_always
-def take_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
+def run_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
     """One round of the first n lanes: the next certified step, or the arrival, of each.
 
     oscillates: all blocks of all lanes are underdamped; renews: a lane may need new bounds. Returns whether one needs

@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
-from workers.kernel.hybrid.motion import pass_leg, put_down, take_up
-from workers.kernel.hybrid.trip import (
+from workers.kernel.by_reference import by_reference, row_in
+from workers.kernel.hybrid.motion import advance_leg, load_motion, store_motion
+from workers.kernel.hybrid.trajectory import (
     CLOCK,
     PLACE,
     begin_leg,
-    begin_trip,
-    end_leg,
-    trips_for,
+    begin_trajectory,
+    finish_leg,
+    make_trajectories,
 )
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import GAP_SIZE, LANE, LANES, LEFT, room_for_vectors
 from workers.kernel.lanes.legs import (
     LEG_FIELD,
     LEG_SIZE,
-    board,
     copy_lane,
     empty_lane,
+    load_leg,
     read_flow,
     record_size,
-    take_round,
+    run_round,
 )
-from workers.kernel.lanes.run import Batch, keep_section, over
-from workers.kernel.lanes.search import list_lanes, padded
-from workers.kernel.lend import lend, row_in
+from workers.kernel.lanes.run import MotionBatch, is_finished, keep_section
+from workers.kernel.lanes.search import list_lanes, padded_count
 from workers.kernel.motion import MODE_MISSING, RUNNING, STATUS, spend
 from workers.kernel.signal import growth_rate
 from workers.kernel.tangent import log_length
@@ -65,7 +65,7 @@ class LegSearch(NamedTuple):
     none: Array
 
 
-def run_through_modes(batch: Batch, cells: Rows, signals: Rows, enough: int, lanes: int) -> None:
+def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: int, lanes: int) -> None:
     """Advance these cells of a batch by their periods, or until their motion or their work ends.
 
     Changes the arrays of the batch, see lanes.run.Batch. signals (U,): signals of the machines that end a mode, at
@@ -75,7 +75,7 @@ def run_through_modes(batch: Batch, cells: Rows, signals: Rows, enough: int, lan
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
     more = int(framed and batch.oscillators.drifts)
-    trips = trips_for.py_func(row_in(batch.oscillators.table, 0), LANES, n, m + more, framed, False)
+    trips = make_trajectories.py_func(row_in(batch.oscillators.table, 0), LANES, n, m + more, framed, False)
     search = _search_for(n, batch.oscillators.gap.waves.shape[1], signals)
     take_along(batch, cells, trips, search, enough, lanes, more)
 
@@ -93,7 +93,7 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 @kernel
 def take_along(batch, cells, trips, search, enough, lanes, more):
     """run_through_modes with work arrays."""
-    batch, trips, search = lend(batch), lend(trips), lend(search)
+    batch, trips, search = by_reference(batch), by_reference(trips), by_reference(search)
     periods, done, tally = batch.periods, batch.done, batch.motions.tally
     legs, held, slots = search.legs, search.held, search.slots
     for i in range(LANES):
@@ -109,7 +109,7 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
                 tally[r, STATUS] = RUNNING
             if done[r] == 0:
                 batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-            if over(r, done, periods, tally):
+            if is_finished(r, done, periods, tally):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
@@ -123,8 +123,8 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
         ending, smooth = active < enough, True
         for i in range(active):
             smooth = smooth and legs[LEG_FIELD.oscillates + i] > 0.0
-        renewing = take_round(
-            search.records, legs, n, harmonics, smooth, renewing, padded(active), search.chosen, search.gathered
+        renewing = run_round(
+            search.records, legs, n, harmonics, smooth, renewing, padded_count(active), search.chosen, search.gathered
         )  # fmt: skip
         count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
         for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
@@ -152,15 +152,15 @@ def begin_period(batch, trips, r, slot, more):
     """Begin a period of cell r, from its section."""
     oscillators = batch.oscillators
     trip, motion, table = row_in(trips, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
-    take_up(oscillators.to_physical[r], motion, trip, more)
-    begin_trip(table, trip, motion.mode[0])
+    load_motion(oscillators.to_physical[r], motion, trip, more)
+    begin_trajectory(table, trip, motion.mode[0])
 
 
 @inline_always
 def pass_alone(batch, trips, search, r, slot):
     """Take cell r through its current leg on its own; returns whether its period is over."""
     tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
-    return pass_leg(tables, r, trips, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
+    return advance_leg(tables, r, trips, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
 
 
 @inline_always
@@ -172,7 +172,7 @@ def pass_found(batch, trips, search, r, slot, i):
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
     read_flow(search.records, i, row_in(trips, slot).flow)
     hits, none = batch.motions.impacts[r], search.none
-    return end_leg(tables, r, trips, slot, s, reached, end, period, hits, none, np.bool_(True))
+    return finish_leg(tables, r, trips, slot, s, reached, end, period, hits, none, np.bool_(True))
 
 
 @kernel
@@ -181,14 +181,14 @@ def end_period(batch, trips, r, slot, ending, before, more):
     oscillators, periods, done = batch.oscillators, batch.periods, batch.done
     motion, trip, k = row_in(batch.motions, r), row_in(trips, slot), done[r]
     table = oscillators.table
-    put_down(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
+    store_motion(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
     if batch.motions.V.shape[1] > 0:
         length = length_of(batch, r)
         add_growth(batch.levels[r], batch.weighted[r], length - before[slot], k, periods[r])
         before[slot] = length
     keep_section(batch.motions.h, r, k, periods[r], batch.sections)
     done[r] = k + 1
-    if ending or over(r, done, periods, batch.motions.tally):
+    if ending or is_finished(r, done, periods, batch.motions.tally):
         return False
     begin_period(batch, trips, r, slot, more)
     return True
@@ -220,7 +220,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
             break
         through = pass_alone(batch, trips, search, r, slot)
     phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
-    smooth = board(
+    smooth = load_leg(
         search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
     )
     search.legs[LEG_FIELD.oscillates + i] = 1.0 if smooth else 0.0

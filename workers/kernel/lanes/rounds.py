@@ -22,7 +22,7 @@ from workers.kernel.lanes.signal import (
 
 RENEWAL = float(REFRESH)
 
-LONGEST_PERIOD = 2000.0
+MAX_EVALUATIONS_PER_PERIOD = 2000.0
 """Evaluations in one period after which the kernels of one cell take over a lane; they complete every period."""
 
 
@@ -82,7 +82,7 @@ def arrival_pass(a, n):
         a_tau, j_tau = a[LANE.forced_second_at_section + i], a[LANE.forced_third_at_section + i]
         a[LANE.forced_second + i] = a_tau if at_section else a_force
         a[LANE.forced_third + i] = j_tau if at_section else j_force
-        leaves = hit and (not rebound or spent > LONGEST_PERIOD)
+        leaves = hit and (not rebound or spent > MAX_EVALUATIONS_PER_PERIOD)
         a[LANE.event + i] = LEFT if leaves else side
         stops = leaves or side >= AT_SECTION
         a[LANE.stops + i] = 1.0 if stops else 0.0
@@ -91,7 +91,7 @@ def arrival_pass(a, n):
 
 
 @inline_always
-def take_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
+def run_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
     """One round of the first n lanes, a multiple of VECTOR_WIDTH; ``harmonics`` counts those after the first.
 
     oscillates: all blocks of all cells are underdamped; renews: a lane may need new bounds; chosen and c are

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from workers.kernel.averages import add_growth
 from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference, without_mode_table
 from workers.kernel.jit import inline_always, inlined, kernel
-from workers.kernel.lanes.frames import give_frame, measure_pass, move_frames, take_frame, workspace
+from workers.kernel.lanes.frames import load_frame, measure_pass, move_frames, store_frame, workspace
 from workers.kernel.lanes.layout import (
     BLOCK,
     BLOCK_SIZE,
@@ -24,10 +25,9 @@ from workers.kernel.lanes.layout import (
     padded_blocks,
     room_for_vectors,
 )
-from workers.kernel.lanes.rounds import take_round
-from workers.kernel.lanes.search import list_lanes, padded
+from workers.kernel.lanes.rounds import run_round
+from workers.kernel.lanes.search import list_lanes, padded_count
 from workers.kernel.lanes.signal import fields_of_harmonic
-from workers.kernel.lend import lend, rigid
 from workers.kernel.motion import (
     EVALUATIONS,
     FLIGHT,
@@ -53,7 +53,7 @@ from workers.model.oscillator import COLUMN, HEAD, NUMBER, OF_LANE, Array, Oscil
 NUMBERS = len(NUMBER)
 
 
-class Batch(NamedTuple):
+class MotionBatch(NamedTuple):
     """N cells to advance by some periods each: every field stacked along its first axis.
 
     oscillators, motions  records of many
@@ -157,7 +157,7 @@ def park(a, i):
 
 
 @inlined
-def over(r, done, periods, tally):
+def is_finished(r, done, periods, tally):
     """Whether cell r is finished: its periods, its motion or its work have ended."""
     return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
@@ -165,10 +165,10 @@ def over(r, done, periods, tally):
 @inline_always
 def go_alone(batch, r):
     """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
-    motion, osc = row_of(batch.motions, r), row_of(rigid(batch.oscillators), r)
+    motion, osc = row_of(batch.motions, r), row_of(without_mode_table(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
-    while not over(r, batch.done, batch.periods, batch.motions.tally):
+    while not is_finished(r, batch.done, batch.periods, batch.motions.tally):
         through_impacts(osc, motion, osc.head[HEAD.period])
         if motion.tally[STATUS] != RUNNING:
             return
@@ -186,11 +186,11 @@ def go_alone(batch, r):
 @kernel
 def run_alone(batch, cells):
     """run_batch for cells that may grow, one after the other."""
-    batch = lend(batch)
+    batch = by_reference(batch)
     for r in cells:
         if batch.done[r] == 0:
             batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-        while not over(r, batch.done, batch.periods, batch.motions.tally):
+        while not is_finished(r, batch.done, batch.periods, batch.motions.tally):
             go_alone(batch, r)
 
 
@@ -201,7 +201,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     Changes the arrays of the batch, see Batch. At most ``lanes`` <= LANES cells are active; once fewer than ``enough``
     are, each stops at its next section. oscillates: all blocks of all these cells are underdamped.
     """
-    batch = lend(batch)
+    batch = by_reference(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
     blocks, waves, numbers = gap.blocks, gap.waves, gap.numbers
     periods, done, sections = batch.periods, batch.done, batch.sections
@@ -235,22 +235,22 @@ def run_batch(batch, cells, enough, lanes, oscillates):
                     weighted[r, 0] = weighted[r, 1] = 0.0
             if alone:
                 go_alone(batch, r)
-            if not (ending or over(r, done, periods, tally)):
+            if not (ending or is_finished(r, done, periods, tally)):
                 load(a, active, r, head, tau, blocks, waves, numbers, h, tally)
-                give_frame(V[r], growth[r], frames, growths, active)
+                load_frame(V[r], growth[r], frames, growths, active)
                 begun = True
                 active += 1
         if active == 0:
             return
         if m > 0 and begun:
-            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
+            measure_pass(a, frames[0], growths[0], space.partial, padded_count(active))
         ending = active < enough
-        stopping, renewing = take_round(
-            a, n, harmonics, oscillates, begun or renewing > 0, padded(active), chosen, gathered
+        stopping, renewing = run_round(
+            a, n, harmonics, oscillates, begun or renewing > 0, padded_count(active), chosen, gathered
         )
         begun = False
         if m > 0:
-            move_frames(a, padded(active), blocks, frames, growths, space)
+            move_frames(a, padded_count(active), blocks, frames, growths, space)
         if impacts.shape[1] > 0:
             for i in range(active):
                 if abs(a[LANE.event + i]) == 1.0:
@@ -258,7 +258,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
         if stopping == 0:
             continue
         if m > 0:
-            measure_pass(a, frames[0], growths[0], space.partial, padded(active))
+            measure_pass(a, frames[0], growths[0], space.partial, padded_count(active))
         count = list_lanes(a, LANE.stops, active, chosen)
         for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
             lane = np.int64(chosen[e])
@@ -271,11 +271,11 @@ def run_batch(batch, cells, enough, lanes, oscillates):
                 k = done[r]
                 if m > 0:
                     add_growth(levels[r], weighted[r], a[LANE.period_growth + lane], k, periods[r])
-                    take_frame(frames, growths, lane, V[r], growth[r])
+                    store_frame(frames, growths, lane, V[r], growth[r])
                 save(a, lane, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
                 done[r] = k + 1
-            if leaves or ending or over(r, done, periods, tally):
+            if leaves or ending or is_finished(r, done, periods, tally):
                 active -= 1
                 move_lane(a, active, lane)
                 park(a, active)

@@ -6,11 +6,11 @@ gathered in c (see GapFields).
 
 import numpy as np
 
-from workers.kernel.crossing import GAP_ROUNDING, LEAST_STEP, arrival, bracket, close_in, curvature, meets
+from workers.kernel.crossing import GAP_ROUNDING, MIN_STEP, arrival, bracket, certain_crossing, close_in, curvature
 from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
 
-LONGEST_MARCH = 64
+MAX_MARCH_STEPS = 64
 """Steps of one flight after which the kernels of one cell take over a lane."""
 
 LANE_TRIALS = 2
@@ -33,7 +33,7 @@ def approach_pass(a, n):
         g = 0.0 if a[LANE.own_stop + i] == ahead else g
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
         M2, M3, M4 = a[LANE.bound2 + i], a[LANE.bound3 + i], a[LANE.bound4 + i]
-        contact = meets(g, v, push, jerk, M3, M4, GAP_ROUNDING * (a[LANE.scale + i] + abs(stop)), room)
+        contact = certain_crossing(g, v, push, jerk, M3, M4, GAP_ROUNDING * (a[LANE.scale + i] + abs(stop)), room)
         contact = contact if reach - ahead * stop >= 0.0 else np.inf
         g = max(g, 0.0)
         a[LANE.side + i] = ahead
@@ -67,7 +67,7 @@ def retreat_pass(a, n):
 
 
 @inlined
-def padded(count):
+def padded_count(count):
     """The next multiple of VECTOR_WIDTH: the length of loops over ``count`` lanes."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
@@ -94,7 +94,7 @@ def gather(a, chosen, count, c):
         c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e] = v, push, jerk
         c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e] = bound2, bound3, bound4
         c[GAP.low + e], c[GAP.high + e] = a[LANE.safe_time + i], a[LANE.step + i]
-    return padded(count)
+    return padded_count(count)
 
 
 @kernel
@@ -147,7 +147,7 @@ def step_pass(a, n):
         ends = excluded or (later >= H and not met)
         count = a[LANE.flight_evaluations + i]
         count = count if excluded else count + 1.0
-        stuck = not later > s + LEAST_STEP * H or count >= LONGEST_MARCH
+        stuck = not later > s + MIN_STEP * H or count >= MAX_MARCH_STEPS
         mode = LEFT if stuck else FLYING
         mode = ahead if met else mode
         mode = AT_SECTION if ends else mode

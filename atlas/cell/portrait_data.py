@@ -1,0 +1,112 @@
+"""The contents of a portrait: stretch of time, displacements, exponents, enlarged part."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.cell.trajectory import CellTrajectory, modulation, samples_of
+from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
+
+Array = NDArray[np.float64]
+
+_MIN_PERIODS = 6
+"""Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+_CYCLES = 2
+"""Turns of a cycle without a force in them."""
+_MIN_CHATTER_FLIGHTS = 4
+"""Flights, each shorter than the one before, that make a chatter."""
+
+
+def displacements(orbit: CellTrajectory) -> list[Array]:
+    """The rows (n,) of the two displacements that a portrait shows, or of the only one.
+
+    Where the stops are on one coordinate: that and the first other one, in the system's order. Where they are on a
+    combination of several: that, and the first of those.
+    """
+    row = orbit.gap_row
+    stopped = np.flatnonzero(row).tolist()
+    every = np.eye(row.size)
+    if len(stopped) > 1:
+        return [row, every[stopped[0]]]
+    others = [i for i in range(row.size) if i not in stopped][:1]
+    return [row if i in stopped else every[i] for i in sorted([*stopped, *others])]
+
+
+def periods(orbit: CellTrajectory) -> int:
+    """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
+    if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
+        return min(_span(orbit), max(_MIN_PERIODS, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
+    if orbit.cycle is not None:
+        return _CYCLES
+    return min(max(_MIN_PERIODS, int(orbit.cell["period"])), 2 * _MIN_PERIODS)
+
+
+def path(orbit: CellTrajectory, count: int) -> tuple[Array, Array]:
+    """Times (N,) and states (N, 2n) over ``count`` periods or more; a closed orbit that is shorter begins again."""
+    turns = max(1, -(-count // _span(orbit)))
+    return _repeated(orbit, orbit.times, turns), np.concatenate([orbit.states] * turns)
+
+
+def impact_times(orbit: CellTrajectory, side: float, count: int) -> Array:
+    """Times of the impacts at the upper (1) or the lower stop (-1) over ``count`` periods."""
+    turns = max(1, -(-count // _span(orbit)))
+    times = _repeated(orbit, orbit.impacts[orbit.impacts[:, 1] == side, 0], turns)
+    return times[times <= count * orbit.period]
+
+
+def chatter(orbit: CellTrajectory) -> slice | None:
+    """The first impacts on one stop in ever shorter intervals, from one on whose flights are still drawn; or None."""
+    times, sides = orbit.impacts[:, 0], orbit.impacts[:, 1]
+    flights = np.diff(times)
+    shorter = (sides[2:] == sides[1:-1]) & (sides[1:-1] == sides[:-2]) & (flights[1:] < flights[:-1])
+    ends = np.flatnonzero(np.diff(np.pad(shorter, 1).astype(np.int8)))
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        drawn = np.flatnonzero(flights[first : last + 1] > 5.0 * orbit.period / samples_of(orbit.system))
+        if last - first >= _MIN_CHATTER_FLIGHTS and drawn.size:
+            return slice(int(first + max(0, drawn[-1] - 1)), int(last + 2))
+    return None
+
+
+def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
+    """Times (N,) around a chatter, in ``CellTrajectory.unit``, the distance (N,) from its stop at each, the ends of that
+    stretch, and the largest distance between the first impact and the last.
+    """
+    impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
+    first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
+    times, away = orbit.times / orbit.unit, np.abs(orbit.gap(orbit.states) - orbit.stops[int(side > 0)])
+    highest = away[(times >= impacts[0]) & (times <= impacts[-1])].max()
+    inside = (times >= first) & (times <= last)
+    return times[inside], away[inside], (first, last), highest
+
+
+def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
+    """Ends between which averages (N, n) end, and go most of their way: the first periods may lie far off."""
+    later = running[min(9, len(running) - 1) :]
+    ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
+    room = 0.08 * float(np.ptp(ends)) or 1.0
+    return ends.min() - room, ends.max() + room
+
+
+def is_few(x: Array, y: Array) -> bool:
+    """Whether section values are few points: of thousands of states many may be one, where an orbit closes late."""
+    extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
+    return bool(np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64)
+
+
+def written(orbit: CellTrajectory) -> Array:
+    """The exponents that are written in numbers: the cell's, or, where its class is not known, those of the path that
+    is drawn. What such a cell holds are averages over motions that it has left.
+    """
+    if int(orbit.cell[REGIME.name]) == UNDETERMINED:
+        return np.sort(orbit.running[-1])[::-1]
+    return np.asarray(orbit.cell[SPECTRUM.name])
+
+
+def _repeated(orbit: CellTrajectory, times: Array, turns: int) -> Array:
+    return np.concatenate([times + turn * _span(orbit) * orbit.period for turn in range(turns)])
+
+
+def _span(orbit: CellTrajectory) -> int:
+    """Forcing periods of the path."""
+    return round(float(orbit.times[-1] / orbit.period))

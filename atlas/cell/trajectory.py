@@ -1,0 +1,275 @@
+"""One cell's motion in detail: its path from impact to impact, its section, its exponents as they converge."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.formatting import plural
+from atlas.spec.resolved import digest_of
+from atlas.spec.spec import given_settings, validate_parameters
+from atlas.spec.system import impacts_of, parse_system
+from workers import Settings
+from workers.model.oscillator import take_one
+from workers.model.system import DEFAULT, System, identity
+from workers.results import (
+    CHAOTIC,
+    CYCLE_PERIOD,
+    LOCKING,
+    NO_IMPACT,
+    PER_TIME,
+    PERIODIC,
+    QUASIPERIODIC,
+    REASON,
+    REGIME,
+    in_words,
+)
+
+Array = NDArray[np.float64]
+
+SAMPLES, OF_HARMONIC = 400, 50
+"""Points of the path per forcing period, and at least per period of the fastest harmonic of the force."""
+OPEN_PATH = 40
+"""Forcing periods of the path of a motion that does not close; a closed one is shown once around."""
+MAX_PATH_PERIODS = 200
+"""The most such periods of a torus, whose path is to show its modulation."""
+SECTION_STATES = 4000
+"""Section states of a motion that does not close."""
+CONVERGENCE = (8000, 1000, 100, 10)
+"""Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
+
+
+@dataclass(frozen=True)
+class CellTrajectory:
+    """The motion of one cell on its attractor.
+
+    settings    how it was solved
+    cell        every result of solve_tile, by name; ``regime`` is a code
+    period      forcing period T; without a force that of the cycle, or a natural one where there is no cycle
+    stops       gap coordinate at the lower and at the upper stop; infinite where there is none
+    times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
+    states      (N, 2n)  physical states along the path (displacements, then velocities)
+    impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path;
+                         speed 0 where a rest begins, see ``workers.trace``
+    section     (S, 2n)  section states, t = k T
+    running     (P, 2n)  means of the exponents per period over the first 1, 2, ... periods on the attractor
+    """
+
+    system: System
+    parameters: Mapping[str, float]
+    settings: Settings
+    cell: Mapping[str, Any]
+    period: float
+    stops: tuple[float, float]
+    times: Array
+    states: Array
+    impacts: Array
+    section: Array
+    running: Array
+
+    @property
+    def unit(self) -> float:
+        """The time that pictures count in: a forcing period, or 1 without a force."""
+        return 1.0 if self.system.definition.unforced else self.period
+
+    @property
+    def cycle(self) -> float | None:
+        """The period of a cycle without a force; None for other motions."""
+        value = float(self.cell.get(CYCLE_PERIOD.name, math.nan))
+        return value if math.isfinite(value) else None
+
+    @property
+    def has_exact_exponents(self) -> bool:
+        """Whether the exponents are exact, as those of an orbit, and not averages."""
+        return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING)
+
+    @cached_property
+    def gap_row(self) -> Array:
+        """The row g of the gap coordinate y = g . x, (n,)."""
+        return np.array(self.system.build(self.parameters).gap_row)
+
+    def gap(self, states: Array) -> Array:
+        """The gap coordinate (N,) of states (N, 2n)."""
+        return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
+
+    @property
+    def decided_by(self) -> dict[str, Any]:
+        """All that decides these numbers, as a spec without axes: the system, the parameters, the settings."""
+        others = {"parameters": dict(self.parameters), "axes": [], "solve": asdict(self.settings)}
+        return identity(self.system.resolved()) | others
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that decides these numbers, made as a spec's."""
+        return digest_of(self.decided_by)
+
+
+def cell_orbit(
+    given: Mapping[str, Any],
+    system: str | Mapping[str, Any] | System = DEFAULT,
+    settings: Settings | None = None,
+) -> CellTrajectory:
+    """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
+
+    All exponents and the section are computed for any ``settings``, with as many samples as the orbit
+    needs. Raises InputError for parameters that do not exist or are out of range, and for a cell without a motion to
+    show: invalid, failed, or given up for its cost.
+    """
+    from workers.tile import solve_tile
+
+    record = parse_system(system)
+    parameters = validate_parameters(record, given)
+    settings = given_settings(settings)
+    samples = max(SECTION_STATES, settings.section_samples)
+    asked = replace(settings, exponents="spectrum", section_samples=samples)
+    cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, asked).items()}
+    start = cell["state"]
+    if not np.all(np.isfinite(start)):
+        reason = in_words(cell).get(REASON.name, "its state is not known")
+        raise InputError(f"this cell has no motion to show: {reason}")
+    here = parameters | dict(zip(record.states, map(float, start), strict=True))
+    cycle, closes = None, int(cell["period"])
+    section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
+    section = section[-closes:] if closes else section
+    if record.definition.unforced:
+        closes = min(closes, 1)  # one period, that of the cycle
+        cycle = float(cell[CYCLE_PERIOD.name]) if np.isfinite(cell[CYCLE_PERIOD.name]) else None
+    running = _running(record, here, asked, cycle)
+    osc = take_one(record.build_many(_given(record, parameters, cycle))[0], 0)
+    gap = section[:, : osc.gap_row.size] @ osc.gap_row
+    long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
+    times, states, impacts = path_of(record, here, closes or min(max(OPEN_PATH, long), MAX_PATH_PERIODS), cycle)
+    return CellTrajectory(
+        system=record,
+        parameters=parameters,
+        settings=asked,
+        cell=cell,
+        period=osc.period,
+        stops=(osc.lower, osc.upper),
+        times=times,
+        states=states,
+        impacts=impacts,
+        section=section,
+        running=running,
+    )
+
+
+def modulation(section: Array) -> float:
+    """Forcing periods after which a torus comes back to nearly the same state, from section values (S,).
+
+    1 / |f - p / q| with f the strongest frequency of the section per forcing period and p / q the fraction nearest to
+    it with q at most 6: at f = 1/3 + 0.01 the state after three periods is nearly the same, and has drifted once
+    around after a hundred. 1 where the section does not move.
+    """
+    x = section - section.mean()
+    if x.size < 8 or np.ptp(x) == 0.0:
+        return 1.0
+    power = np.abs(np.fft.rfft(x * np.hanning(x.size), 8 * x.size))
+    f = float(np.argmax(power)) / (8 * x.size)
+    drifts = [abs(f - round(q * f) / q) for q in range(1, 7)]
+    return 1.0 / max(min(drifts), 1.0 / x.size)
+
+
+def samples_of(system: System) -> int:
+    """Points of a path per forcing period."""
+    return max(SAMPLES, OF_HARMONIC * system.definition.highest)
+
+
+def _given(system: System, parameters: Mapping[str, float], cycle: float | None) -> dict[str, Array]:
+    """Parameters as arrays of one machine, which is followed over cycles of this length if it has no force."""
+    return system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
+
+
+def _running(system: System, parameters: Mapping[str, float], settings: Settings, cycle: float | None) -> Array:
+    """Running means of the exponents, over as many periods as can be afforded."""
+    from workers import trace
+
+    reason = ""
+    for periods in CONVERGENCE:
+        try:
+            return trace(system, parameters, periods, settings, cycle).exponents
+        except ValueError as error:
+            reason = str(error)
+    raise InputError(f"this cell cannot be followed: {reason}")
+
+
+def path_of(
+    system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
+) -> tuple[Array, Array, Array]:
+    """Times, states and impacts from the parameters' initial state on, in even steps of time.
+
+    Impacts on rigid stops have two more states each, at the velocities before and after it.
+    """
+    from workers.history import trace, within_periods
+    from workers.model.mode_table import elements_of
+
+    try:
+        followed = trace(system, parameters, periods, cycle=cycle)
+    except ValueError as error:
+        raise InputError(f"this cell cannot be followed: {error}") from None
+    values, samples = _given(system, parameters, cycle), samples_of(system)
+    oscillators, _ = system.build_many(values)
+    since = oscillators.period[0] / samples * np.arange(1.0, samples + 1.0)
+    states = within_periods(oscillators, followed.states[:-1], since)
+    times = np.concatenate([followed.times[:1], (followed.times[:-1, None] + since).ravel()])
+    states = np.concatenate([followed.states[:1], states.reshape(-1, states.shape[-1])])
+    elements, impacts = elements_of(system.definition.hybrid(values)), followed.impacts
+    return *_with_jumps(times, states, impacts, elements), impacts
+
+
+def _with_jumps(times: Array, states: Array, impacts: Array, elements: Any) -> tuple[Array, Array]:
+    """The path with the states on a rigid stop just before and just after each impact."""
+    contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
+    rebounds = np.flatnonzero((impacts[:, 2] > 0.0) & (elements.soft[0, contacts] == 0.0))
+    places = np.maximum(np.searchsorted(times, impacts[rebounds, 0]), 1)
+    jumps = np.empty((len(rebounds), 2, states.shape[1]))
+    for i, (k, (t, side, speed), c) in enumerate(zip(places, impacts[rebounds], contacts[rebounds], strict=True)):
+        share = (t - times[k - 1]) / (times[k] - times[k - 1])
+        mean, stop = states[k - 1] + (states[k] - states[k - 1]) * share, elements.stops[0, c, int(side > 0)]
+        row, kick, R = elements.row[0, c], elements.kick[0, c], elements.R[0, c]
+        for j, velocity in enumerate((np.sign(side) * speed, -R * np.sign(side) * speed)):
+            jumps[i, j] = _at_stop(row, kick, stop, mean, velocity)
+    both = np.repeat(places, 2)
+    times = np.insert(times, both, np.repeat(impacts[rebounds, 0], 2))
+    return times, np.insert(states, both, jumps.reshape(-1, states.shape[1]), axis=0)
+
+
+def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
+    """The state with row . x on a stop and moving with this velocity, all else as it is; impacts act along ``kick``."""
+    n, on_stop = row.size, state.copy()
+    on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
+    on_stop[n:] += kick * (velocity - row @ state[n:])
+    return on_stop
+
+
+def describe(orbit: CellTrajectory) -> str:
+    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``, of one stop ``2 impacts``."""
+    cell = orbit.cell
+    code = int(cell[REGIME.name])
+    words = [orbit.system.regime.meaning(code).text]
+    if code == PERIODIC:
+        n, p, q = (int(cell[name]) for name in ("period", "impacts_upper", "impacts_lower"))
+        if orbit.cycle is not None:
+            words.append(f"cycle of {orbit.cycle:.6g}")
+        words += [f"period {n}"] if n > 1 or not orbit.system.definition.unforced else []
+        if len(orbit.system.definition.contacts) > 1:
+            words.append(f"contacts {impacts_of(orbit.system, cell)}")
+        elif p >= 0:
+            one_stop = not np.all(np.isfinite(orbit.stops))
+            words.append(plural(p + q, "impact") if one_stop else f"impacts {p} above and {q} below")
+        words += ["symmetric"] if cell["symmetric"] else []
+    elif np.isfinite(cell["impacts_per_period"]) and cell["impacts_per_period"] > 0:
+        per = PER_TIME if orbit.system.definition.unforced else "per period"
+        words.append(f"{cell['impacts_per_period']:.3g} impacts {per}")
+    words += ["its period unknown"] if code == LOCKING else []
+    if cell["sticks"]:
+        how = "at rest on a stop" if np.isnan(cell["impacts_per_period"]) else "sticking"
+        words.append(f"{how} {100 * cell['stuck_fraction']:.3g} % of the time")
+    if code == CHAOTIC:
+        words.append(f"largest exponent {cell['largest']:.3g} ± {cell['error']:.1g}")
+    return ", ".join(words)

@@ -1,0 +1,283 @@
+"""Finding faults: everything in a store is read and compared; nothing is written."""
+
+import random
+import time
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from atlas.check.foreign_keys import foreign_keys, leftovers
+from atlas.check.groups import check_groups
+from atlas.check.metadata import coordinate_faults, metadata_faults
+from atlas.check.overviews import check_overviews
+from atlas.check.records import record_faults, tile_faults
+from atlas.check.report import COORDINATES, FOREIGN, METADATA, StoreFault, VerifyReport
+from atlas.check.reproduce import (
+    SampledCell,
+    find_bit_differences,
+    find_differences_beyond_error,
+    place_in,
+    solve_again,
+)
+from atlas.check.rules import broken_rules
+from atlas.check.zoom import plane_faults
+from atlas.errors import ChunkError, InputError
+from atlas.formatting import plural
+from atlas.service.progress import Progress
+from atlas.spec.spec import Spec
+from atlas.store.backend import StoreBackend
+from atlas.store.host import current_host
+from atlas.store.host_records import read_hosts
+from atlas.store.metadata_backup import SPARE, find_backup_faults, nodes_of, read_backup, remedy
+from atlas.store.object_backend import os_errors_as_input_errors
+from atlas.store.origin import ALLOWANCES
+from atlas.store.record_format import COVERED, RECORDS, Rows
+from atlas.store.store import (
+    READERS,
+    ROOT,
+    ZOOM,
+    AtlasStore,
+    chunk_key,
+    done_tiles,
+    handle_by,
+    open_arrays,
+    open_store,
+)
+from atlas.store.tile_records import TileRecords
+from atlas.store.tiles import is_blank, read_tile, record_of
+from atlas.store.tiling import Index, Tiling
+from atlas.store.zoom import list_metatiles, metatile_backend
+from workers import SOLVER_VERSION
+from workers.results import REGIME
+
+
+@dataclass(frozen=True)
+class VerifyFindings:
+    """The findings in a store: the report for people, and the records that sound tiles should have, by their cells."""
+
+    handle: AtlasStore
+    report: VerifyReport
+    rows: Mapping[Index, Rows] = field(default_factory=dict)
+
+    @property
+    def is_unreadable(self) -> bool:
+        """Whether the metadata are damaged, so that nothing was read through them."""
+        return any(fault.part == (METADATA,) for fault in self.report.faults)
+
+
+def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
+    """All faults of a store, see ``verify.verify``, by reading it whole. InputError where there is no store."""
+    with os_errors_as_input_errors(place, "read"):
+        spare = read_backup(place)
+    if spare is not None and (lost := find_backup_faults(place, spare)):
+        handle = handle_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
+        return _unread(handle, seed, [f"{key} {damage}: {remedy(place)}" for key, damage in lost.items()])
+    findings = _read(open_store(place), sample, seed, notify)
+    if spare is not None:
+        return findings
+    fault = StoreFault(None, f"{SPARE} is missing or damaged: {remedy(place)}", (SPARE,))
+    return replace(findings, report=replace(findings.report, faults=(fault, *findings.report.faults)))
+
+
+def _unread(handle: AtlasStore, seed: int, damage: list[str]) -> VerifyFindings:
+    """The findings in a store with damaged metadata, through which nothing can be read."""
+    faults = tuple(StoreFault(None, text, (METADATA,)) for text in damage)
+    return VerifyFindings(
+        handle, replace(_empty_report(handle, seed), comparison="the metadata are damaged", faults=faults)
+    )
+
+
+def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
+    """The report on a store before anything is read."""
+    done = len(done_tiles(handle))
+    return VerifyReport(
+        str(handle.place), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
+    )
+
+
+def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
+    """The findings in a store with sound spare metadata."""
+    notify(Progress("listing the tiles"))
+    done = sorted(done_tiles(handle))
+    if damage := metadata_faults(handle):
+        return _unread(handle, seed, damage)
+    records = TileRecords(handle, done)
+    faults = [StoreFault(None, text, (COORDINATES,)) for text in coordinate_faults(handle)]
+    faults += [StoreFault(None, f"{key} is not a chunk of this atlas", (FOREIGN, key)) for key in foreign_keys(handle)]
+
+    drawn = draw_cells(handle.tiling, done, sample, seed)
+    tiles = list(_read_tiles(handle, records, done, drawn, notify))
+    faults += [StoreFault(tile.index, text) for tile in tiles for text in tile.faults]
+    faults += [StoreFault(index, f"{chunk_key(handle.regime, index)} is missing") for index in records.lost]
+
+    comparison, solved, doubts = _comparison(handle, sample, bool(done)), 0, list[StoreFault]()
+    if comparison in ("bits", "error"):
+        samples = [one for tile in tiles for one in tile.samples]
+        different, solved = _solve_again(handle.spec, samples, comparison == "bits", notify), len(samples)
+        (faults if comparison == "bits" else doubts).extend(different)
+    bad = {fault.tile for fault in faults if fault.tile is not None}
+    chunks, wrong = check_overviews(handle, bad, lambda level: notify(Progress(f"checking overview {level}")))
+    notify(Progress("checking tables and records"))
+    rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
+    contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
+    faults += [*wrong, *check_groups(handle), *contradictions]
+    sheet_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
+    report = replace(
+        _empty_report(handle, seed),
+        chunks=sum(tile.chunks for tile in tiles),
+        cells_checked=sum(tile.cells for tile in tiles),
+        cells_solved=solved,
+        comparison=comparison,
+        overview_chunks=chunks,
+        sheets=sheet_count,
+        faults=(*faults, *zoom_faults),
+        doubts=(*doubts, *zoom_doubts),
+        leftovers=tuple(leftovers(handle.place)),
+    )
+    return VerifyFindings(handle, report, {index: row for index, row in rows.items() if index not in bad})
+
+
+def _solve_again(
+    spec: Spec, samples: list[SampledCell], exact: bool, notify: Callable[[Progress], None]
+) -> Iterator[StoreFault]:
+    """A fault for each cell of the sample whose results, solved again, differ: in any bit, or beyond their errors."""
+    notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
+    for k, one in enumerate(samples, 1):
+        notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
+        again = solve_again(spec, one)
+        different = (
+            find_bit_differences(one.stored, again) if exact else find_differences_beyond_error(spec, one.stored, again)
+        )
+        if different:
+            yield StoreFault(one.tile, f"cell {place_in(spec, one.cell)}: {different}")
+
+
+def _check_zoom(
+    handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]
+) -> tuple[int, list[StoreFault], list[StoreFault]]:
+    """The number of sheets of the zoom levels, which are stores themselves, and their faults and doubts.
+
+    Of as many sheets as the sample has cells, one cell each is solved again.
+    """
+    known = list_metatiles(handle)
+    damage = {} if handle.place.only_read else plane_faults(handle)
+    solved = set(random.Random(seed).sample(known, min(sample, len(known))))
+    faults, doubts = list[StoreFault](), list[StoreFault]()
+    faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
+    for k, (plane, sheet) in enumerate(known, 1):
+        notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", passing=True))
+        part = (ZOOM, plane, sheet)
+        try:
+            place = metatile_backend(handle, plane, sheet)
+            report = find_faults(place, int((plane, sheet) in solved), seed, lambda _: None).report
+        except InputError as error:
+            faults.append(StoreFault(None, str(error), part))
+            continue
+        faults += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.faults]
+        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.doubts]
+    return len(known), faults, doubts
+
+
+@dataclass(frozen=True)
+class _TileCheckResult:
+    """A tile that was read: its good chunks, the cells checked by the rules, its faults, the cells drawn from it.
+
+    ``row`` is its record, by the cells; None where they cannot be read.
+    """
+
+    index: Index
+    chunks: int
+    cells: int
+    faults: tuple[str, ...]
+    samples: tuple[SampledCell, ...]
+    row: Rows | None = None
+
+
+def _read_tiles(
+    handle: AtlasStore,
+    records: TileRecords,
+    done: list[Index],
+    drawn: dict[Index, list[int]],
+    notify: Callable[[Progress], None],
+) -> Iterator[_TileCheckResult]:
+    """Read and check the finished tiles, several at once."""
+    arrays, tiling = open_arrays(handle), handle.tiling
+    _ = records.rows  # before several threads ask for them
+    sizes = [tiling.at(index).size for index in done]
+    pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
+    begin = time.perf_counter()
+    unfinished = tiling.count - len(done)
+    stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
+    notify(stage)
+    with ThreadPoolExecutor(READERS) as readers:
+        checked = readers.map(lambda index: _check_tile(handle, arrays, records, index, drawn.get(index, [])), done)
+        for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
+            seconds = time.perf_counter() - begin
+            tiles = unfinished + read
+            notify(replace(stage, tiles_done=tiles, cells_done=pending + cells, cells_solved=cells, seconds=seconds))
+            yield tile
+
+
+def _check_tile(
+    handle: AtlasStore, arrays: dict[str, Any], records: TileRecords, index: Index, drawn: list[int]
+) -> _TileCheckResult:
+    """Read a finished tile, and check its chunks, its cells and its record; ``drawn`` are cells to be solved again."""
+    tile = handle.tiling.at(index)
+    needed = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | {*handle.record["attributes"][COVERED]}
+    stored = needed & arrays.keys()
+    try:
+        values = read_tile(handle, index, needed, arrays)
+    except ChunkError as error:
+        return _TileCheckResult(index, len(stored) - len(error.lines), 0, tuple(error.lines), ())
+    broken = broken_rules(handle.spec, tile.slices, values)
+    faults = tuple(
+        f"{text}: {plural(int(mask.sum()), 'cell')}, the first at {place_in(handle.spec, _first(mask, tile.slices))}"
+        for text, mask in broken.items()
+    )
+    row = record_of(handle, index, values)
+    faults += tuple(tile_faults(records, index, row))
+    samples = []
+    for flat in drawn:
+        inner = tuple(int(i) for i in np.unravel_index(flat, tile.shape))
+        cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
+        one = tuple(slice(i, i + 1) for i in inner)
+        samples.append(SampledCell(cell, index, {name: array[one].copy() for name, array in values.items()}))
+    sparse = [v for v in (*handle.variables, *handle.allowances) if v.sparse and v.name in values]
+    chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
+    return _TileCheckResult(index, chunks, tile.size, faults, tuple(samples), row)
+
+
+def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
+    """The first cell of a mask over a tile, as its index in the atlas."""
+    return tuple(part.start + int(along[0]) for part, along in zip(slices, np.nonzero(mask), strict=True))
+
+
+def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
+    """Draw ``count`` cells of the finished tiles, all with the same probability: flat indices within their tiles."""
+    rng = random.Random(seed)
+    ends = list(accumulate(tiling.at(index).size for index in done))
+    total = ends[-1] if ends else 0
+    drawn: defaultdict[Index, list[int]] = defaultdict(list)
+    for flat in sorted(rng.sample(range(total), min(count, total))):
+        tile = bisect_right(ends, flat)
+        drawn[done[tile]].append(flat - (ends[tile - 1] if tile else 0))
+    return drawn
+
+
+def _comparison(handle: AtlasStore, sample: int, any_done: bool) -> str:
+    """How cells that are solved again are compared, "bits" or "error", or the reason why no cell is."""
+    if not sample:
+        return "none asked for"
+    if handle.solver_version != SOLVER_VERSION:
+        return f"the store has solver version {handle.solver_version}, this program {SOLVER_VERSION}"
+    if handle.spec.continuation is not None:
+        return "each cell of a continued sweep depends on those before it"
+    if not any_done:
+        return "no cell is done"
+    return "bits" if {machine.name for machine in read_hosts(handle)} == {current_host().name} else "error"

@@ -1,0 +1,38 @@
+"""Names among a store's chunks that belong to no chunk, such as a tile beyond the grid or ``05``."""
+
+import re
+from collections.abc import Iterator
+
+from atlas.overview.pyramid import GROUP, Pyramid
+from atlas.store.backend import StoreBackend
+from atlas.store.store import AtlasStore
+from atlas.store.tiling import chunk_index
+from workers.results import Variable
+
+_PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
+"""The end of the name of a file that is being written, by this package or by Zarr."""
+
+
+def leftovers(place: StoreBackend) -> list[str]:
+    """The files that killed writes have left in a folder. Nothing reads them."""
+    if place.local is None:
+        return []
+    files = (path for path in place.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
+    return sorted(path.relative_to(place.local).as_posix() for path in files)
+
+
+def foreign_keys(handle: AtlasStore) -> Iterator[str]:
+    """The keys of all such objects, from a listing of each array."""
+    for variable in handle.variables:
+        yield from _foreign(handle, "", variable, handle.tiling.grid)
+    pyramid = Pyramid(handle)
+    for level in range(1, pyramid.levels.count + 1) if pyramid.made else ():
+        for variable in pyramid.variables:
+            yield from _foreign(handle, f"{GROUP}/{level}/", variable, pyramid.levels.grid(level))
+
+
+def _foreign(handle: AtlasStore, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
+    root = f"{folder}{variable.name}/c/"
+    whole = grid + (1,) * len(variable.extra)  # all numbers of a cell lie in one chunk
+    keys = (key for key in handle.place.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
+    yield from sorted(keys)

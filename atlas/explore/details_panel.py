@@ -1,0 +1,143 @@
+"""The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
+
+import html
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from bokeh.events import Tap
+from bokeh.layouts import row
+from bokeh.models import Button, ColumnDataSource, Div, TextInput
+from bokeh.plotting import figure
+
+from atlas.errors import InputError
+from atlas.explore.actions import orbit_of, portrait_image
+from atlas.explore.attractors import AttractorsPanel
+from atlas.explore.background import BackgroundTasks, Show
+from atlas.explore.basins_panel import BasinsPanel
+from atlas.explore.cell_lookup import CellResult
+from atlas.explore.explorer import Explorer
+from atlas.explore.follow_panel import FollowPanel
+from atlas.explore.front.script import call, html_part
+from atlas.explore.motion import motion_of
+from atlas.explore.motion_panel import MotionPanel
+from atlas.explore.page_state import PageModel
+from atlas.explore.panel import Panel
+from atlas.explore.style import POINTER, TEXT
+from atlas.explore.text import cell_given, cell_line, cell_text, point_line
+from atlas.explore.view_state import Point, ViewState
+from atlas.explore.viewport import Viewport
+
+CLICKED = "<h4>cell clicked</h4>"
+PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
+ onclick="this.classList.toggle('large')">"""
+ROW = 15.6
+"""Pixels of a row of a table."""
+
+
+class DetailsPanel(Panel[Point]):
+    """The cell clicked, and the panels about it; and the cell under the pointer.
+
+    sight   gives the view that the page shows
+    mark    where the page marks the cell clicked, x and y
+    plane   the plot of the page
+    """
+
+    def __init__(
+        self,
+        explorer: Explorer,
+        background: BackgroundTasks,
+        store: PageModel,
+        sight: Callable[[], Viewport | None],
+        mark: ColumnDataSource,
+        plane: figure,
+    ) -> None:
+        super().__init__(explorer, background)
+        self._store, self._sight, self._mark = store, sight, mark
+        style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
+        rows = 9  # as many as a map's numbers fill, so that nothing below it moves
+        look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
+        self._pointed = Div(text=f"<h4>cell under the pointer</h4>{html_part('pointer')}", **style | look)
+        read_out: Any = {"html_attributes": {"aria-live": "polite"}}
+        self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
+        self._portrait, self._numbers, self._motion = Div(**style), Div(**style), MotionPanel(self._subject)
+        self._attractors = AttractorsPanel(explorer, background, self._motion)
+        self._basins = BasinsPanel(explorer, background)
+        self._follow = FollowPanel(explorer, background, store, plane)
+        self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
+        self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
+        self._copy = Button(label="copy", visible=False, width=70, align="end")
+        for button, source in ((self._copy, self._point), (self._copy_all, self._copy_all)):
+            button.js_on_event("button_click", call("copy", source=source))
+
+    @property
+    def panels(self) -> list[Any]:
+        """Its parts, from the top."""
+        line = row(self._point, self._copy, sizing_mode="stretch_width")
+        below = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
+        return [self._pointed, self._clicked, line, self._follow.panel, *below, self._numbers, self._copy_all]
+
+    def close(self) -> None:
+        """Want nothing more."""
+        for panel in (self._attractors, self._basins, self._follow):
+            panel.close()
+
+    def click(self, event: Tap) -> None:
+        """Choose the cell at a point."""
+        if event.x is not None and event.y is not None:
+            self.choose(event.x, event.y)
+
+    def choose(self, x: float, y: float) -> None:
+        """Choose the cell of the view at a point, whether it is known by now or not."""
+        self._background.run(partial(self._choose_nearest, (x, y)))
+
+    def show(self, chosen: ViewState) -> None:
+        """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
+        cell = chosen.cell
+        at = cell[1:] if cell is not None and cell[0] == chosen.plane else None
+        data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
+        if data != self._mark.data:
+            self._mark.data = data
+        self._follow.show(chosen)
+        if cell is not None and at and self._sight() is not None:
+            self.turn(cell)
+
+    def begin(self, cell: Point) -> None:
+        """Say that a cell is being solved."""
+        self._clicked.text = f"{CLICKED}solving it"
+        self._motion.clear()
+        self._attractors.turn(None)
+        self._basins.turn(None)
+        self._follow.offer(None)
+        self.work(partial(self._detail, cell, self.progress_callback()))
+
+    def _choose_nearest(self, point: tuple[float, float]) -> Show:
+        plane, sight = self._store.now.chosen.plane, self._sight()
+        at = point if sight is None else self._explorer.known.point(plane, sight, *point)
+        return lambda: self._store.choose(cell=(plane, *at))
+
+    def _detail(self, at: Point, soon: Callable[[Show], None]) -> Show:
+        plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
+        sight = self._sight()
+        cell = None if sight is None else self._explorer.known.cell(plane, sight, *point)
+        if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
+            cell = self._explorer.known.solved(plane, *point)
+        soon(partial(self._show, cell, "drawing its portrait"))
+        try:
+            orbit = orbit_of(self._subject, cell)
+            soon(partial(self._motion.show, motion_of(orbit)))
+            drawn = PORTRAIT.format(portrait_image(orbit))
+        except InputError as error:
+            drawn = html.escape(str(error))
+        return partial(self._show, cell, drawn)
+
+    def _show(self, cell: CellResult, drawn: str) -> None:
+        self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
+        self._numbers.text = html_part("cell", cell_given(cell, self._subject))
+        self._point.update(value=point_line(cell, self._subject), visible=True)
+        self._copy.visible = self._copy_all.visible = True
+        self._copy_all.tags = [cell_text(cell)]
+        self._portrait.text = drawn
+        self._attractors.turn(cell)
+        self._basins.turn(cell)
+        self._follow.offer(cell)

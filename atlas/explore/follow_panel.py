@@ -1,0 +1,279 @@
+"""The orbit of the cell clicked, followed along a parameter: its slider, its motion, its marks over the plane."""
+
+import html
+from typing import Any
+
+from bokeh.layouts import column, row
+from bokeh.models import Arrow, Button, ColumnDataSource, Div, NormalHead, NumericInput, Select, Slider, Span
+from bokeh.plotting import figure
+
+from atlas.explore.background import BackgroundTasks
+from atlas.explore.branches import (
+    BranchDiagram,
+    BranchPosition,
+    FollowedBranch,
+    arrows,
+    branch_computation,
+    distance,
+    initial_follow,
+)
+from atlas.explore.branches import EventArrow as Reach
+from atlas.explore.cell_lookup import CellResult
+from atlas.explore.explorer import Explorer
+from atlas.explore.motion_panel import MotionPanel
+from atlas.explore.page_state import PageModel
+from atlas.explore.panel import Panel
+from atlas.explore.plot import BranchLines, style_plain
+from atlas.explore.style import TEXT
+from atlas.explore.text import first_compile_notice, number, symbol_of
+from atlas.explore.view_state import FollowedOrbit, Point, Range, ViewState, followable
+from atlas.formatting import plural
+from atlas.orbits.branches.table import cycle_period, orbit_name
+from atlas.task.compile import ORBITS
+
+FOLLOWABLE = "periodic", "no_impact"
+"""Regimes of cells that have an orbit to follow."""
+ROOM = 0.3
+"""Share of the view's width that the label of an arrow may take."""
+BOUND = 1e9
+"""A larger multiplier is that of an impact without speed, whose own is infinite but for rounding."""
+INK = "#aa3377"
+"""The colour of what belongs to the orbit that is followed."""
+
+
+class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
+    """The controls that start and end following, and the orbit meanwhile."""
+
+    def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
+        super().__init__(explorer, background)
+        self._store = store
+        self._shown: _FollowControls | None = None
+        system = explorer.subject.system
+        options = [
+            (name, f"{symbol_of(system, name)} {system.parameter(name).meaning.split(':')[0]}")
+            for name in followable(explorer.subject)
+        ]
+        self._along = Select(title="its orbit along", options=options, value=options[0][0], sizing_mode="stretch_width")
+        self._button = Button(label="follow", width=110, align="end")
+        self._button.on_click(self._press)
+        self._along.on_change("value", lambda _, old, new: self._label())
+        self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width", visible=False)
+        self._body = column(sizing_mode="stretch_width")
+        head = row(self._along, self._button, sizing_mode="stretch_width")
+        self.panel = column(head, self._says, self._body, sizing_mode="stretch_width", visible=False)
+        self._marker = ColumnDataSource({"follow_x": [], "follow_y": []})
+        self._arrows = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._over_plane(plane)
+
+    def offer(self, cell: CellResult | None) -> None:
+        """Offer to follow the orbit of a cell where it has one."""
+        there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
+        self.panel.visible = there_is_one or self.about is not None
+
+    def show(self, chosen: ViewState) -> None:
+        """Follow the chosen orbit, and show where it is."""
+        follow, cell = chosen.follow, chosen.cell
+        self.turn(None if follow is None or cell is None else (cell, follow[:3]))
+        if self._shown is not None and follow is not None and cell is not None:
+            self._mark(chosen, cell, self._shown.branch, self._shown.move(follow))
+
+    def begin(self, about: tuple[Point, tuple[str, float, float]]) -> None:
+        """Have a branch found."""
+        self.clear()
+        cell, (along, low, high) = about
+        self.panel.visible, self._along.value = True, along
+        self._label()
+        system = self._subject.system
+        self._say(f"following its branch along {symbol_of(system, along)}{first_compile_notice(system, ORBITS)}")
+        self.submit([branch_computation(self._subject, cell, (along, low, high))], self._take)
+
+    def clear(self) -> None:
+        """Show no branch."""
+        if self._shown is not None:
+            self._shown.motion.clear()
+        self._shown, self._body.children = None, []
+        self._say("")
+        self._label()
+        self._marker.data = {name: [] for name in self._marker.data}
+        self._arrows.data = {name: [] for name in _COLUMNS}
+
+    def refuse(self, why: str) -> None:
+        """End following, and say why."""
+        self._store.choose(follow=None)
+        self._say(why)
+
+    def _follows(self) -> bool:
+        """Whether the orbit is followed along the parameter in the menu."""
+        follow = self._store.now.chosen.follow
+        return follow is not None and follow.along == self._along.value
+
+    def _label(self) -> None:
+        self._button.label = "end following" if self._follows() else "follow"
+
+    def _press(self) -> None:
+        chosen = self._store.now.chosen
+        if self._follows():
+            self._store.choose(follow=None)
+        elif chosen.cell is not None:
+            self._store.choose(follow=initial_follow(self._subject, chosen, chosen.cell, str(self._along.value)))
+
+    def _take(self, branch: FollowedBranch) -> None:
+        self._say("")
+        self._shown = _FollowControls(self._explorer, self._store, branch)
+        self._body.children = self._shown.parts
+        self.show(self._store.now.chosen)
+
+    def _say(self, text: str) -> None:
+        self._says.update(text=html.escape(text), visible=bool(text))
+
+    def _over_plane(self, plane: figure) -> None:
+        """The orbit's marker over the plane, and its arrows to the next events."""
+        ends: dict[str, Any] = {"x_start": "x0", "y_start": "y0", "x_end": "x1", "y_end": "y1"}
+        for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
+            head = NormalHead(size=size, line_color=color, fill_color=color)
+            plane.add_layout(Arrow(end=head, source=self._arrows, line_color=color, line_width=width, **ends))
+        at: dict[str, Any] = {"x": "follow_x", "y": "follow_y", "source": self._marker, "level": "overlay"}
+        plane.scatter(marker="diamond", size=18, fill_color=INK, line_color="white", line_width=1.5, **at)
+        at = {"x": "x0", "y": "y0", "text": "text", "source": self._arrows, "level": "overlay"}
+        at |= {"text_align": "align", "text_baseline": "baseline", "x_offset": "right", "y_offset": "down"}
+        look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
+        plane.text(background_fill_alpha=0.85, **at, **look)
+
+    def _mark(self, chosen: ViewState, cell: Point, branch: FollowedBranch, here: BranchPosition) -> None:
+        """Mark an orbit over the plane where it lies in that."""
+        values = self._subject.values(*cell) | {branch.table.along: here.value}
+        inside = all(values[name] == value for name, value in chosen.plane.parameters)
+        names = zip(self._marker.data, self._subject.axes, strict=True)
+        marker = {name: [values[axis]] if inside else [] for name, axis in names}
+        drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        for k, arrow in enumerate(arrows(branch, here, self._subject, chosen, cell) if inside else ()):
+            ends = arrow.x0, arrow.y0, arrow.x1, arrow.y1
+            for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, chosen.x)), strict=True):
+                drawn[name].append(value)
+        for source, data in ((self._marker, marker), (self._arrows, drawn)):
+            if source.data != data:
+                source.data = data
+
+
+def label_of(arrow: Reach, k: int, seen: Range) -> tuple[str, str, str, int, int]:
+    """The label of an arrow, the k-th of two: its text, alignment, baseline, and offsets from the marker in pixels.
+
+    The text lies on the side to which the arrow points, where the view has room for it there.
+    """
+    (low, high), across = seen, arrow.y0 == arrow.y1
+    ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
+    place = (arrow.x0 - low) / (high - low)
+    if across:
+        leftwards = ahead == ((1.0 - place if ahead else place) < ROOM)
+        text, baseline, down = (f"{arrow.text} →" if ahead else f"← {arrow.text}"), ("bottom", "top")[k], (-8, 8)[k]
+    else:
+        leftwards = place > 1.0 - ROOM
+        text, baseline = (f"↑ {arrow.text}", "bottom") if ahead else (f"↓ {arrow.text}", "top")
+        down = (10 + 18 * k) * (-1 if ahead else 1)
+    return text, "right" if leftwards else "left", baseline, -14 if leftwards else 14, down
+
+
+_COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down")
+
+
+class _FollowControls:
+    """The widgets of a branch that is followed: they show where on it the state is, and change that."""
+
+    def __init__(self, explorer: Explorer, store: PageModel, branch: FollowedBranch) -> None:
+        self.branch, self._subject, self._store = branch, explorer.subject, store
+        self._symbol = symbol_of(self._subject.system, branch.table.along)
+        self._at: FollowedOrbit | None = None
+        self._here = branch.here(branch.own, branch.values[branch.own])
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
+        last = len(branch.values) - 1
+        self._slider = Slider(
+            title="along the branch", start=0, end=last, value=branch.own, step=1, show_value=False, bar_color=INK,
+            **wide,
+        )  # fmt: skip
+        self._typed = NumericInput(
+            title=self._symbol, value=self._here.value, mode="float", width=110, format="0[.]000000"
+        )
+        self._slider.on_change("value", self._slide)
+        self._typed.on_change("value", self._type)
+        self._text = Div(stylesheets=[TEXT], **wide)
+        low, high = min(branch.values), max(branch.values)
+        margin = 0.04 * (high - low)
+        diagram = figure(
+            height=170, x_range=(low - margin, high + margin), y_axis_label="gap at t = kT", toolbar_location=None,
+            tools="", min_border_left=58, **wide,
+        )  # fmt: skip
+        BranchLines(diagram).show(BranchDiagram.of(branch.table))
+        self._span = Span(location=self._here.value, dimension="height", line_color=INK)
+        diagram.add_layout(self._span)
+        self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
+        diagram.scatter(x="branch_x", y="branch_gap", source=self._points, size=9, color=INK, line_color="white")
+        style_plain(diagram)
+        diagram.xaxis[0].axis_label = self._symbol
+        self.motion = MotionPanel(self._subject)
+        self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
+
+    def move(self, follow: FollowedOrbit) -> BranchPosition:
+        """Show the orbit that is chosen, and return it."""
+        if follow == self._at:
+            return self._here
+        self._at = follow
+        self._here = here = self.branch.here(self.branch.own + follow.step, follow.value)
+        self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
+        self._text.text = self._table()
+        motion = self.branch.motion(here)
+        gap = motion.moving[0][:: int(motion.per_period)]
+        self._points.data = {"branch_x": [here.value] * gap.size, "branch_gap": gap}
+        self.motion.portray({0: motion})
+        self.motion.show(motion)
+        return here
+
+    def _go(self, place: int, value: float) -> None:
+        now = self._store.now.chosen.follow
+        if now is not None:
+            self._store.choose(follow=now._replace(step=place - self.branch.own, value=value))
+
+    def _slide(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to the point of the slider."""
+        if int(new) != self._here.place:
+            self._go(int(new), self.branch.values[int(new)])
+
+    def _type(self, attribute: str, old: Any, new: Any) -> None:
+        """Go to where the branch has a value that was typed, nearest along it."""
+        if new == self._here.value:
+            return
+        place = None if new is None else self.branch.passing(float(new), self._here)
+        if place is not None:
+            self._go(place, float(new))
+            return
+        if new is not None:
+            low, high = number(min(self.branch.values)), number(max(self.branch.values))
+            said = html.escape(f"the branch has {self._symbol} from {low} to {high} alone, found {number(float(new))}")
+            self._text.text = f'<span class="trouble">{said}</span>{self._table()}'
+        self._typed.value = self._here.value
+
+    def _table(self) -> str:
+        """The table of the orbit, as HTML."""
+        here, branch = self._here, self.branch
+        outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
+        stability = outside if here.point.unstable else "stable"
+        largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
+        orbit = here.point.orbit.itinerary
+        period = plural(orbit.periods, "forcing period")
+        if orbit.is_cycle:
+            period = f"cycle of {number(cycle_period(here.point, orbit), 8)}"
+        rows = [
+            (self._symbol, number(here.value, 8)), ("period", period),
+            ("orbit n-p-q", orbit_name(orbit, branch.table.system)),
+            ("stability", f"changes here: {here.kind}" if here.kind else stability),
+            ("largest multiplier", largest),
+        ]  # fmt: skip
+        for mark, side, end in zip(branch.beside(here), ("◄", "►"), (0, -1), strict=True):
+            text = f"none up to {number(branch.values[end])}, where the range ends"
+            if mark is not None:
+                text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
+            rows.append((f"{side} next event", text))
+        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in branch.events if mark.kind == "fold"]
+        rows += [("turns back at", ", ".join(folds))] if folds else []
+        place = f"point {here.place + 1} of {len(branch.values)}"
+        body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, entry)) for entry in rows)
+        return f"<table><caption>orbit followed, {place}</caption>{body}</table>"

@@ -1,0 +1,218 @@
+"""The pictures of a page, made in a thread of its own: cells looked up, sent, wanted, sent again as tiles come in.
+
+Each step is planned for a time; a new choice replaces the steps that are not taken yet.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError, RunError
+from atlas.explore.explorer import Explorer
+from atlas.explore.plane_message import ends_of, maps_of, message
+from atlas.explore.subject import PlaneParameters
+from atlas.explore.threads import restarting_thread
+from atlas.explore.view_state import Ends, Range, ViewState, initial_view
+from atlas.explore.viewport import STAGES, TileKey, Viewport
+from atlas.platform import release_memory
+from workers.results import PENDING, REGIME
+
+REST_SECONDS, FIRST_REST_SECONDS = 0.15, 0.03
+"""Seconds without a change after which a view is looked up, and the first one of a page."""
+FULL_SOLVE_SECONDS = 0.7
+"""Seconds without a change after which a plane that a slider moves to is solved in full."""
+RELEASE_MEMORY_SECONDS = 10.0
+"""Seconds, at least, between two times that memory freed by drawing is returned to the system."""
+MIN_FRAME_SECONDS = 0.35
+"""Seconds between two pictures, at least."""
+MAX_RENDER_SHARE = 0.6
+"""At most so much of the time is spent on drawing."""
+LIMITS_PICTURE_PIXELS = (240, 180)
+"""Pixels of the picture of the whole plane that the ends of a scale are taken from."""
+MAX_PENDING_SHARE = 0.01
+"""Share of pending cells from which on a picture can say how far a scale should reach."""
+
+COARSEST_STAGE, ALL_STAGES = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
+"""The stages that are solved of a view while a slider moves, and once it rests."""
+
+
+@dataclass(frozen=True)
+class RenderedPicture:
+    """A picture: the message that draws it, and a note on it, such as why lines that were asked for are missing.
+
+    ``shares``: of each stage, the coarsest first, the share of the view that is known as densely.
+    """
+
+    message: NDArray[np.uint8]
+    note: str
+    shares: tuple[float, ...]
+
+
+def warm_up(explorer: Explorer) -> None:
+    """Make a picture once, so that the first page need not wait for all that this loads."""
+    chosen = initial_view(explorer.subject)
+    sight = explorer.subject.sight(chosen.x, chosen.y, LIMITS_PICTURE_PIXELS)
+    seen = explorer.known.seen(chosen.plane, sight, chosen.names)
+    message(seen, explorer.subject, chosen, maps_of(seen, chosen, others=True), {}, LIMITS_PICTURE_PIXELS)
+
+
+class PictureRenderer:
+    """Makes pictures for one page. ``deliver`` gets them, ``refuse`` why there is none, both in its thread."""
+
+    def __init__(
+        self, explorer: Explorer, deliver: Callable[[RenderedPicture], None], refuse: Callable[[str], None]
+    ) -> None:
+        self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
+        self._changed, self._closed, self._at_work = threading.Condition(), False, False
+        self._asked: tuple[ViewState, tuple[int, int]] | None = None
+        self._looked: tuple[ViewState, tuple[int, int]] | None = None
+        self._plan: dict[range | None, float] = {}
+        self._rested = 0.0
+        self._scales: dict[str, Range] = {}
+        self._views, self._view = count(), 0
+        self._sent: tuple[str, list[str], tuple[str, ...]] | None = None
+        self._found: tuple[PlaneParameters, Viewport] | None = None
+        self.looked = 0
+        self.sight: Viewport | None = None
+        explorer.listen(self, self._plan_repaint)
+        self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
+
+    def show(self, chosen: ViewState, size: tuple[int, int], rests: bool = True) -> None:
+        """Show a choice on this many pixels; unless it ``rests``, solve its first stage alone for a while."""
+        asked, now = (chosen.picture, size), time.monotonic()
+        with self._changed:
+            if asked != self._asked:
+                self._asked = asked
+                soon = now + (FIRST_REST_SECONDS if self._looked is None else REST_SECONDS)
+                self._plan = (
+                    {ALL_STAGES: soon} if rests else {COARSEST_STAGE: soon, ALL_STAGES: now + FULL_SOLVE_SECONDS}
+                )
+                self._changed.notify()
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not looked up, solved and drawn yet."""
+        return bool(self._plan) or self._at_work or self._explorer.patches.left(self) > 0
+
+    def ends(self, chosen: ViewState) -> Ends:
+        """The ends of the scale of a map, those asked for first; None for one that it has not held yet."""
+        low, high = self._scales.get(chosen.map, (None, None))
+        return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
+
+    def close(self) -> None:
+        """Paint no more, and want nothing more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._explorer.listen(self, None)
+
+    def wait(self) -> None:
+        """Wait until a painter that is closed has ended."""
+        self._thread.join()
+
+    def _plan_repaint(self, plane: PlaneParameters, key: TileKey) -> None:
+        """Plan another picture if a solved tile is seen in the last one."""
+        if self._asked and plane == self._asked[0].plane and self.sight is not None and self.sight.contains(key):
+            with self._changed:
+                self._view = next(self._views)
+                self._plan.setdefault(None, self._rested)
+                self._changed.notify()
+
+    def _mistaken(self, error: str) -> None:
+        """Report an exception of a picture, and plan the picture anew if it was not begun."""
+        self._say_no(f"this picture could not be made: {error}")
+        with self._changed:
+            if self._asked is not None and self._asked != self._looked:
+                self._plan.setdefault(ALL_STAGES, time.monotonic() + REST_SECONDS)
+
+    def _say_no(self, why: str) -> None:
+        """Say why there is no picture: the page shows none, least of all one of something else."""
+        self._sent = None
+        self._refuse(why)
+
+    def _serve(self) -> None:
+        given_back, used = time.monotonic(), False
+        while True:
+            if (
+                used and time.monotonic() >= given_back + RELEASE_MEMORY_SECONDS
+            ):  # also where there is always more to be drawn
+                release_memory()
+                given_back, used = time.monotonic(), False
+            with self._changed:
+                if self._closed:
+                    break
+                step, now = min(self._plan, key=self._plan.__getitem__, default=None), time.monotonic()
+                times = [*self._plan.values(), *([given_back + RELEASE_MEMORY_SECONDS] if used else [])]
+                if not self._plan or self._plan[step] > now:
+                    self._changed.wait(max(0.0, min(times) - now) if times else None)
+                    continue
+                del self._plan[step]
+                self._at_work = used = True
+            try:
+                if step is not None:
+                    self._find(step)
+                elif self._looked == self._asked:  # else another view is about to be looked up
+                    self._paint()
+            except (InputError, RunError) as error:
+                self._say_no(str(error))
+            except OSError as error:
+                self._say_no(f"the store cannot be read: {error.strerror or error}")
+            finally:
+                self._at_work = False
+        self._explorer.listen(self, None)
+
+    def _find(self, stages: range) -> None:
+        """Look up the known cells of a view, show them, and have these stages of the others solved."""
+        self._looked = asked = self._asked
+        if asked is None:
+            return
+        (chosen, size), explorer = asked, self._explorer
+        self.looked += 1
+        sight = explorer.subject.sight(chosen.x, chosen.y, size)
+        if (chosen.plane, sight) != self._found:
+            self._view, self._found = next(self._views), (chosen.plane, sight)
+        self.sight = sight
+        explorer.patches.want(self, ())
+        explorer.known.look(chosen.plane, sight, chosen.names)
+        self._paint()
+        explorer.want(self, chosen.plane, sight, stages)
+
+    def _paint(self) -> None:
+        asked, sight = self._asked, self.sight
+        if asked is None or sight is None:
+            return
+        (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
+        of = f"{id(self)}-{self._view}"
+        seen = replace(explorer.known.seen(chosen.plane, sight, chosen.names), of=of)
+        stages = seen.stages
+        maps = maps_of(seen, chosen, others=not stages.any())
+        self._hold(chosen, [made.name for made in maps])
+        if np.mean(seen.ds[REGIME.name].values == PENDING) <= MAX_PENDING_SHARE:
+            self._scales = {made.name: ends for made in maps if (ends := ends_of(made))} | self._scales
+        made, note = message(seen, explorer.subject, chosen, maps, self._scales, size)
+        shares = tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
+        seconds = time.monotonic() - begin
+        sent = (of, [made.name for made in maps], chosen.overlays)
+        if asked == self._asked and sent != self._sent:
+            self._sent = sent
+            self._deliver(RenderedPicture(made, note, shares))
+        with self._changed:
+            self._rested = begin + max(MIN_FRAME_SECONDS, seconds / MAX_RENDER_SHARE)
+            if None in self._plan:
+                self._plan[None] = self._rested
+
+    def _hold(self, chosen: ViewState, names: list[str]) -> None:
+        """Hold the ends of scales that suit the whole plane of the atlas, as far as it is known."""
+        subject = self._explorer.subject
+        if subject.ds is None or self._scales.keys() >= set(names):
+            return
+        sight = subject.sight(subject.x.ends, subject.y.ends, LIMITS_PICTURE_PIXELS)
+        whole = self._explorer.known.seen(subject.plane, sight, chosen.names)
+        if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
+            made = [made for made in maps_of(whole, chosen, others=True) if made.name in names]
+            self._scales = {made.name: ends for made in made if (ends := ends_of(made))} | self._scales

@@ -1,0 +1,145 @@
+"""The cells in view as the browser draws them: maps, lines and names, in one message of bytes."""
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.explore.compose import VisibleCells
+from atlas.explore.front.numbers import PackedArray, add_codes, pack
+from atlas.explore.lattice import Lattice
+from atlas.explore.subject import Subject
+from atlas.explore.view_state import Range, ViewState
+from atlas.explore.viewport import CellRange
+from atlas.query.extremes import numbers_of_cells
+from atlas.query.plane import Plane
+from atlas.render.coded_lines import lines_over, names_on
+from atlas.render.coded_maps import CodedMap, coded_map, coded_maps
+from atlas.render.kinds import KIND_TABLE, LOGARITHM, NUMBER, OverlayError
+from atlas.render.layers import MapView
+from atlas.render.layout import STANDARD
+from atlas.render.request import PictureRequest
+from workers.results import LARGEST, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+BITS = 14
+"""Bits of the mantissa that numbers keep on their way to the page: four digits."""
+
+
+def maps_of(seen: VisibleCells, chosen: ViewState, others: bool) -> list[CodedMap]:
+    """The map that is chosen, and all others that its variables suffice for; InputError where it cannot be drawn."""
+    first = coded_map(seen.ds, seen.ds, chosen.map)
+    rest = _others(seen.ds) if others else ()
+    return [first, *(made for made in rest if made.name != chosen.map)]
+
+
+def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
+    yield from coded_maps(ds, ds)
+    for name in numbers_of_cells(ds):
+        with suppress(InputError):  # of numbers below zero
+            yield coded_map(ds, ds, f"{NUMBER}{name}{LOGARITHM}")
+
+
+def ends_of(made: CodedMap) -> Range | None:
+    """The ends of the scale of a map whose ends can be chosen; None for another."""
+    ends = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
+    return ends[0] if ends else None
+
+
+def message(
+    seen: VisibleCells,
+    subject: Subject,
+    chosen: ViewState,
+    maps: list[CodedMap],
+    scales: Mapping[str, Range],
+    size: tuple[int, int],
+) -> tuple[NDArray[np.uint8], str]:
+    """The message from which a page draws these maps with lines over them, and why some lines are missing.
+
+    The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
+    """
+    plane, (lines, arrays, lacking) = _plane(seen, subject, ()), _lines(seen, subject, chosen, size)
+    packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(seen.stages)}
+    described, names = [], dict[str, Any]()
+    for made in maps:
+        place = add_codes(packed, made)
+        for name in made.needs:
+            if name not in packed:
+                packed[name] = pack(seen.ds[name].values, BITS)
+        bars = [bar | {"fit": bar["ends"], "ends": _held(bar, scales.get(made.name))} for bar in made.described["bars"]]
+        described.append(made.described | {"codes": place, "bars": bars})
+        names[made.name] = names_on(made.layers, plane, size)
+    packed.setdefault(REGIME.name, pack(seen.ds[REGIME.name].values))
+    about = {
+        "of": seen.of,
+        "axes": [_axis(lattice, stretch) for lattice, stretch in zip((subject.x, subject.y), seen.sight, strict=True)],
+        "maps": described,
+        "lines": lines,
+        "names": names,
+    }
+    return _joined(about, packed), "; ".join(lacking)
+
+
+def _plane(seen: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
+    """The cells in view on the scales of the page, which are logarithmic in windows of any width."""
+    plane = Plane.of(seen.ds, names)
+    return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
+
+
+def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
+    """The ends of a bar: the held ones of its scale, if any."""
+    if ends is None or not bar["main"]:
+        return list(bar["ends"])
+    return list(ends)
+
+
+def _lines(
+    seen: VisibleCells, subject: Subject, chosen: ViewState, size: tuple[int, int]
+) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
+    """The lines that are chosen, the arrays that they need, and why some are missing."""
+    why = chosen.without_curves(subject)
+    drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
+    names = [LARGEST.name] if LARGEST.name in seen.ds else []
+    view = MapView(KIND_TABLE["period"], seen.ds, _plane(seen, subject, names), PictureRequest(STANDARD))
+    for name in chosen.overlays:
+        drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
+        if name not in chosen.drawn(subject):
+            continue
+        try:
+            lines = lines_over(view, name, size)
+        except OverlayError as error:
+            lacking.append(str(error))
+            continue
+        drawn[name] = lines.described
+        if lines.regions is not None:
+            arrays["regions"] = lines.regions
+    return drawn, arrays, lacking
+
+
+def _axis(lattice: Lattice, cells: CellRange) -> dict[str, Any]:
+    """Where cells begin and end, all of them unless they are equally wide on their scale."""
+    halves = np.arange(2 * cells.first - 1, 2 * (cells.first + cells.count), 2, dtype=np.int64)
+    edges = lattice.values(cells.level + 1, halves)
+    drawn = np.log(edges) if lattice.log else edges
+    even = np.allclose(np.diff(drawn), (drawn[-1] - drawn[0]) / cells.count, rtol=1e-3)
+    shown = edges[[0, -1]] if even else edges
+    return {"edges": shown.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
+
+
+def _joined(about: Mapping[str, Any], packed: Mapping[str, PackedArray]) -> NDArray[np.uint8]:
+    arrays, at = dict[str, Any](), 0
+    for name, array in packed.items():
+        arrays[name] = {"type": array.type, "digits": array.digits, "at": at, "size": len(array.data)}
+        at += len(array.data)
+    text = json.dumps({**about, "arrays": arrays}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    head = zlib.compress(text.encode(), 6)
+    parts = [len(head).to_bytes(4, "little"), head, *(array.data for array in packed.values())]
+    return np.frombuffer(b"".join(parts), np.uint8)

@@ -1,0 +1,195 @@
+"""The one store of a subject's solved tiles: in memory first, then the cells of the atlas, then what exploring kept."""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import RunError
+from atlas.explore.compose import atlas_cells, atlas_covers
+from atlas.explore.metatiles import RELIST_SECONDS
+from atlas.explore.persistent_tiles import PersistentTileCache
+from atlas.explore.subject import Arrays, PlaneParameters, Subject
+from atlas.explore.viewport import TILE_CELLS, TileKey, Viewport
+from atlas.store.store import done_tiles
+from workers.results import INVALID, OUT_OF_RANGE, PENDING, REASON, REGIME
+
+MAX_BYTES = 384 * 2**20
+"""Bytes of tiles in memory."""
+MAX_REMEMBERED_ROWS = 4096
+"""Rows and columns of tiles of which it is remembered whether they have a point in the valid range."""
+
+
+class MemoryTileCache:
+    """The tiles of several stores that were seen last: others go where there is no room.
+
+    At each tile lie its arrays, perhaps of some variables only, and whether they are nowhere else.
+    """
+
+    def __init__(self, most_bytes: int = MAX_BYTES) -> None:
+        self.most, self.bytes, self._lock = most_bytes, 0, threading.Lock()
+        self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], tuple[Arrays, bool]] = OrderedDict()
+
+    def put(self, whose: object, plane: PlaneParameters, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
+        """Add arrays to a tile.
+
+        The least recently seen tiles go where there is no room, the ``only_here`` ones after all others.
+        """
+        at = whose, plane, key
+        with self._lock:
+            known, before = self._tiles.pop(at, ({}, False))
+            self._tiles[at] = made, _ = known | arrays, only_here or before
+            self.bytes += _size(made) - _size(known)
+            while self.bytes > self.most and len(self._tiles) > 1:
+                others = (held for held, (_, alone) in self._tiles.items() if not alone and held != at)
+                self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
+
+    def get(self, whose: object, plane: PlaneParameters, key: TileKey) -> Arrays:
+        """The arrays of a tile, which now counts as seen; none where it is not in memory."""
+        at = whose, plane, key
+        with self._lock:
+            if at not in self._tiles:
+                return {}
+            self._tiles.move_to_end(at)
+            return self._tiles[at][0]
+
+    def of(self, whose: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
+        """The tiles of a plane."""
+        with self._lock:
+            tiles = self._tiles.items()
+            return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is whose and of == plane]
+
+    def drop(self, whose: object) -> None:
+        """Forget the tiles of a store."""
+        with self._lock:
+            for at in [held for held in self._tiles if held[0] is whose]:
+                self.bytes -= _size(self._tiles.pop(at)[0])
+
+
+class TileCache:
+    """Arrays (TILE, TILE, ...) of a subject by plane, tile and name; ``memory`` may be that of other stores too."""
+
+    def __init__(self, subject: Subject, keeper: PersistentTileCache, memory: MemoryTileCache | None = None) -> None:
+        self.subject, self.keeper, self.memory = subject, keeper, memory or MemoryTileCache()
+        self._kept_planes, self._lock = {subject.plane}, threading.Lock()
+        self._invalid = subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
+        self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
+        self._admits = lru_cache(MAX_REMEMBERED_ROWS)(
+            lambda along, level, number: bool(subject.valid_mask(along, level, number, 1).any())
+        )
+        self._done: NDArray[np.bool_] | None = None
+        self._looked, self._complete = float("-inf"), False
+
+    def has(self, plane: PlaneParameters, key: TileKey) -> bool:
+        """Whether a tile need not be solved."""
+        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # of some the rest may be lost
+        known = held or self.outside(key) or self.keeper.has(plane, key)
+        return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
+
+    def get(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
+        """The tiles that are known with these variables; kept ones are in memory then."""
+        wanted = {*names, REGIME.name}
+        known = {key: self.memory.get(self, plane, key) for key in keys}
+        missing = [key for key, arrays in known.items() if not arrays.keys() >= wanted]
+        for key, arrays in self.keeper.load(plane, missing, wanted).items():
+            self.memory.put(self, plane, key, arrays)
+            known[key] = known[key] | arrays
+        return {key: arrays for key, arrays in known.items() if arrays.keys() >= wanted}
+
+    def put(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
+        """Hold a solved tile, and keep it if its plane is kept and it can be."""
+        wanted = self.is_kept(plane)
+        kept = wanted and self.keeper.can_keep(key)
+        self.memory.put(self, plane, key, arrays, only_here=wanted and not kept)
+        if kept:
+            self.keeper.offer(plane, key, arrays)
+
+    def drop(self) -> None:
+        """Forget all; what waits to be kept still is."""
+        self.keeper.end()
+        self.memory.drop(self)
+
+    def of(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
+        """The tiles of a plane that are in memory."""
+        return self.memory.of(self, plane)
+
+    def shown(self, plane: PlaneParameters, sight: Viewport) -> list[tuple[TileKey, Arrays]]:
+        """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
+        shown = [(key, arrays) for key, arrays in self.of(plane) if sight.contains(key)]
+        shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        return shown + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
+
+    def is_kept(self, plane: PlaneParameters) -> bool:
+        """Whether tiles of this plane are kept as they are solved, where anything is."""
+        with self._lock:
+            return plane in self._kept_planes
+
+    def set_kept(self, plane: PlaneParameters, on: bool = True) -> None:
+        """Keep this plane too, with its known tiles; or no further tiles of it."""
+        with self._lock:
+            if on == (plane in self._kept_planes):
+                return
+            self._kept_planes ^= {plane}
+        for key, arrays in self.of(plane) if on else ():
+            if arrays.keys() >= self.subject.variables.keys():
+                self.keeper.offer(plane, key, arrays)
+
+    def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
+        """All variables of a tile; None where it is not known."""
+        if self.outside(key):
+            return self._invalid
+        return self.get(plane, [key], self.subject.variables).get(key)
+
+    def parent(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
+        """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
+        above = key.above
+        whole = self.full_tile(plane, above)
+        if whole is not None:
+            return {name: array[key.quarter] for name, array in whole.items()}
+        subject, names = self.subject, self.subject.variables.keys()
+        if subject.ds is None or not subject.has_same_settings:
+            return None
+        if not atlas_covers(subject, self.atlas_done(), plane, above):
+            return None
+        rows, columns = (cells[part] for cells, part in zip(above.of_atlas, key.quarter, strict=True))
+        with suppress(OSError, RunError):
+            return atlas_cells(subject, names, rows, columns)
+        return None
+
+    def outside(self, key: TileKey) -> bool:
+        """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
+        return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
+
+    @property
+    def looked(self) -> float:
+        """When the atlas itself was last looked at, by ``time.monotonic``: never again once all of it is solved."""
+        self.atlas_done()
+        return self._looked
+
+    def atlas_done(self) -> NDArray[np.bool_] | None:
+        """Which cells (y, x) of the atlas itself are solved; None without an atlas.
+
+        In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
+        """
+        subject = self.subject
+        if subject.ds is None or subject.stored is None:
+            return None
+        if time.monotonic() - self._looked > RELIST_SECONDS and not self._complete:
+            self._looked = time.monotonic()
+            tiling = subject.stored.tiling
+            done = np.zeros(tiling.shape, dtype=bool)
+            for index in done_tiles(subject.stored):
+                done[tiling.at(index).slices] = True
+            done = done[subject.layer] if done.ndim > 2 else done
+            self._complete = bool(done.all())
+            self._done = done if subject.every is None else done & (subject.part({})[REGIME.name].values != PENDING)
+        return self._done
+
+
+def _size(arrays: Arrays) -> int:
+    return sum(array.nbytes for array in arrays.values())

@@ -1,0 +1,105 @@
+"""Numbers in words and symbols in Unicode, for terminals and pages without mathematics."""
+
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from html import escape
+from typing import Any
+
+SIGNS = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ",
+    "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ",
+    "phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω", "Gamma": "Γ", "Delta": "Δ", "Lambda": "Λ", "Omega": "Ω",
+    "infty": "∞", "mathrm": "", "mathit": "",
+}  # fmt: skip
+_BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
+_UNDERSCORE = "\0"
+"""Stands for an underscore that is part of a name while subscripts are lowered."""
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: 0.4 s, 12 s, 3 min 20 s, 5 h 10 min."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def text_repr(value: object) -> str:
+    """The text of a value for a terminal, as its repr: a notebook shows the last value of a cell by it."""
+    return str(value)
+
+
+def short_repr(value: Any) -> str:
+    """A dataclass as a call with the fields that differ from their defaults, those apart that its repr leaves out."""
+    shown = [entry for entry in fields(value) if entry.repr]
+    changed = [f"{entry.name}={given!r}" for entry in shown if (given := getattr(value, entry.name)) != entry.default]
+    return f"{type(value).__name__}({', '.join(changed)})"
+
+
+def plural(count: int, noun: str, many: str = "") -> str:
+    """A count with its noun: 1 tile, 2 tiles; ``many`` is the plural where an s does not make it."""
+    return f"{count} {noun if count == 1 else many or f'{noun}s'}"
+
+
+def motion_name(period: int, upper: int, lower: int) -> str:
+    """A periodic motion as n-p-q: its forcing periods, its impacts at the upper and at the lower stop."""
+    return f"{period}-{upper}-{lower}"
+
+
+def count_of(number: int) -> str:
+    """A large number for a person: 8700, 12.3 thousand, 3.4 million."""
+    for size, name in ((10**6, "million"), (10**3, "thousand")):
+        if number >= 10 * size or number >= 10**6:
+            return f"{number / size:.3g} {name}"
+    return str(number)
+
+
+def byte_size(count: int) -> str:
+    """Bytes with a unit: 12 B, 3.4 kB, 1.2 GB."""
+    size = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB"
+
+
+def html_table(rows: Iterable[Sequence[str]]) -> str:
+    """Rows of text as a table for a notebook; the last cell of a short row reaches to the table's edge."""
+    listed = [tuple(row) for row in rows]
+    columns = max(map(len, listed), default=0)
+
+    def cell(text: str, span: int) -> str:
+        return f'<td colspan="{span}" style="text-align: left">{escape(text)}</td>'
+
+    lines = (
+        "".join(cell(text, 1) for text in row[:-1]) + cell(row[-1], columns - len(row) + 1) for row in listed if row
+    )
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+
+
+def shares(counts: Mapping[str, int]) -> str:
+    """Counts as shares of their sum: ``periodic 62.1 %, chaotic 37.9 %``, the most frequent first."""
+    total = sum(counts.values())
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
+
+
+def mathtext_to_unicode(symbol: str) -> str:
+    """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
+    text = symbol.replace(r"\_", _UNDERSCORE)
+    text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", text)
+    text = re.sub(r"\\([A-Za-z]+)", lambda match: SIGNS.get(match[1], match[1]), text)
+    text = re.sub(r"_\{([^}]*)\}|_(\w)", lambda match: _lowered(match[1] or match[2]), text)
+    return unicodedata.normalize("NFC", re.sub(r"[{}$\\,]", "", text)).replace(_UNDERSCORE, "_")
+
+
+def _lowered(text: str) -> str:
+    low = text.translate(_BELOW)
+    return low if all(below != given for below, given in zip(low, text, strict=True)) else f"_{text}"

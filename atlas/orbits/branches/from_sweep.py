@@ -1,0 +1,113 @@
+"""Branches through all periodic cells of a sweep, each followed once, and the branches that begin at their events."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.orbits.branches.seed import seed_of
+from atlas.orbits.branches.table import pattern
+from atlas.orbits.branches.tree import Branch, BranchTree
+from atlas.query import machine
+from atlas.query.window import axis_names, axis_values, columns
+from atlas.spec.system import must_offer, system_of
+from workers.continuation import SolutionPoint
+from workers.results import CYCLE_PERIOD, PERIODIC, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MAX_BRANCHES = 100
+"""Branches that are followed through a sweep: more could not be distinguished."""
+MAX_IMPACTS = 12
+"""Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
+NEAR_BRANCH = 1e-3
+"""Distance of section states, in parts of their extent, below which an orbit is held for one of a branch at once: a
+straight line between two points of a branch is mostly off by less.
+"""
+
+_STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
+
+
+def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> BranchTree:
+    """The branches of proven orbits in sweeps of one axis, and branches that begin on them, up to MOST and ``longest``.
+
+    A cell whose orbit is on a branch already, or is the mirror image of such an orbit, adds none. Raises InputError
+    where no parameter is swept, and where an atlas does not hold states.
+    """
+    ds = sweeps[0]
+    system, (along,) = system_of(ds.attrs), axis_names(ds)
+    must_offer(system, "branches", unforced=True)
+    for other in sweeps[1:]:
+        if axis_names(other) != (along,):
+            raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
+    if columns(ds) or along in system.states:
+        raise InputError(f"branches follow orbits along a parameter that orbits depend on, not {along}")
+    stored = (*_STORED, CYCLE_PERIOD.name) if system.definition.unforced else _STORED
+    for name in stored:
+        if name not in ds:
+            raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
+    defaults = {p.name: p.default for p in system.parameters}
+    fixed = machine.fixed(ds, system)
+    low, high = float(axis_values(ds, along).min()), float(axis_values(ds, along).max())
+    if low == high:
+        raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
+    tree: BranchTree | None = None
+    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored, longest)):
+        value = float(cell[along])
+        if tree is not None and (len(tree.branches) >= MAX_BRANCHES or _is_covered(tree, cell, value)):
+            continue
+        try:
+            seed = seed_of(cell, system, {**defaults, **fixed, along: value})
+            tree = tree or BranchTree(system, seed.values, along, (low, high), MAX_BRANCHES, longest)
+            tree.grow(seed.orbit, value, leaving=True)
+        except ValueError:  # of a cell that the equations do not take, a neighbour is tried
+            continue
+    if tree is None:
+        raise InputError(f"no cell here has an orbit to follow: none is periodic with at most {longest} impacts")
+    return tree
+
+
+def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str], longest: int) -> Iterator[dict[str, Any]]:
+    """The periodic cells, of the longest run of neighbours of one class first, its middle first."""
+    read = ds[list(stored)].sortby(along).load()
+    columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
+    impacts = columns["impacts_upper"] + columns["impacts_lower"]
+    fits = (columns[REGIME.name] == PERIODIC) & (impacts <= longest)
+    classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
+    runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda numbered: numbered[1])]
+    for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):
+        middle = run[len(run) // 2]
+        for k in [middle, *(k for k in run if k != middle)]:
+            yield {name: column[k] for name, column in columns.items()}
+
+
+def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
+    """Whether a cell's orbit, or its mirror image, is on a branch of a tree."""
+    n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
+    state = np.asarray(cell["state"], dtype=np.float64)
+    alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in {symmetric, 1}}
+    uncounted = p < 0  # impacts of a cell that rests on a stop are not
+    same = [
+        branch for branch in tree.branches if uncounted or alike & {pattern(one) for one in set(branch.itineraries)}
+    ]
+    return any(_is_near(branch, state, value) for branch in same) or any(
+        tree.is_orbit(state, SolutionPoint(np.array([value]), orbit, np.zeros(0), np.zeros(0, np.complex128), 0))
+        for branch in same
+        for orbit in branch.orbits_at(tree.family, value)
+    )
+
+
+def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
+    """Whether a section state (2d,) lies on a branch or its mirror image, straight lines taken between its points."""
+    for k, share in branch.passes(value):
+        for sections in (branch.sections, branch.mirrored):
+            if sections is not None:
+                states = sections[k] + share * (sections[k + 1] - sections[k])
+                extent = np.maximum(np.ptp(sections, axis=(0, 1)), 1e-300)
+                if np.min(np.max(np.abs(states - state) / extent, axis=1)) < NEAR_BRANCH:
+                    return True
+    return False

@@ -1,0 +1,84 @@
+"""Borders between regions, and the order in which their edges are searched."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.plane import Cells, CurvePlane
+from workers.results import PENDING
+
+EDGES_PER_STAGE = 48
+"""Edges that are looked beside in one stage."""
+
+EDGES_PER_BORDER = 8
+"""Edges of one border in a stage, once one of it has been looked beside."""
+
+FRUITLESS = 3
+"""Looks without an event after which the border to cells of no known orbit is left, unless most looks found one."""
+
+OPEN, BASIN, CURVE, TRIED, NONE = range(5)
+"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
+its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
+
+BETWEEN, BESIDE, BASINS = range(3)
+"""Borders in the order of their importance: between regions; of a region with other cells; where only basins end."""
+
+
+class BorderSchedule:
+    """The edges of a plane by border: of a region with another one, or with cells of a regime that have none.
+
+    Regions below ``least`` cells count as none. Edges between two cells of none are on no border.
+    """
+
+    def __init__(self, plane: CurvePlane, least: int) -> None:
+        self.plane = plane
+        self.inside: NDArray[np.bool_] = plane.region_sizes[plane.regions] >= least
+        numbers = np.where(self.inside, plane.regions, PENDING - plane.regime - 1)
+        keys, which = np.unique(np.sort(numbers[plane.edges], axis=1), axis=0, return_inverse=True)
+        self.which: Cells = which.ravel()
+        self.edges = [np.flatnonzero(self.which == k) for k in range(len(keys)) if keys[k, 1] > 0]
+        kept = keys[:, 1] > 0
+        self.number = np.cumsum(kept) - 1
+        self.rank: NDArray[np.int64] = np.where(keys[kept][:, 0] > 0, BETWEEN, BESIDE)
+        self.fruitless = np.zeros(len(self.edges), dtype=np.int64)
+        self.looked = np.zeros(len(self.edges), dtype=np.int64)
+
+    def choose(self, verdicts: NDArray[np.int64], room: int) -> list[int]:
+        """The next edges to look beside, those of the most important borders, evenly spaced along each.
+
+        Of a border without an open edge, where basins end, one in all.
+        """
+        choices = []
+        for k, edges in enumerate(self.edges):
+            rank, wanted = int(self.rank[k]), edges[verdicts[edges] == OPEN]
+            if not len(wanted) and not self.looked[k]:
+                rank, wanted = BASINS, edges[verdicts[edges] == BASIN]
+            if len(wanted) and (rank == BETWEEN or self._promising(k)):
+                choices.append((rank, -len(wanted), k, wanted))
+        first = min((rank for rank, *_ in choices), default=0)
+        chosen: list[int] = []
+        for rank, _, k, wanted in sorted(choices, key=lambda entry: entry[:3]):
+            if rank == first:
+                count = min(len(wanted), EDGES_PER_BORDER if self.looked[k] else 1)
+                chosen += wanted[(2 * np.arange(count) + 1) * len(wanted) // (2 * count)].tolist()
+        return chosen[: max(0, min(EDGES_PER_STAGE, room))]
+
+    def tried(self, edge: int, fruitful: bool) -> None:
+        """An edge was looked beside, and events were found or not."""
+        k = self.number[self.which[edge]]
+        self.looked[k] += 1
+        self.fruitless[k] += not fruitful
+
+    def _promising(self, k: int) -> bool:
+        return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.looked[k])
+
+    def orders(self, edge: Cells) -> tuple[tuple[int, int], ...]:
+        """The ways across an edge from cells of regions, from the shorter orbit with the fewer impacts first."""
+        plane = self.plane
+        ways = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]
+
+        def length(way: tuple[int, int]) -> tuple[int, int, bool]:
+            cell = way[0]
+            impacts = int(plane.impacts_upper[cell] + plane.impacts_lower[cell])
+            return int(plane.period[cell]), impacts, not plane.symmetric[cell]
+
+        return tuple(sorted(ways, key=length))

@@ -1,0 +1,93 @@
+"""The fate of a plane's orbits at other cells, and at points of curves."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.plane import Cells, CurvePlane
+from atlas.orbits.orbit_table import Array, Mask
+from atlas.orbits.stored_orbits import StoredOrbits
+from workers.continuation import Orbit
+from workers.continuation.equilibria import code_of, equilibrium_near, is_equilibrium
+from workers.continuation.orbit_equality import is_same_orbit
+from workers.continuation.orbits import alike
+
+CEASES, PERSISTS, IS = range(3)
+"""The fate of a cell's orbit at the parameters of another cell."""
+
+
+class CellOrbits(StoredOrbits):
+    """The orbits of a plane's cells."""
+
+    def __init__(self, plane: CurvePlane) -> None:
+        super().__init__(plane)
+        self.plane = plane
+
+    def _stands(self, orbit: Orbit, cell: int) -> int:
+        """The fate of an equilibrium at a cell's parameters."""
+        equilibrium = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
+        if equilibrium is None or equilibrium.unstable:
+            return CEASES
+        return IS if self.are_still(np.array([cell]))[0] else PERSISTS
+
+    def omega(self, values: Array) -> Array:
+        """The forcing frequency (N,) at points (N, 2)."""
+        return np.asarray(self.family.model(values).omega)
+
+    def fates(self, pairs: Cells) -> NDArray[np.int64]:
+        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters:
+        CEASES, PERSISTS, or IS where it is the orbit of the second cell.
+
+        By Newton's method from one to the other, half way first; admissible by certified crossings.
+        """
+        verdicts = np.full(len(pairs), CEASES)
+        regions = self.plane.regions[pairs]
+        for rows, orbits in self.alike(pairs[:, 0]):
+            if self.are_still(pairs[rows[0], :1])[0]:
+                verdicts[rows] = [
+                    self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)
+                ]
+                continue
+            here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
+            reached = self.follow(orbits, here, there, steps=2, attracting=True)
+            verdicts[rows[reached.converged]] = PERSISTS
+            for k, row in enumerate(rows):
+                if (
+                    reached.converged[k]
+                    and regions[row, 0] == regions[row, 1]
+                    and self._is_of(pairs[row, 1], reached.orbit(k))
+                ):
+                    verdicts[row] = IS
+        return verdicts
+
+    def fate_at(self, orbit: Orbit, values: Array, cell: int) -> int:
+        """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
+        own.
+        """
+        if is_equilibrium(orbit, self.plane.system):
+            return self._stands(orbit, cell)
+        reached = self.follow([orbit], values[None], self.plane.values(np.array([cell])), attracting=True)
+        if not reached.converged[0]:
+            return CEASES
+        return IS if self._is_of(cell, reached.orbit(0)) else PERSISTS
+
+    def _is_of(self, cell: int, orbit: Orbit) -> bool:
+        own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
+        return own is not None and is_same_orbit(own, orbit, float(self.omega(values)[0]))
+
+    def belong_to_cells(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
+        """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
+        belongs = np.zeros(len(cells), dtype=bool)
+        omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
+        for rows in alike(orbit.itinerary for orbit in points):
+            if is_equilibrium(points[rows[0]], self.plane.system):
+                belongs[rows] = self.are_still(cells[rows])
+                continue
+            own = [points[row] for row in rows]
+            reached = self.follow(own, values[rows], self.plane.values(cells[rows]))
+            self.find(cells[rows[reached.converged]])
+            for k, row in enumerate(rows):
+                of_cell = self.of(int(cells[row])) if reached.converged[k] else None
+                belongs[row] = of_cell is not None and is_same_orbit(of_cell, reached.orbit(k), omega[row])
+        return belongs

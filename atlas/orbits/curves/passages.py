@@ -1,0 +1,74 @@
+"""Where curves pass the edges between cells, within one cell."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.chords import project_onto_chords
+from atlas.orbits.curves.following import FollowedCurve
+from atlas.orbits.curves.plane import Cells, CurvePlane
+from workers.continuation import Orbit
+
+Array = NDArray[np.float64]
+
+ONE_CELL = 1.0
+"""Distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
+
+DISTANCES_PER_BLOCK = 1 << 22
+"""Distances worked out at a time."""
+
+
+class CurvePassage(NamedTuple):
+    """A place on a curve: the number of a chord, and the share of it."""
+
+    curve: FollowedCurve
+    chord: int
+    share: float
+
+
+def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
+    """The middles (E, 2) of edges between cells, in units of cells."""
+    along = len(plane.x)
+    return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
+
+
+def find_passed_edges(
+    plane: CurvePlane, values: Array, at: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Which of the middles ``at`` (E, 2) a curve through points (N, 2) passes within one cell: their numbers, the chord
+    that comes nearest, and the share of it.
+    """
+    points = plane.places(values)
+    rows, which, shares = [], [], []
+    near = np.flatnonzero(np.all((at > points.min(0) - ONE_CELL) & (at < points.max(0) + ONE_CELL), axis=1))
+    for part in np.array_split(near, max(1, len(near) * len(points) // DISTANCES_PER_BLOCK + 1)) if len(near) else []:
+        share, way = project_onto_chords(at[part][:, None], points[:-1], points[1:])
+        distance = np.max(np.abs(way), axis=2)
+        chord = np.argmin(distance, axis=1)
+        row = np.arange(len(part))
+        close = distance[row, chord] <= ONE_CELL
+        rows.append(part[close])
+        which.append(chord[close])
+        shares.append(share[row, chord][close])
+    if not rows:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    return np.concatenate(rows), np.concatenate(which), np.concatenate(shares)
+
+
+def orbits_beside(passings: list[CurvePassage]) -> tuple[list[Orbit], Array]:
+    """About the orbits at places on curves, and the parameters (N, 2) there: between the ends of their chords, or at
+    the nearer one where their events differ.
+    """
+    orbits, values = [], []
+    for curve, chord, share in passings:
+        first, last = curve.orbits[chord], curve.orbits[chord + 1]
+        if first.itinerary != last.itinerary:
+            nearer = chord + (share > 0.5)
+            orbits.append(curve.orbits[nearer])
+            values.append(curve.values[nearer])
+            continue
+        fields = ((1.0 - share) * a + share * b for a, b in zip(first[1:], last[1:], strict=True))
+        orbits.append(Orbit(first.itinerary, *fields))
+        values.append((1.0 - share) * curve.values[chord] + share * curve.values[chord + 1])
+    return orbits, np.array(values).reshape(-1, 2)

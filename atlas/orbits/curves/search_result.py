@@ -1,0 +1,142 @@
+"""The end of a search: each curve once, in one order, with a report."""
+
+from collections import Counter
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.curves.borders import BASIN, CURVE, NONE, OPEN, TRIED
+from atlas.orbits.curves.chords import project_onto_chords
+from atlas.orbits.curves.following import FollowedCurve, lies_on
+from atlas.orbits.curves.search import CurveSearch
+from atlas.orbits.curves.table import KINDS, CodimTwoPoint, Curve, Curves
+
+
+def finish_search(search: CurveSearch) -> Curves:
+    """The curves of a search that has ended, and its report."""
+    kept = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
+    model = search.orbits.family.model
+    curves = sorted((as_curve(curve, bool(model(curve.values).mirrored.all())) for curve in kept), key=_order)
+    return Curves(search.plane.axes, tuple(curves), report_of(search, len(search.curves) - len(kept)))
+
+
+def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
+    """The curves found, and the searches not tried.
+
+    digest, settings           what the curves are of
+    edges                      between cells: ``regions`` of the settings' least number of cells and more on both sides;
+                               ``small`` ones on one side at least; ``others``, beside cells without a known orbit. Of
+                               each: all; explained by a ``curve`` or as the border of ``basins``; ``unexplained``
+                               although looked beside; ``not_tried``
+    looked, points             places looked beside, points of all curves
+    events_not_followed        for lack of budget
+    duplicates                 curves omitted, since a later one contains them
+    unexplained                of each border, and each reason, the ``edges`` that were looked beside and stay so, the
+                               middle of the first one (``at``), and ``why``, in words
+    troubles                   what went wrong, in words, with how often
+    """
+    plane, settings = search.plane, search.settings
+    proven = plane.proven[search.edges].all(axis=1)
+    large = (plane.region_sizes[plane.regions[search.edges]] >= settings.least).all(axis=1)
+    parts = {"regions": proven & large, "small": proven & ~large, "others": ~proven}
+    return {
+        "digest": settings.digest(plane),
+        "settings": asdict(settings),
+        "edges": {name: _counts(search.verdicts[mask]) for name, mask in parts.items()},
+        "looked": search.looked,
+        "points": search.points,
+        "events_not_followed": search.dropped,
+        "duplicates": duplicates,
+        "unexplained": _unexplained(search),
+        "troubles": dict(sorted(Counter(search.troubles).items())),
+    }
+
+
+def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
+    """A curve as it is kept: from the end with the lesser x, or y where that is the same.
+
+    ``mirrored``: the mirror images of its orbits are orbits too, and the one with more impacts above stands for both.
+    """
+    itinerary = followed.of.orbit.itinerary
+    hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
+    if mirrored and np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
+        hits = hits[:, ::-1]
+    points, unstable, ends, corners = followed.values, followed.unstable, followed.ends, followed.corners
+    if tuple(points[-1]) < tuple(points[0]):
+        points, unstable, ends, corners, hits = points[::-1], unstable[::-1], ends[::-1], corners[::-1], hits[::-1]
+    return Curve(
+        kind=followed.of.kind,
+        period=itinerary.sections,
+        impacts_upper=hits[:, 0].copy(),
+        impacts_lower=hits[:, 1].copy(),
+        symmetric=itinerary.symmetric,
+        points=points.copy(),
+        unstable=unstable.copy(),
+        ends=(ends[0], ends[1]),
+        corners=tuple(CodimTwoPoint(kind, float(at[0]), float(at[1]), _after(points, at)) for kind, at in corners),
+    )
+
+
+def edge_share(counts: dict[str, int]) -> float:
+    """The share of edges that is explained; NaN where there is none."""
+    return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
+
+
+def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
+    plane, entries = search.plane, list[dict[str, Any]]()
+    for edges in search.groups.edges:
+        reasons = dict[str, list[int]]()
+        for edge in edges[search.verdicts[edges] == TRIED].tolist():
+            reasons.setdefault(search.why[edge], []).append(edge)
+        for why, own in reasons.items():
+            middle = plane.values(search.edges[own[0]]).mean(axis=0)
+            at = dict(zip(plane.axes, middle.tolist(), strict=True))
+            entries.append({"edges": len(own), "at": at, "why": why})
+    return entries
+
+
+def _goes_on(search: CurveSearch, k: int) -> bool:
+    """Whether a later curve goes through both ends of this one: it ended early, and was found again beyond."""
+    curve = search.curves[k]
+    ends = [
+        curve.of._replace(
+            condition=curve.conditions[at],
+            orbit=curve.orbits[at],
+            contacts=curve.contacts[at],
+            values=curve.values[at],
+        )
+        for at in (1, len(curve.orbits) // 2, len(curve.orbits) - 2)
+        if 0 <= at < len(curve.orbits)
+    ]
+    later = search.curves[k + 1 :]
+    return any(all(lies_on(search.orbits, end, other) for end in ends) for other in later)
+
+
+def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
+    """The point of a curve after which a place on it comes: the first end of the nearest chord."""
+    if len(points) < 2:
+        return 0
+    width = np.ptp(points, axis=0)
+    scale = np.where(width > 0.0, width, 1.0)
+    share, way = project_onto_chords(at / scale, points[:-1] / scale, points[1:] / scale)
+    nearest = int(np.argmin(np.hypot(*way.T)))
+    return nearest + int(share[nearest] == 1.0)
+
+
+def _order(curve: Curve) -> tuple[Any, ...]:
+    orbit = (curve.period, int(curve.impacts_upper[0]), int(curve.impacts_lower[0]), not curve.symmetric)
+    return (KINDS.index(curve.kind), *orbit, tuple(curve.points[0]), tuple(curve.points[-1]), len(curve.points))
+
+
+def _counts(verdicts: NDArray[np.int64]) -> dict[str, int]:
+    verdicts = verdicts[verdicts != NONE]
+    counts = {name: int(np.sum(verdicts == code)) for name, code in (("curve", CURVE), ("basins", BASIN))}
+    open_ones = int(np.sum(verdicts == OPEN))
+    return {
+        "all": len(verdicts),
+        **counts,
+        "unexplained": len(verdicts) - sum(counts.values()) - open_ones,
+        "not_tried": open_ones,
+    }

@@ -1,0 +1,107 @@
+"""Events and curves as JSON text, exact to the bit."""
+
+from typing import Any
+
+import numpy as np
+
+from atlas.orbits.curves.following import FollowedCurve, PlaneEvent
+from workers.continuation import Condition, Itinerary, Orbit
+from workers.continuation.itinerary import Leg
+from workers.model.hybrid_modes import ModeCode
+
+
+def event_as_json(event: PlaneEvent) -> dict[str, Any]:
+    """An event as plain values."""
+    return {
+        "kind": event.kind,
+        "condition": list(event.condition),
+        "orbit": orbit_as_json(event.orbit),
+        "contacts": event.contacts.tolist(),
+        "values": event.values.tolist(),
+        "kappa": None if np.isnan(event.kappa) else event.kappa,
+    }
+
+
+def event_from_json(given: dict[str, Any]) -> PlaneEvent:
+    """The inverse of ``event_as_json``."""
+    return PlaneEvent(
+        kind=given["kind"],
+        condition=Condition(*given["condition"]),
+        orbit=orbit_from_json(given["orbit"]),
+        contacts=np.array(given["contacts"], dtype=np.float64),
+        values=np.array(given["values"]),
+        kappa=np.nan if given["kappa"] is None else given["kappa"],
+    )
+
+
+def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
+    """A curve as plain values; orbits share their itineraries, each with the condition on them."""
+    own = [(orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)]
+    shared = list(dict.fromkeys(own))
+    return {
+        "of": event_as_json(followed.of),
+        "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
+        "which": [shared.index(pair) for pair in own],
+        "values": followed.values.tolist(),
+        "times": [orbit.times.tolist() for orbit in followed.orbits],
+        "speeds": [orbit.speeds.tolist() for orbit in followed.orbits],
+        "lengths": [_as_length(orbit) for orbit in followed.orbits],
+        "contacts": followed.contacts.tolist(),
+        "unstable": followed.unstable.tolist(),
+        "corners": [[kind, place.tolist()] for kind, place in followed.corners],
+        "ends": list(followed.ends),
+    }
+
+
+def curve_from_json(given: dict[str, Any]) -> FollowedCurve:
+    """The inverse of ``curve_as_json``."""
+    shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in given["itineraries"]]
+    orbits = [
+        _orbit(shared[k][0], *fields)
+        for k, *fields in zip(given["which"], given["times"], given["speeds"], given["lengths"], strict=True)
+    ]
+    first, last = given["ends"]
+    return FollowedCurve(
+        of=event_from_json(given["of"]),
+        values=np.array(given["values"]),
+        orbits=orbits,
+        contacts=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        conditions=[shared[k][1] for k in given["which"]],
+        unstable=np.array(given["unstable"], dtype=np.int64),
+        corners=[(kind, np.array(place)) for kind, place in given["corners"]],
+        ends=(first, last),
+    )
+
+
+def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
+    """An orbit as plain values."""
+    return {
+        "itinerary": list(orbit.itinerary),
+        "times": orbit.times.tolist(),
+        "speeds": orbit.speeds.tolist(),
+        "length": _as_length(orbit),
+    }
+
+
+def orbit_from_json(given: dict[str, Any]) -> Orbit:
+    """The inverse of ``orbit_as_json``."""
+    return _orbit(_itinerary(given["itinerary"]), given["times"], given["speeds"], given["length"])
+
+
+def _as_length(orbit: Orbit) -> float | None:
+    return None if np.isnan(orbit.length) else float(orbit.length)
+
+
+def _orbit(itinerary: Itinerary, times: list[float], speeds: list[float], length: float | None) -> Orbit:
+    fields = (np.array(field, dtype=np.float64) for field in (times, speeds, np.nan if length is None else length))
+    return Orbit(itinerary, *fields)
+
+
+def _itinerary(given: list[Any]) -> Itinerary:
+    sides, periods, symmetric, legs = given
+    return Itinerary(tuple(sides), periods, symmetric, tuple(tuple(map(_leg, chain)) for chain in legs))
+
+
+def _leg(given: list[Any]) -> Leg:
+    (phase, contacts, slips), begun, signal, side = given
+    return Leg(ModeCode(phase, tuple(contacts), tuple(slips)), tuple(begun), signal, side)

@@ -1,0 +1,121 @@
+"""The attractors of a finished atlas as rows of arrays, and candidates for links between neighbouring cells."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.orbits.orbit_table import Array, OrbitTable, Rows, columns_of, must_be_finished, params_of
+from atlas.store.store import AtlasStore
+from workers.attractors.attractor import ON_ATTRACTOR
+from workers.results import NO_IMPACT, PERIODIC, REGIME
+
+NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", "share", "mirror")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AttractorOrbitTable(OrbitTable):
+    """The orbits among the attractors of a finished atlas, A rows: only orbits can be followed to other parameters.
+
+    axes             names of the axes, those of the dimensions of ``shape``
+    shape, keep      cells along each dimension; places of a cell's attractors
+    points (C, axes) the parameters of every cell, in C order
+    cell, place (A,) of each orbit, in the order of cells and places
+    share (A,)       as the atlas has it
+    twin (A,)        the orbit of its cell that is its mirror image, itself where it is symmetric; -1 where none is
+    """
+
+    shape: tuple[int, ...]
+    keep: int
+    points: Array
+    cell: Rows
+    place: Rows
+    share: Array
+    twin: Rows
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    @property
+    def proven(self) -> NDArray[np.bool_]:
+        """All of them."""
+        return np.ones(len(self), dtype=np.bool_)
+
+    def values(self, rows: Rows) -> Array:
+        """The parameters (R, axes) of the cells of orbits."""
+        return np.asarray(self.points[self.cell[rows]])
+
+    @cached_property
+    def row(self) -> Rows:
+        """The orbit (C, keep) of each cell and place, -1 where there is none."""
+        row = np.full((len(self.points), self.keep), -1)
+        row[self.cell, self.place] = np.arange(len(self))
+        return row
+
+    def beside(self, away: int = 1) -> Rows:
+        """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
+        pairs = self.neighbour_pairs(away)
+        return np.asarray(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
+
+    def neighbour_pairs(self, away: int = 1) -> Rows:
+        """Pairs (N, 2) of orbits in cells ``away`` places from each other along a dimension."""
+        number = np.arange(len(self.points)).reshape(self.shape)
+        parts = [np.zeros((0, 2), dtype=np.int64)]
+        for dim in range(number.ndim):
+            along = np.moveaxis(number, dim, 0)
+            before, after = self.row[along[:-away].ravel()], self.row[along[away:].ravel()]
+            pairs = np.stack(np.broadcast_arrays(before[:, :, None], after[:, None, :]), axis=-1).reshape(-1, 2)
+            parts.append(pairs[(pairs >= 0).all(axis=1)])
+        return np.concatenate(parts)
+
+
+def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
+    """The cells (A + U,) of all orbits and of their U mirror images that no initial state has found; images' rows.
+
+    The row of the mirror image (A + U,) is the orbit's own where it is symmetric, -1 where the machine is not.
+    """
+    own, count = attractors, len(attractors)
+    image = np.where(own.symmetric, np.arange(count), own.twin)
+    alone = np.flatnonzero(image < 0)
+    values = {p.name: np.full(len(alone), own.fixed.get(p.name, p.default)) for p in own.system.parameters}
+    values |= {name: np.ascontiguousarray(own.values(alone)[:, k]) for k, name in enumerate(own.axes)}
+    unseen = alone[own.system.build_many(values)[0].symmetric > 0.0]
+    image[unseen] = count + np.arange(len(unseen))
+    return np.append(own.cell, own.cell[unseen]), np.append(image, unseen)
+
+
+def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
+    """The orbits of a store, and how many attractors of any kind it keeps.
+
+    InputError unless it is a finished atlas of all attractors over axes; ChunkError where a chunk is missing or
+    damaged.
+    """
+    spec = handle.spec
+    if not spec.coexistence:
+        raise InputError(f"{handle.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
+    if spec.points:
+        raise InputError(f"{handle.place}: found a table of points; labels go from cell to cell along axes")
+    must_be_finished(handle)
+    columns, points = columns_of(handle, NEEDED), params_of(spec)
+    regime, period = columns[REGIME.name], columns["period"]
+    known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (period > 0)
+    cell, place = np.nonzero(known)
+    row = np.full(known.shape, -1)
+    row[cell, place] = np.arange(len(cell))
+    image = columns.pop("mirror")[known]
+    axes = tuple(axis.name for axis in reversed(spec.axes))
+    attractors = AttractorOrbitTable(
+        system=spec.record,
+        axes=axes,
+        fixed={name: float(value) for name, value in spec.parameters.items()},
+        shape=spec.shape,
+        keep=known.shape[1],
+        points=np.stack([points[name] for name in axes], axis=1),
+        cell=cell,
+        place=place,
+        **{name: values[known] for name, values in columns.items()},
+        twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
+    )
+    return attractors, int(np.sum(np.isin(regime, ON_ATTRACTOR)))

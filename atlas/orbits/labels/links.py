@@ -1,0 +1,209 @@
+"""Links between attractors of neighbouring cells: the orbit of one is followed to the other's parameters.
+
+There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
+one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
+counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
+the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
+
+Orbits of machines with modes that are left over are followed along their branches, which go on where contacts and
+slides change though nothing jumps.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable, with_images
+from atlas.orbits.orbit_table import Array, Rows
+from atlas.orbits.stored_orbits import StoredOrbits
+from workers.continuation import Orbit, branch, section_states
+from workers.continuation.orbits import OrbitBatch, many_of
+from workers.results import NO_IMPACT
+
+STEPS = (2, 8)
+"""Steps from one cell to the next: the first number of them, the other one where that fails."""
+
+MAX_GAP_CELLS = 4
+"""Cells over which an orbit is followed to another one that no chain of neighbours connects with it."""
+
+STEP = 0.5
+"""The longest step of a branch from one cell to the next, as a share of that."""
+
+SAME_STATE = 1e-6
+"""Distance of section states of one orbit, relative to the largest component of any."""
+
+
+class OrbitLinks(NamedTuple):
+    """Pairs of orbits (L, 2), by their rows, that are one; ``change`` (L,): how much it changes between their cells.
+
+    That is the largest change of a time of impact, in radians of the force, or of a speed, relative to the fastest.
+    With a pair its mirror image is one of them, of the same change. Rows from A on are unseen mirror images.
+
+    cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
+    known (A,)  which orbits can be followed: Newton's method finds them
+    one_way     pairs omitted: followed from one cell an orbit becomes that of the other cell, but not back
+    """
+
+    pairs: Rows
+    change: Array
+    cell: Rows
+    image: Rows
+    known: NDArray[np.bool_]
+    one_way: int
+
+
+def followed(attractors: AttractorOrbitTable) -> OrbitLinks:
+    """All pairs of orbits in neighbouring cells that are one, followed either way; motion without impact is one in all.
+
+    Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
+    them.
+    """
+    # what machines with modes do without impact depends on where they slide
+    still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
+    free, follower = np.flatnonzero(still), AttractorOrbits(attractors)
+    cell, image = with_images(attractors)
+    follower.find(range(len(attractors)))
+    known = still | np.array([follower.of(row) is not None for row in range(len(attractors))], dtype=np.bool_)
+    known |= (attractors.twin >= 0) & known[attractors.twin]
+    pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
+    one_way = np.zeros((0, 2), dtype=np.int64)
+    for away in range(1, MAX_GAP_CELLS + 1):
+        wanted = attractors.beside(away)
+        wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
+        if away > 1:
+            wanted = wanted[_apart(wanted, pairs, len(cell))]
+        there, size = follower.follow_pairs(wanted, away)
+        back, _ = follower.follow_pairs(wanted[:, ::-1], away)
+        both_ways = there & back
+        pairs, change = np.concatenate([pairs, wanted[both_ways]]), np.concatenate([change, size[both_ways]])
+        pairs, change = _mirrored(pairs, change, image)
+        one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
+    wanted = _left_over(attractors, pairs)
+    wanted = wanted[known[wanted].all(axis=1) & ~still[wanted].any(axis=1)]
+    reached, size = follower.follow_along_branches(wanted)
+    pairs, change = _mirrored(np.concatenate([pairs, reached]), np.concatenate([change, size]), image)
+    left = {*map(tuple, one_way.tolist())} - {*map(tuple, pairs.tolist())}
+    return OrbitLinks(pairs, change, cell, image, known, len(left))
+
+
+def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
+    """Links with their mirror images, each once and in order; the change of either is the least that is known."""
+    images = image[pairs]
+    there = (images >= 0).all(axis=1)
+    every = np.sort(np.concatenate([pairs, images[there]]), axis=1)
+    pairs_once, place = np.unique(every, axis=0, return_inverse=True)
+    least = np.full(len(pairs_once), np.inf)
+    np.minimum.at(least, place.ravel(), np.concatenate([change, change[there]]))
+    return pairs_once, least
+
+
+def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
+    """Of which pairs (N, 2) no chain of others (L, 2) connects the two."""
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
+
+
+def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
+    """Pairs (N, 2) of orbits of one period in neighbouring cells, either linked to none of the cell of the other."""
+    own = attractors
+    orbits, others = np.concatenate([pairs, pairs[:, ::-1]]).T
+    seen = others < len(own)  # mirror images that no initial state has found have no row
+    linked = {*zip(orbits[seen].tolist(), own.cell[others[seen]].tolist(), strict=True)}
+    wanted = own.neighbour_pairs()
+    wanted = wanted[own.period[wanted[:, 0]] == own.period[wanted[:, 1]]]
+    free = [(a, own.cell[b]) not in linked and (b, own.cell[a]) not in linked for a, b in wanted.tolist()]
+    return np.asarray(wanted[np.array(free, dtype=np.bool_)])
+
+
+class AttractorOrbits(StoredOrbits):
+    """The orbits of an atlas of all attractors, each to be followed to other cells."""
+
+    def __init__(self, attractors: AttractorOrbitTable) -> None:
+        super().__init__(attractors)
+        self.attractors = attractors
+
+    def follow_pairs(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
+        """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
+
+        away   cells from the one to the other
+        """
+        reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
+        for rows, orbits in self.alike(pairs[:, 0]):
+            reached[rows], change[rows] = self._reach_alike(pairs[rows], orbits, away)
+        return reached, change
+
+    def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
+        """``reach`` of orbits of one itinerary."""
+        own = self.attractors
+        here, there = (own.values(pairs[:, k]) for k in (0, 1))
+        arrived = self.follow(orbits, here, there, STEPS[0] * away)
+        arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, which is changed
+        for steps in STEPS[1:]:
+            again = np.flatnonzero(~arrived.converged)
+            if len(again):
+                more = self.follow([orbits[r] for r in again], here[again], there[again], steps * away)
+                for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
+                    field[again] = better
+                arrived.converged[again] = more.converged
+        reached = arrived.converged.copy()
+        rows = np.flatnonzero(reached)
+        if len(rows):
+            values = dict(zip(own.axes, there[rows].T, strict=True))
+            fixed = {name: np.full(len(rows), value) for name, value in own.fixed.items()}
+            states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
+            apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
+            reached[rows] = apart <= SAME_STATE * np.abs(states).max(axis=(1, 2))
+        return reached, _change(many_of(orbits, here), arrived, self.family.model(there).omega)
+
+    def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
+        """Which of these pairs (N, 2) are one orbit on a branch from cell to cell, and how much its state changes.
+
+        A branch that turns back on the way joins none.
+        """
+        own, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
+        reached = dict[tuple[int, int], Array | None]()
+        for one, other in pairs.tolist():
+            cell = int(own.cell[other])
+            if (one, cell) not in reached:
+                reached[one, cell] = self._along_branch(one, cell)
+            states = reached[one, cell]
+            if states is None:
+                continue
+            size = float(np.abs(states).max())
+            if np.abs(states - own.state[other]).max(axis=1).min() <= SAME_STATE * size:
+                pairs_on_branches.append([one, other])
+                change.append(float(np.abs(own.state[other] - own.state[one]).max()) / size)
+        return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
+
+    def _along_branch(self, row: int, cell: int) -> Array | None:
+        """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""
+        own, orbit = self.attractors, self.of(row)
+        here, there = own.points[own.cell[row]], own.points[cell]
+        axis = int(np.flatnonzero(here != there)[0])
+        begin, end = float(here[axis]), float(there[axis])
+        window = (min(begin, end), max(begin, end))
+        try:
+            run = None if orbit is None else branch(self.along(axis, here), orbit, begin, window, resolution=STEP)
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        if run is None:
+            return None
+        steps = np.diff([float(point.values[0]) for point in run.points])
+        last = run.points[-1 if end > begin else 0]
+        if not len(steps) or np.any(steps < 0.0) or float(last.values[0]) != end:
+            return None
+        given = {**own.fixed, **dict(zip(own.axes, there.tolist(), strict=True))}
+        values = {name: np.array([value]) for name, value in given.items()}
+        return section_states(own.system, values, [last.orbit])[0]
+
+
+def _change(before: OrbitBatch, after: OrbitBatch, omega: Array) -> Array:
+    _, times, speeds, _ = after.orbits
+    later = np.abs(times - before.orbits.times).max(axis=1, initial=0.0) * omega
+    fastest = np.abs(speeds).max(axis=1, initial=1e-300)
+    faster = np.abs(speeds - before.orbits.speeds).max(axis=1, initial=0.0) / fastest
+    return np.asarray(np.maximum(later, faster))

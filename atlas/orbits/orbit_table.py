@@ -1,0 +1,114 @@
+"""Finished stores: the results and the parameters of their cells as columns, and rows of these that may be orbits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError, InputError, check_names
+from atlas.formatting import plural
+from atlas.query.open import open_atlas
+from atlas.spec.spec import Spec
+from atlas.store.groups import read_group
+from atlas.store.store import AtlasStore, done_tiles
+from atlas.store.tiles import read_tile
+from workers import SOLVER_VERSION
+from workers.model.system import System
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OrbitTable:
+    """Cells or attractors of a store, N rows.
+
+    axes, fixed   the names of the axes, and all other parameters by name
+    regime, period, impacts_upper, impacts_lower, symmetric (N,), state (N, 2n)   as the store has them
+    cycle_period (N,)   the periods of cycles, NaN of other motion; None where there is a force
+    """
+
+    system: System
+    axes: tuple[str, ...]
+    fixed: Mapping[str, float]
+    regime: Rows
+    period: Rows
+    impacts_upper: Rows
+    impacts_lower: Rows
+    symmetric: Mask
+    state: Array
+    cycle_period: Array | None = None
+
+    @property
+    def proven(self) -> Mask:
+        """Which rows (N,) have a periodic orbit."""
+        raise NotImplementedError
+
+    def values(self, rows: Rows) -> Array:
+        """The parameters (R, axes) of these rows."""
+        raise NotImplementedError
+
+    @cached_property
+    def kind(self) -> Rows:
+        """A number (N,) for each kind of orbit: regime, period, impacts at either stop, symmetry."""
+        parts = (self.regime, self.period, self.impacts_upper, self.impacts_lower, self.symmetric)
+        return np.unique(np.stack(parts, axis=1), axis=0, return_inverse=True)[1].ravel()
+
+
+def must_be_finished(handle: AtlasStore) -> None:
+    """InputError, with what to do, where a tile of a store is not done."""
+    missing = handle.tiling.count - len(done_tiles(handle))
+    if missing:
+        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+
+
+def current_group(
+    handle: AtlasStore, group: str, version: int
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+    """The arrays and the attributes of a group that methods of this version and this solver have written.
+
+    None where there is none, also where it is damaged: it is found anew.
+    """
+    try:
+        stored = read_group(handle, group)
+    except ChunkError:
+        return None
+    wrote = ("version", version), ("solver_version", SOLVER_VERSION)
+    return stored if stored and all(stored[1].get(name) == own for name, own in wrote) else None
+
+
+def columns_of(
+    handle: AtlasStore, names: Sequence[str], tile: tuple[int, ...] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Results (cells, keep, ...) of a store's cells, or of those of a tile, in C order; keep is 1 for one attractor.
+
+    Whole numbers are int64.
+
+    InputError for a result that the store does not have, ChunkError where a chunk is missing or damaged.
+    """
+    check_names("result of this atlas", names, [variable.name for variable in handle.variables])
+    if tile is None:
+        ds = open_atlas(handle)
+        arrays = {name: ds[name].values for name in names}
+    else:
+        arrays = read_tile(handle, tile, names)
+    dims, keep = len(handle.spec.shape), int(handle.spec.coexistence)
+    wide = {name: values.astype(np.int64) if values.dtype.kind == "i" else values for name, values in arrays.items()}
+    return {
+        name: values.reshape(-1, *(values.shape[dims : dims + 1] if keep else (1,)), *values.shape[dims + keep :])
+        for name, values in wide.items()
+    }
+
+
+def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, NDArray[np.float64]]:
+    """The value (cells,) of every parameter in a block of cells, by default in all, in C order."""
+    block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
+    given, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
+    return {
+        p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
+        for p in spec.record.parameters
+    }

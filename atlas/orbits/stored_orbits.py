@@ -1,0 +1,143 @@
+"""Stored cells as orbits: the one way from the results of periodic cells to the equations of their impacts.
+
+An orbit is recorded in one turn of the motion from its stored state, and then found by Newton's method, all of one
+itinerary together.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.orbits.orbit_table import Array, Mask, OrbitTable, Rows
+from workers.continuation import Family, Orbit, family_of
+from workers.continuation.equilibria import equilibrium_of
+from workers.continuation.orbit_from_motion import record_orbit, reduce_symmetry
+from workers.continuation.orbits import OrbitBatch, alike, attract, continued_to, many_of
+from workers.model.family import NoOscillatorError
+from workers.results import CYCLE_PERIOD, NO_IMPACT, REGIME
+
+NEEDED = (REGIME.name, "period", "symmetric", "state")
+"""The variables that an orbit is made of, besides the cell's parameters; without a force also CYCLE_PERIOD."""
+
+
+class StoredOrbits:
+    """The orbits of rows of a store, each found once, and followed to other parameters."""
+
+    def __init__(self, rows: OrbitTable) -> None:
+        self.rows = rows
+        self.family: Family = family_of(rows.system, rows.fixed, rows.axes)
+        self._known: dict[int, Orbit | None] = {}
+
+    def along(self, axis: int, values: Array) -> Family:
+        """The family over one axis, by its number, through a point (axes,)."""
+        own = self.rows
+        others = {name: float(value) for name, value in zip(own.axes, values, strict=True) if name != own.axes[axis]}
+        return family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
+
+    def of(self, row: int) -> Orbit | None:
+        """The orbit of a row; None without a proven one, or where Newton's method finds none, such as for R = 0."""
+        if row not in self._known:
+            self.find([row])
+        return self._known[row]
+
+    def find(self, rows: Iterable[int]) -> None:
+        """Find the orbits of rows, which is quicker for many at once."""
+        own, known = self.rows, self._known
+        wanted = np.array([row for row in dict.fromkeys(map(int, rows)) if row not in known], dtype=np.int64)
+        known.update(dict.fromkeys(wanted.tolist()))
+        wanted, names = wanted[own.proven[wanted]], [*NEEDED]
+        if own.system.definition.unforced:
+            names.append(CYCLE_PERIOD.name)
+            still = self.are_still(wanted)
+            known.update((row, self._equilibrium(row)) for row in wanted[still].tolist())
+            wanted = wanted[~still]
+        orbits = orbits_of(self.family, own.values(wanted), {name: getattr(own, name)[wanted] for name in names})
+        pairs = zip(wanted.tolist(), orbits, strict=True)
+        known.update((row, orbit) for row, orbit in pairs if isinstance(orbit, Orbit))
+
+    def are_still(self, rows: Rows) -> Mask:
+        """Which of these rows stand still, without a force: their orbits are equilibria."""
+        return np.asarray((self.rows.regime[rows] == NO_IMPACT) & self.rows.system.definition.unforced)
+
+    def _equilibrium(self, row: int) -> Orbit | None:
+        """The equilibrium of a row; None where friction holds it."""
+        own, (values,) = self.rows, self.rows.values(np.array([row]))
+        given = {**own.fixed, **dict(zip(own.axes, values.tolist(), strict=True))}
+        try:
+            return equilibrium_of(own.system, given, own.state[row])
+        except ValueError:
+            return None
+
+    def alike(self, rows: Rows) -> Iterator[tuple[Rows, list[Orbit]]]:
+        """The places of rows whose orbits have one itinerary, and these orbits; rows without an orbit are left out."""
+        self.find(rows)
+        orbits = [self.of(int(row)) for row in rows]
+        for places in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
+            yield places, [orbit for place in places if (orbit := orbits[place]) is not None]
+
+    def follow(
+        self, orbits: list[Orbit], here: Array, there: Array, steps: int = 1, attracting: bool = False
+    ) -> OrbitBatch:
+        """Orbits of one itinerary continued from parameters (N, axes) to others by Newton's method, in equal steps.
+
+        ``found``: where it finds them, and with ``attracting`` also that they attract there; nowhere if one of them
+        has no machine on the way.
+        """
+        reached = start = many_of(orbits, here)
+        try:
+            for share in np.arange(1, steps + 1) / steps:
+                reached = continued_to(self.family, reached, (1.0 - share) * here + share * there)
+            return reached._replace(converged=attract(self.family, reached)) if attracting else reached
+        except (NoOscillatorError, ValueError):
+            return start._replace(converged=np.zeros(len(orbits), dtype=np.bool_))
+
+
+def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
+    """The orbit of each of N periodic cells, exact; or why there is none, in words, such as for R = 0.
+
+    points (N, free)   their values of the family's free parameters
+    cells              the columns NEEDED as the store has them: (N,), of states (N, 2n)
+    Motion without impact is its own mirror image in a symmetric machine, also if its row in the store is not marked so.
+    Raises NoOscillatorError for a point without a machine.
+    """
+    if not len(points):
+        return []
+    machines, still = family.model(points), cells[REGIME.name] == NO_IMPACT
+    symmetric = np.where(still, machines.mirrored, cells["symmetric"]).astype(bool)
+    lengths = cells[CYCLE_PERIOD.name].tolist() if CYCLE_PERIOD.name in cells else [None] * len(points)
+    turns = zip(cells["state"], np.maximum(cells["period"], 1).tolist(), symmetric.tolist(), lengths, strict=True)
+    orbits = list[Orbit | str]()
+    for k, turn in enumerate(turns):
+        try:
+            orbits.append(record_orbit(machines.at_rows(np.array([k])), *turn))
+        except ValueError as error:
+            orbits.append(str(error))
+    orbits = _exact(family, orbits, points)
+    for k, orbit in enumerate(orbits):
+        half = reduce_symmetry(machines.at_rows(np.array([k])), orbit) if isinstance(orbit, Orbit) else orbit
+        if half is not orbit:
+            (orbits[k],) = _exact(family, [half], points[k : k + 1])
+    return orbits
+
+
+def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list[Orbit | str]:
+    """The orbits near these at their points (N, free), to rounding; or why there is none. Words stay."""
+    solved = list(orbits)
+    for rows in alike(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
+        same = [orbit for k in rows.tolist() if isinstance(orbit := orbits[k], Orbit)]
+        for k, orbit in zip(rows.tolist(), _by_newton(family, same, points[rows]), strict=True):
+            solved[k] = orbit
+    return solved
+
+
+def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit | str]:
+    """``_exact`` of orbits of one itinerary."""
+    try:
+        near = continued_to(family, many_of(orbits, points), points)
+    except ValueError as error:
+        if len(orbits) == 1:
+            return [str(error)]
+        return [one for k, orbit in enumerate(orbits) for one in _by_newton(family, [orbit], points[k : k + 1])]
+    return [near.orbit(k) if near.converged[k] else "Newton's method finds no orbit there" for k in range(len(orbits))]

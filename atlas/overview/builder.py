@@ -1,0 +1,74 @@
+"""The overviews of a store during a run: chunks over a lost tile are dropped, missing ones made at the end.
+
+The store shows which chunks are missing and computable, so a kill needs no record.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from atlas.errors import ChunkError, RunError
+from atlas.overview.levels import MIN_SIDE, SIDE, Index
+from atlas.overview.pyramid import Pyramid
+from atlas.store.store import AtlasStore, done_tiles
+from workers.results import REGIME
+
+
+class OverviewBuilder:
+    """The overviews of a store during a run that writes it.
+
+    At the start it makes the groups of all levels and drops chunks over tiles that are no longer finished. ``side`` and
+    ``least`` as in ``Levels``; a store with overviews keeps its own.
+    """
+
+    def __init__(
+        self,
+        handle: AtlasStore,
+        *,
+        side: int = SIDE,
+        least: int = MIN_SIDE,
+    ) -> None:
+        self._handle = handle
+        self._pyramid = Pyramid(handle, side, least)
+        self.levels = range(1, self._pyramid.levels.count + 1)
+        if not self.levels:
+            return
+        self._pyramid.create()
+        stale = np.ones(handle.tiling.grid, dtype=bool)
+        for tile in done_tiles(handle):
+            stale[tile] = False
+        self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
+
+    def __bool__(self) -> bool:
+        """Whether a chunk is computable."""
+        return any(map(self.missing, self.levels))
+
+    def missing(self, level: int) -> list[Index]:
+        """The chunks of a level that are missing, but computable: everything below them exists."""
+        levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
+        below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
+        wanted = (index for index in levels.chunks(level) if index not in there)
+        return [index for index in wanted if below.issuperset(levels.children(level, index))]
+
+    def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
+        """Make all computable chunks, level by level, and return their number.
+
+        ``report`` is called before each chunk with the number made and the number of all in its level. RunError if a
+        write fails.
+        """
+        made = 0
+        for level in self.levels:
+            missing = self.missing(level)
+            for done, index in enumerate(missing):
+                report(done, len(missing))
+                try:
+                    self._pyramid.make(level, index)
+                except (RunError, ChunkError):
+                    raise
+                except (OSError, ValueError) as error:
+                    raise RunError(
+                        f"{self._handle.place}: the tiles done are kept, but the overviews could not be written "
+                        f"({error}); run again to make them"
+                    ) from error
+            made += len(missing)
+        return made

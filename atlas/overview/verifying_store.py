@@ -1,0 +1,198 @@
+"""A Zarr store for reading that raises an error with the chunk's name for every missing or damaged chunk.
+
+Zarr alone reads a missing chunk as fill values and does not name the chunk with a wrong checksum. Here chunks of
+finished tiles and current overviews must exist, and each checksum is compared when its chunk is read.
+"""
+
+import asyncio
+import atexit
+import errno
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import google_crc32c
+import numpy as np
+from zarr.abc.store import SuffixByteRequest
+from zarr.storage import WrapperStore
+
+from atlas.errors import ChunkError
+from atlas.overview.coarsen import REGIME_SHOWN, level_variables
+from atlas.store.backend import StoreBackend
+from atlas.store.groups import TABLES
+from atlas.store.metadata_backup import copy_difference
+from atlas.store.origin import ALLOWANCES
+from atlas.store.schema import OVERVIEWS, coordinate_names
+from atlas.store.store import ROOT, AtlasStore
+from atlas.store.zarr_stores import zarr_store
+from workers.results import REGIME
+
+_CHECKSUM_BYTES = 4
+_FRAME = b"\x28\xb5\x2f\xfd"
+"""First bytes of a Zstandard frame."""
+_PATIENCE_SECONDS = 10.0
+_asked: ContextVar[set[tuple[StoreBackend, str]] | None] = ContextVar("asked", default=None)
+"""Of ``skip_chunk_reads``; Zarr's own thread works in the context of who asks."""
+
+
+class VerifyingStore(WrapperStore[Any]):
+    """Zarr's store of an atlas, read only; ``get`` raises ChunkError. Counts the chunks read."""
+
+    def __init__(self, handle: AtlasStore) -> None:
+        super().__init__(zarr_store(handle.place, read_only=True))
+        levels = level_variables(handle.variables)
+        self.place, self.chunks_read = handle.place, 0
+        self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra)
+        self._complete = {variable.name for variable in (*handle.variables, *levels) if not variable.sparse}
+        self._parts = {name: parts_of(array) for name, array in handle.arrays.items()}
+        self._sizes = {name: chunk_bytes(array) for name, array in handle.arrays.items()}
+        self._coordinates = {*coordinate_names(handle.spec)}
+        self._checked = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | self._coordinates
+        own = ((name, node) for name, node in handle.nodes.items() if name.partition("/")[0] not in TABLES)
+        self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
+
+    async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+        """An object; None if it is absent and not required."""
+        folder, mark, index = f"/{key}".rpartition("/c")
+        if not mark or index[:1] not in ("", "/"):
+            return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
+        array, asked = folder[1:], _asked.get()
+        if asked is not None:
+            asked.add((self.place, array))
+            return None
+        try:
+            data = await self._store.get(key, prototype, byte_range)
+            if data is None and await self._must_exist(array, index):
+                # Again: it may have been written in the meantime, and the regime, which comes last, too.
+                data = await self._store.get(key, prototype, byte_range)
+                if data is None:
+                    raise self._error(key, "is missing")
+        except OSError as error:
+            if error.errno != errno.EIO:  # a bad sector is the chunk's fault, a lost network is not
+                raise
+            raise self._error(key, f"cannot be read ({error.strerror})") from None
+        if data is None:
+            return None
+        self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
+        parts = self._parts.get(array, 0) if byte_range is None else 0
+        whole = _is_whole_shard(data.to_bytes(), parts) if parts else _is_whole(data.to_bytes())
+        size, must = unpacked_size(data.to_bytes()), self._sizes.get(array, 0)
+        if whole and not parts and byte_range is None and None is not size != must > 0:  # a chunk of another array
+            raise self._error(key, f"is damaged (it unpacks to {size} bytes, must be {must})")
+        above, _, name = array.rpartition("/")
+        names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
+        if (above in TABLES or name in names) and not whole:
+            raise self._error(key, "is damaged (its checksum is wrong)")
+        return data
+
+    def _checked_metadata(self, key: str, data: Any) -> Any:
+        """Metadata; ChunkError if they differ from their copy, or are nested too deeply for Zarr's reader."""
+        if data is not None and key.endswith(ROOT):
+            try:
+                own = json.loads(data.to_bytes())
+            except RecursionError:
+                raise self._error(key, "is damaged (nested too deeply)") from None
+            except ValueError:
+                return data  # Zarr reports the fault
+            if key in self._copies and (fault := copy_difference(own, self._copies[key])):
+                raise self._error(key, fault)
+        return data
+
+    async def _must_exist(self, array: str, index: str) -> bool:
+        """Whether the object written after a chunk exists."""
+        above, _, name = array.rpartition("/")
+        if above in TABLES or (not above and name in self._coordinates):  # single chunks, all of which exist
+            return True
+        if name not in self._complete or name == REGIME.name:
+            return False
+        marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
+        place = "/".join(index.split("/")[: self._dims + 1])
+        end = "" if above else self._end
+        keys = [f"{above}/{mark}/c{place}{end}".lstrip("/") for mark in marks if mark != name]
+        return any([await self._store.exists(key) for key in keys])
+
+    def _error(self, key: str, fault: str) -> ChunkError:
+        _loops.add(asyncio.get_running_loop())
+        return ChunkError(self.place, {key: fault})
+
+
+@contextmanager
+def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
+    """Read no chunk inside the block, as if there were none; note the arrays that would be read, by place and path."""
+    asked: set[tuple[StoreBackend, str]] = set()
+    token = _asked.set(asked)
+    try:
+        yield asked
+    finally:
+        _asked.reset(token)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a chunk's last bytes are the CRC32C of the bytes before."""
+    inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
+    return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
+
+
+def parts_of(metadata: Mapping[str, Any]) -> int:
+    """Chunks per shard of an array, from its metadata; 0 without shards."""
+    codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
+    if codec.get("name") != "sharding_indexed":
+        return 0
+    inner, whole = codec["configuration"]["chunk_shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return math.prod(n // k for n, k in zip(whole, inner, strict=True))
+
+
+def chunk_bytes(metadata: Mapping[str, Any]) -> int:
+    """Unpacked bytes of a chunk of an array, from its metadata; 0 if they vary, or with shards."""
+    try:
+        size = np.dtype(metadata["data_type"]).itemsize
+        return 0 if parts_of(metadata) else size * math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+    except (KeyError, TypeError):
+        return 0
+
+
+def unpacked_size(data: bytes) -> int | None:
+    """The unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None for anything else."""
+    if data[:4] != _FRAME or len(data) < 5:
+        return None
+    single, dictionary, field = data[4] >> 5 & 1, (0, 1, 2, 4)[data[4] & 3], (0, 2, 4, 8)[data[4] >> 6]
+    field, begin = field or single, 6 - single + dictionary
+    if not field or len(data) < begin + field:
+        return None
+    return int.from_bytes(data[begin : begin + field], "little") + (256 if field == 2 else 0)
+
+
+def _is_whole_shard(data: bytes, parts: int) -> bool:
+    """Whether the chunks of a shard, and the index at its end, have correct checksums."""
+    size = 16 * parts + _CHECKSUM_BYTES
+    index, absent = data[-size:], 2**64 - 1
+    if len(index) != size or not _is_whole(index):
+        return False
+    places = np.frombuffer(index[:-_CHECKSUM_BYTES], dtype="<u8").reshape(parts, 2).tolist()
+    return all(_is_whole(data[begin : begin + length]) for begin, length in places if begin != absent)
+
+
+def abandon_reads() -> None:
+    """End the pending reads after a failed one, before a process exits.
+
+    At exit Zarr closes its event loop with everything pending, and Python reports each pending read on stderr.
+    """
+
+    async def cancel() -> None:
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        if others:
+            await asyncio.wait(others, timeout=_PATIENCE_SECONDS)
+
+    for loop in list(_loops):
+        if loop.is_running():
+            asyncio.run_coroutine_threadsafe(cancel(), loop).result()
+
+
+_loops: set[asyncio.AbstractEventLoop] = set()
+"""Event loops in which a read failed; Zarr has one."""
+atexit.register(abandon_reads)  # registered after Zarr's own function (imported above), so called before it

@@ -1,0 +1,226 @@
+"""A block of a store's cells: finding it behind a dataset, and reading its levels."""
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.errors import ChunkError, InputError
+from atlas.overview.coarsen import CODES, SHARE, Cells, coarsen, from_cells, required_variables
+from atlas.overview.pyramid import MARKS, Pyramid, pyramid_of
+from atlas.query.open import LAYERS, handle_of
+from atlas.query.window import axis_values
+from atlas.spec.axis import Axis
+from atlas.spec.spec import MAX_AXES, Slices
+from atlas.store.store import AtlasStore
+from atlas.store.tile_records import TileRecords
+from workers.results import PENDING, REGIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+PENDING_SHARE = CODES.tolist().index(PENDING)
+"""The entry of pending cells among the shares of the regimes."""
+
+
+def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "StoreBlock | None":
+    """The block of a store that a dataset shows, or None unless each named variable is as ``atlas.open`` gave it.
+
+    Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
+    """
+    try:
+        handle = handle_of(ds)
+    except InputError:
+        return None
+    dims, spec = ds[REGIME.name].dims, handle.spec
+    if dims != spec.dims and not (len(spec.dims) == MAX_AXES and dims == spec.dims[1:] and spec.dims[0] in ds.coords):
+        return None
+    axes = reversed(spec.axes)
+    cells = [_neighbours(np.array(axis.values), np.atleast_1d(axis_values(ds, axis.name))) for axis in axes]
+    if any(run is None for run in cells) or not all(_is_untouched(ds, name, handle) for name in names):
+        return None
+    runs, pyramid = tuple(run for run in cells if run is not None), pyramid_of(handle)
+    return StoreBlock(handle, runs, pyramid, dims != spec.dims, pyramid.chunks_read)
+
+
+def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
+    """Where values lie, one after the other, among all values of an axis; None where they do not."""
+    first = int(np.searchsorted(full, values[0])) if values.size else full.size
+    section = full[first : first + values.size]
+    return slice(first, first + values.size) if values.size and np.array_equal(section, values) else None
+
+
+def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
+    """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name.
+
+    Its first value tells, which takes no read: if nothing was computed, loaded or assigned, then this array is asked.
+    Of a Dask array its graph tells.
+    """
+    from atlas.overview.verifying_store import skip_chunk_reads  # with it Zarr, which takes a while to load
+
+    stored = handle.arrays.get(name)
+    if name not in ds or stored is None:
+        return False
+    variable = ds[name].variable
+    if variable.chunks is not None:
+        untouched = _is_selected(variable.data, ds.encoding.get(LAYERS, {}).get(name))
+    else:
+        with skip_chunk_reads() as asked:
+            _ = variable[(0,) * variable.ndim].values
+        untouched = asked == {(handle.place, name)}
+    inner = list(variable.shape[ds[REGIME.name].ndim :])
+    return untouched and inner == list(stored["shape"][len(handle.spec.shape) :])
+
+
+def _is_selected(array: Any, opened: frozenset[str] | None) -> bool:
+    """Whether a Dask array is that whose graph had these layers when its dataset was opened, or a selection of it."""
+    layers = set(array.dask.layers)
+    if opened is None or not opened <= layers:
+        return False
+    return all(layer.startswith("getitem-") for layer in layers - opened)
+
+
+@dataclass(frozen=True)
+class StoreBlock:
+    """A block of the cells of a store, and how its levels are read.
+
+    A ``piece`` is a block of cells of a level; level 0 are the cells of the store. ``before`` are the chunks that the
+    pyramid had read before. Of a stack, ``plane`` says that the
+    dataset has one plane of it and no dimension across the planes, which the part has all the same.
+    """
+
+    handle: AtlasStore
+    cells: Slices
+    pyramid: Pyramid = field(repr=False)
+    plane: bool = False
+    before: int = field(default=0, repr=False)
+
+    @property
+    def chunks_read(self) -> int:
+        """Chunks found and read since the part was found."""
+        return self.pyramid.chunks_read - self.before
+
+    def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values over cells of the part in the dimensions of the dataset."""
+        return values[0] if self.plane else values
+
+    @property
+    def axes(self) -> tuple[tuple[Axis, slice], ...]:
+        """The axes of the dataset by its dimensions, and the cells that the part has along them."""
+        axes = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
+        return tuple(axes)[1 if self.plane else 0 :]
+
+    @cached_property
+    def records(self) -> TileRecords:
+        """The records of the store's tiles."""
+        return TileRecords(self.handle)
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """Which tiles of the store are done, as an array over the tiles."""
+        return self.records.done
+
+    def closed(self, names: Iterable[str]) -> list[str]:
+        """All variables that coarsening these takes."""
+        return required_variables(self.pyramid.variables, names)
+
+    def undone(self, level: int, piece: Slices) -> list[tuple[int, ...]]:
+        """The tiles below a piece of a level that are not done."""
+        tiles = self.pyramid.levels.tiles_below(level, piece)
+        return [
+            tuple(s.start + i for s, i in zip(tiles, at, strict=True)) for at in np.argwhere(~self.done[tiles]).tolist()
+        ]
+
+    def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
+        """Variables of a piece of a level, a regime among them.
+
+        What of an overview is missing, damaged or out of date, as it is over a tile that is not done any more, is
+        computed from the level before, down to the cells; where no tile is done below, it is pending. Raises
+        ChunkError where a chunk of the cells themselves is missing or damaged.
+        """
+        wanted = list(names)
+        if level == 0:
+            return self._read_cells(piece, wanted)
+        arrays, missing = self.read_stored(level, piece, wanted)
+        for block in missing:
+            at = relative_slices(piece, block)
+            if self.done[self.pyramid.levels.tiles_below(level, block)].any():
+                computed = self._compute(level, block, wanted)
+                for name in wanted:
+                    arrays[name][at] = computed[name]
+            elif SHARE.name in arrays:
+                arrays[SHARE.name][(*at, PENDING_SHARE)] = 1.0
+        return arrays
+
+    def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
+        """Stored variables of a piece of a level, and its blocks that must not be used."""
+        blocks = list(self._blocks(level, piece))
+        if not self.pyramid.made:
+            return self._pending(piece, names), blocks
+        mark = next(mark.name for mark in MARKS if mark.name in names)
+        try:
+            # The mark first: what was there before it is there, though a run may be writing all of it right now.
+            arrays = {name: self.pyramid.read(level, name, piece) for name in dict.fromkeys((mark, *names))}
+        except ChunkError:
+            return self._read_each(level, piece, names, blocks)
+        return arrays, [
+            block for block in blocks if not self._is_current(level, block, arrays[mark][relative_slices(piece, block)])
+        ]
+
+    def _read_each(
+        self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
+    ) -> tuple[Cells, list[Slices]]:
+        """As ``read_stored`` of a piece with a bad chunk: which block it lies in shows when each is read alone."""
+        arrays, missing = self._pending(piece, names), blocks
+        if len(blocks) > 1:
+            missing = []
+            for block in blocks:
+                alone, bad = self.read_stored(level, block, names)
+                missing += bad
+                for name in names:
+                    arrays[name][relative_slices(piece, block)] = alone[name]
+        return arrays, missing
+
+    def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
+        """Variables of a level from the cells themselves."""
+        stored = {variable.name for variable in self.handle.variables}
+        base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
+        return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
+
+    def _compute(self, level: int, piece: Slices, names: list[str]) -> Cells:
+        """Variables of a piece of a level from the level before."""
+        finer = self.pyramid.levels.finer(level, piece)
+        widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
+        below = self.read(level - 1, finer, self.closed(names))
+        return coarsen(below, widths, self.pyramid.levels.coarsened)
+
+    def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
+        """Variables of a piece of a level without a result."""
+        wanted, made = set(names), {}
+        for variable in self.pyramid.variables:
+            if variable.name in wanted:
+                shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra)
+                made[variable.name] = np.full(shape, variable.fill, dtype=variable.dtype)
+        return made
+
+    def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
+        """Whether an overview has all of a block, and every tile below it is still done."""
+        tiles = self.pyramid.levels.tiles_below(level, block)
+        return not (marks == PENDING).any() and bool(self.done[tiles].all())
+
+    def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
+        """The piece cut along the borders of chunks."""
+        along = []
+        for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
+            cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]
+            along.append([slice(a, b) for a, b in itertools.pairwise(cuts)])
+        yield from itertools.product(*along)
+
+
+def relative_slices(piece: Slices, block: Slices) -> Slices:
+    """A block of a piece, counted from the piece's first cell."""
+    return tuple(slice(b.start - p.start, b.stop - p.start) for p, b in zip(piece, block, strict=True))

@@ -1,0 +1,276 @@
+"""Maps of classes, each with a colour and a legend entry: periods, motions, symmetry, attractors, basins."""
+
+import colorsys
+from collections.abc import Sequence
+from dataclasses import replace
+from zlib import crc32
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import to_hex, to_rgb
+from numpy.typing import NDArray
+
+from atlas.query import basins as reached
+from atlas.query.attractors import branches
+from atlas.query.motions import VARIABLES, MotionName, broken_cells
+from atlas.query.motions import motions as motions_of
+from atlas.query.plane import Plane
+from atlas.render import style, text
+from atlas.render.layers import (
+    Class,
+    HatchLayer,
+    LegendEntry,
+    MapLayers,
+    MapView,
+    PointLayer,
+    ShadingLayer,
+    build_layers,
+)
+from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED, Variable
+
+PERIODS: tuple[tuple[int, int, str], ...] = (
+    (1, 1, style.COLORS[PERIODIC]),
+    (2, 2, "#38ad83"),
+    (3, 3, "#a467ff"),
+    (4, 4, "#06493b"),
+    (5, 5, "#5bedff"),
+    (6, 6, "#b5a3b7"),
+    (7, 8, "#594e6e"),
+    (9, 16, "#8faefc"),
+    (17, np.iinfo(np.int32).max, "#0314cf"),
+)
+"""First and last period of each class and its colour, the same in every picture: cool colours, since warm ones are
+chaos.
+
+Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
+above 20 among periods, above 12 as seen without red, green or blue receptors."""
+
+HUES = {
+    (1, 1, 1): ("#4477aa", "#73b9ff"),
+    (1, 2, 2): ("#d9830a", "#433b2f"),
+    (2, 4, 2): ("#8d3bf3", "#4f297f"),
+    (2, 2, 2): ("#ffca97", "#9b8066"),
+    (1, 2, 1): ("#ff25d2", "#51314b"),
+    (2, 3, 2): ("#87cde4", "#186177"),
+    (1, 3, 3): ("#dbbc50", "#625a3c"),
+}
+"""Colours of the most frequent motions n-p-q with p >= q, and of their mirror images with p < q, in the same hue.
+
+Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without red or
+without green receptors.
+"""
+UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
+"""Colours of all other motions, chosen by a hash of their name: a motion has the same colour in every picture."""
+_NAMED = 3
+"""Most motions named in the legend for a shared colour."""
+STICKS, STICKS_HATCH = "#d5ece6", "----"
+"""Colour and texture of periodic motions that rest on a stop."""
+
+SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
+"""Colours of periodic motions: symmetric; broken with more impacts at the upper stop; at the lower; broken with equal
+counts; of machines with asymmetric stops, load or force, where no motion has a mirror image."""
+
+COUNTS = {1: "#eff3f5", 2: "#bcd3e8", 3: "#d9a63a", 4: "#c8662a", 5: "#963050", 6: "#40103c"}
+"""Colours by number of attractors, ever darker; the last for all larger numbers."""
+
+PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
+"""Colours of the branches of largest share; each also in a darker tone for its mirror image, since a paler point would
+be invisible on white."""
+REST = "#4d4d4d"
+"""The colour of all other branches."""
+BASINS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
+"""Colours of the attractors of a plane of initial states, repeated if there are more."""
+PALER, DARKER = 0.8, 0.25
+"""Lightness of the colour of a mirror image, with the hue of its twin, from black 0 to white 1."""
+SLOW = 0.55
+"""Darkness of the slowest initial states, black 0."""
+SOONEST, LATEST = 5.0, 95.0
+"""Percentiles of settling times between which shading grows."""
+
+
+def period(view: MapView) -> MapLayers:
+    """The forcing periods of each cell's orbit, and the regime if it never closes."""
+    return build_layers(view.plane.regime, by_period(view.plane), beside="")
+
+
+def by_period(plane: Plane) -> list[Class]:
+    """The classes of periods."""
+    periodic, period = plane.regime == PERIODIC, plane["period"]
+    classes = []
+    for first, last, color in PERIODS:
+        name = f"period {first}" if first == last else f"period {first}–{last}"
+        name = f"period ≥ {first}" if last == PERIODS[-1][1] else name
+        classes.append((periodic & (period >= first) & (period <= last), color, name))
+    return classes
+
+
+def motions(view: MapView) -> MapLayers:
+    """The periodic motions n-p-q of a plane, with names on large regions."""
+    regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
+    names, number = motions_of(regime, *counts)
+    colors = [color_of(motion) for motion in names]
+    own = [(color, motion.label) for motion, color in zip(names, colors, strict=True) if color not in UNLISTED]
+    legend = [LegendEntry(color, label) for color, label in own if color != STICKS]
+    by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(names)), kind="stable")
+    for color in UNLISTED:
+        shared = [names[k].label for k in by_area if colors[k] == color]
+        more = ", …" if len(shared) > _NAMED else ""
+        legend += [LegendEntry(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
+    legend += [LegendEntry(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
+    rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
+    named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
+    key = text.motion_key(view.ds)
+    return build_layers(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=key, names=named)
+
+
+def color_of(motion: MotionName) -> str:
+    """The colour of a motion, the same in every picture; mirror images share a hue."""
+    if motion.p < 0:
+        return STICKS
+    group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
+    if group in HUES:
+        return HUES[group][motion.p < motion.q]
+    return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
+
+
+def symmetry(view: MapView) -> MapLayers:
+    """Symmetry of periodic motions, x(t) = -x(t + T/2), and for broken ones which of the two mirror images it is.
+
+    A broken motion has a twin, reached from another start. Impact counts distinguish the two unless they are equal, or
+    infinite for a mass that comes to rest. InputError if no machine of the periodic cells is symmetric.
+    """
+    plane = view.plane
+    regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
+    symmetric = plane["symmetric"].astype(bool)
+    broken = broken_cells(view.ds, plane)
+    classes = [
+        ((regime == PERIODIC) & symmetric, SYMMETRIC, "symmetric"),
+        (broken & (upper > lower), UPPER, "broken, twin A (more impacts above)"),
+        (broken & (upper < lower), LOWER, "broken, twin B (more impacts below)"),
+        (broken & (upper == lower), UNTOLD, "broken, as many impacts above as below"),
+        ((regime == PERIODIC) & ~symmetric & ~broken, ALONE, "periodic, of a machine that is not symmetric"),
+    ]
+    return build_layers(regime, classes)
+
+
+def attractors(view: MapView) -> MapLayers:
+    """Number of attractors reached from the initial states of each cell.
+
+    A cell with undecided initial states may have more: its known attractors count.
+    """
+    most = max(COUNTS)
+    count = np.minimum(np.nan_to_num(view.plane.known("attractors")).round(), most)
+    names = {1: "1 attractor", most: f"{most} or more"}
+    classes = [(count == n, color, names.get(n, f"{n} attractors")) for n, color in COUNTS.items()]
+    return build_layers(view.plane.regime, classes, beside="")
+
+
+def labels(view: MapView) -> MapLayers:
+    """The branch of each cell's attractor, by default of the attractor with the largest share.
+
+    A mirror image has a darker tone of its twin's hue; chaos and tori have no label and the colour of their regime.
+    """
+    known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
+    numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
+    return build_layers(view.plane.regime, numbered=numbered, legend=entries, beside="")
+
+
+def colors_of(
+    known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
+) -> list[str]:
+    """The colour of every attractor: ``quiet`` without impact; for mirror images the twin's hue in this lightness.
+
+    After its end the palette is repeated, or ``rest`` is the colour of all others.
+    """
+    colors: list[str] = []
+    used = 0
+    for k, (regime, mirror) in enumerate(zip(known["regime"].values, known["mirror"].values, strict=True)):
+        if regime == NO_IMPACT:
+            colors.append(quiet)
+        elif 0 <= mirror < k and colors[mirror] == rest:
+            colors.append(colors[mirror])
+        elif 0 <= mirror < k:
+            hue, _, saturation = colorsys.rgb_to_hls(*to_rgb(colors[mirror]))
+            colors.append(to_hex(colorsys.hls_to_rgb(hue, mirrored, saturation)))
+        elif rest is not None and used >= len(palette):
+            colors.append(rest)
+        else:
+            colors.append(palette[used % len(palette)])
+            used += 1
+    return colors
+
+
+def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
+    """The colour of every branch by its label; small ones share one. ``ink``: for points on white."""
+    quiet = style.INK[NO_IMPACT] if ink else style.COLORS[NO_IMPACT]
+    return colors_of(known, PALETTE, DARKER, quiet, REST)
+
+
+def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[LegendEntry]:
+    """Legend entries of the branches among these labels."""
+    there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
+    named = [k for k in there.tolist() if own[k] != REST]
+    entries = [LegendEntry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
+    return entries + ([LegendEntry(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
+
+
+def _name_of_branch(known: xr.Dataset, label: int) -> str:
+    """A branch in a few words: n-p-q (periods, impacts at each stop), and its twin if it is a mirror image."""
+    one = known.isel(branch=label)
+    if int(one["regime"]) == NO_IMPACT:
+        return REGIME.meaning(NO_IMPACT).text
+    name = MotionName(*(int(one[variable]) for variable in VARIABLES)).label
+    return name + (f", mirrors {int(one['mirror'])}" if 0 <= int(one["mirror"]) < label else "")
+
+
+def basins(view: MapView) -> MapLayers:
+    """The attractor reached from each initial state of a plane, darker for slow settling.
+
+    A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top, of a cycle
+    without a force all of it.
+    """
+    known, plane, unforced = reached.table(view.ds), view.plane, text.is_unforced(view.ds)
+    colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
+    label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
+    regimes = text.regime(view.ds)
+    named = [(label == k, color, _name_of_attractor(known, k, regimes)) for k, color in enumerate(colors)]
+    layers, there = build_layers(plane.regime, named), label >= 0
+    points, shade, legend = _points(known, plane, colors), None, list(layers.legend)
+    if there.any():
+        soon, late = np.percentile(settled[there], [SOONEST, LATEST]).tolist()
+        shade = ShadingLayer(np.where(there, settled, np.nan), soon, late, SLOW)
+        if late > soon:
+            periods = "natural periods" if unforced else "periods"
+            meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
+            legend.insert(at, LegendEntry("#c8c8c8", meaning, dark=SLOW))
+    entry = "attractor" if unforced else "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
+    return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
+
+
+def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
+    """An attractor in a few words: its label, its regime or period, its share."""
+    one = known.isel({ATTRACTOR: label})
+    regime = int(one["regime"])
+    what = f"period {int(one['period'])}" if regime == PERIODIC else regimes.meaning(regime).text
+    if is_cycle(one):
+        what = f"cycle of {float(one[CYCLE_PERIOD.name]):.4g}"
+    return f"{label}: {what}, {100 * float(one['share']):.3g} %"
+
+
+def is_cycle(one: xr.Dataset) -> bool:
+    """Whether one attractor is a cycle without a force, whose points lie all along it."""
+    return CYCLE_PERIOD.name in one and bool(np.isfinite(one[CYCLE_PERIOD.name]))
+
+
+def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[PointLayer]:
+    """The section points of the attractors on the plane of the initial states."""
+    names = [str(name) for name in known["component"].values]
+    at = [names.index(axis.name) for axis in (plane.x, plane.y)]
+    points = []
+    for k, color in enumerate(colors):
+        one = known.isel({ATTRACTOR: k})
+        single = int(one["period"]) > 0 and not is_cycle(one)
+        look = ("o", 5.0, color, "black", 0.8) if single else (".", 2.0, color, "black", 0.2)
+        points.append(PointLayer(one["points"].values[:, at], look))
+    return points

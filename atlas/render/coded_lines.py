@@ -1,0 +1,152 @@
+"""Lines and names over a map for a page that draws them itself, as plain JSON and arrays of cells."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.query.label_placement import densify_line, places
+from atlas.query.outlines import isolines, simplify_regimes
+from atlas.query.plane import Plane
+from atlas.render import overlays, style
+from atlas.render.coded_maps import described_curves, text_of
+from atlas.render.kinds import OverlayError
+from atlas.render.layers import MapLayers, MapView
+from workers.results import LARGEST
+
+Array = NDArray[np.float64]
+Size = tuple[float, float]
+"""Width and height of a plane, in pixels."""
+
+NAME_SIZE = 11.5
+"""Pixels of the type of names."""
+_NAMED = 150.0
+"""Least length in pixels of an isoline with its number."""
+_FINE = 1e-7
+"""Precision of the points of lines, as a share of the plane's width."""
+
+
+@dataclass(frozen=True)
+class OverlayLines:
+    """An overlay: its data for a page, and the regions of cells (y, x) between which it draws borders."""
+
+    described: dict[str, Any]
+    regions: NDArray[np.uint8] | None = None
+
+
+def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
+    """An overlay of a map on this many pixels; OverlayError if it cannot be drawn."""
+    try:
+        return _OVERLAYS[name](view, size)
+    except InputError as error:
+        raise OverlayError(name, str(error)) from None
+
+
+def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]]:
+    """The names that fit into the regions of a map, each with its place, its angle and its colour."""
+    (x, columns), (y, rows) = plane.x.even(), plane.y.even()
+    step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
+    names = []
+    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, [NAME_SIZE]):
+        _, text, under = layers.names[spot.number]
+        at = x.values[spot.cell[1]], y.values[spot.cell[0]]
+        names.append(_name(text, at, spot.angle, style.ink_on(under)))
+    return names
+
+
+def _name(text: str, at: Iterable[float], angle: float, color: str) -> dict[str, Any]:
+    x, y = map(float, at)
+    return {"x": x, "y": y, "text": text, "angle": angle, "color": color, "size": NAME_SIZE}
+
+
+def _grazing(view: MapView, size: Size) -> OverlayLines:
+    lines = overlays.lines_of_grazing(view)
+    look = {"label": text_of(overlays.grazing_label(view, lines)), "color": "#000000", "dashes": [5, 2], "width": 1.5}
+    return _polylines(view.plane, "grazing", look, lines)
+
+
+def _boundaries(view: MapView, size: Size) -> OverlayLines:
+    regions, left_out = simplify_regimes(view.plane.regime, size)
+    label = "regime boundary" + (", clouds of cells left out" if left_out else "")
+    look = {"label": label, "color": overlays.BOUNDARY, "dashes": [], "edge": overlays.BOUNDARY, "fixed": True}
+    return OverlayLines(_described({"boundaries": look}, []), regions.astype(np.uint8))
+
+
+def _isolines(view: MapView, size: Size) -> OverlayLines:
+    plane, kept, names = view.plane, list[Array](), list[dict[str, Any]]()
+    for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
+        placed = _placed(plane, line, size)
+        dots, along = densify_line(placed)
+        if along[-1] >= overlays.MIN_LINE_LENGTH:
+            kept.append(line)
+        if along[-1] >= _NAMED:
+            middle = np.argmin(np.hypot(*(placed - dots[dots.shape[0] // 2]).T))
+            names.append(_name(f"{level:g}".replace("-", "−"), line[middle], 0.0, "#000000") | {"halo": True})
+    look = {"label": "λ₁ constant", "color": "#ffffff", "dashes": [], "width": 1.0, "edge": overlays.SHADOW}
+    drawn = _polylines(plane, "isolines", look, kept)
+    return OverlayLines(drawn.described | {"names": names})
+
+
+def _curves(view: MapView, size: Size) -> OverlayLines:
+    curves = described_curves(overlays.requested_curves(view, "overlay 'curves'"))
+    lines = [
+        {"kind": line["kind"], "points": part}
+        for line in curves["lines"]
+        for part in _parts(view.plane, np.reshape(line["points"], (-1, 2)))
+    ]
+    low, high = map(np.array, _ends(view.plane))
+    inside = {
+        name: [mark for mark in curves[name] if np.all((low <= mark[1:]) & (mark[1:] <= high))]
+        for name in ("corners", "ends")
+    }
+    return OverlayLines(curves | inside | {"lines": lines})
+
+
+def _polylines(plane: Plane, kind: str, look: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
+    """Lines of one kind. The legend does not switch them: the choice of overlays does."""
+    parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
+    return OverlayLines(_described({kind: {**look, "fixed": True}}, parts))
+
+
+def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"looks": looks, "lines": lines, "marks": {}, "corners": [], "ends": []}
+
+
+def _ends(plane: Plane) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where the cells of a plane begin and end: (x, y) of either."""
+    return (plane.x.edges[0], plane.y.edges[0]), (plane.x.edges[-1], plane.y.edges[-1])
+
+
+def _parts(plane: Plane, line: Array) -> list[list[float]]:
+    """The parts of a line (N, 2) in view, each one point longer at its ends, as far as they are seen."""
+    low, high = _ends(plane)
+    first, last = line[:-1], line[1:]
+    seen = np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1)
+    cuts = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
+    decimals = [int(np.ceil(-np.log10(_FINE * width))) for width in np.subtract(high, low)]
+    flat = []
+    for begin, end in cuts.reshape(-1, 2).tolist():
+        part = line[begin : end + 1]
+        flat.append(np.column_stack([np.round(part[:, k], decimals[k]) for k in (0, 1)]).ravel().tolist())
+    return flat
+
+
+def _placed(plane: Plane, at: Array, size: Size) -> Array:
+    """Points of a plane in pixels from its lower left corner."""
+    columns = []
+    for k, axis in enumerate((plane.x, plane.y)):
+        low, high, values = (np.log(v) if axis.log else v for v in (axis.edges[0], axis.edges[-1], at[:, k]))
+        columns.append((values - low) / (high - low) * size[k])
+    return np.column_stack(columns)
+
+
+_OVERLAYS: dict[str, Callable[[MapView, Size], OverlayLines]] = {
+    "grazing": _grazing,
+    "boundaries": _boundaries,
+    "isolines": _isolines,
+    "curves": _curves,
+}

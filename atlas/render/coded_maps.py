@@ -1,0 +1,210 @@
+"""The layers of maps for a page that draws them itself, as codes of cells and JSON.
+
+A code stands for a colour, or for a scale on which the page places the cell's number.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import Colormap, to_hex
+from matplotlib.markers import MarkerStyle
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.formatting import mathtext_to_unicode
+from atlas.orbits.curves.table import Curve
+from atlas.query.extremes import numbers_of_cells
+from atlas.query.plane import Plane
+from atlas.render import style, text
+from atlas.render.kinds import BASINS, KIND_TABLE, LABELS, LOGARITHM, MAPS, NUMBER, SCALAR
+from atlas.render.layers import CellStyle, Colors, LegendEntry, MapLayers, MapView, ScalarLayer
+from atlas.render.layout import STANDARD
+from atlas.render.maps import with_legend_notes
+from atlas.render.painters import PAINTERS
+from atlas.render.raster import MARKED
+from atlas.render.request import PictureRequest
+from workers.results import NO_IMPACT
+
+
+@dataclass(frozen=True)
+class CodedMap:
+    """A map of a page.
+
+    name       of its kind, or of its variable
+    codes      (y, x) entry of each cell, which gives its colour
+    needs      the variables that it reads, first the one on the scale
+    described  further data for the page, as plain JSON
+    layers     the layers that it is made from
+    """
+
+    name: str
+    codes: NDArray[np.uint8] | NDArray[np.uint16]
+    needs: tuple[str, ...]
+    described: dict[str, Any]
+    layers: MapLayers
+
+
+def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
+    """Every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable as numbers."""
+    held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
+    kinds = [
+        name for name in held if name in PAINTERS and not (name == LABELS and BASINS in held)
+    ]  # labels are of starts
+    for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
+        with suppress(InputError):  # this machine has no such map
+            yield coded_map(ds, seen, name)
+
+
+def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
+    """The map of a name of the cells ``seen`` of an atlas; InputError where they have none."""
+    variable = name.removeprefix(NUMBER).removesuffix(LOGARITHM) if name.startswith(NUMBER) else None
+    kind = KIND_TABLE[SCALAR if variable else name]
+    needs = (variable,) if variable else kind.variables
+    kind.require(seen, needs)
+    wanted = PictureRequest(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
+    view = MapView(kind, ds, Plane.of(seen, needs), wanted)
+    return _coded(name, text_of(text.variable_label(ds, variable)) if variable else kind.meaning, view, needs)
+
+
+def text_of(label: str) -> str:
+    """A label of a picture, with its mathtext in Unicode."""
+    parts = label.split("$")
+    shown = "".join(
+        mathtext_to_unicode(part).replace("-", "\N{MINUS SIGN}") if k % 2 else part for k, part in enumerate(parts)
+    )
+    return " ".join(shown.split())
+
+
+def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
+    """Curves where their orbit is otherwise stable, as plain JSON."""
+    corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
+    kinds = {curve.kind for curve in curves}
+    return {
+        "looks": {kind: _line_look(look) for kind, look in style.EVENT_STYLES.items() if kind in kinds},
+        "lines": [
+            {"kind": curve.kind, "orbit": curve.label, "points": line.ravel().tolist()}
+            for curve in curves
+            for line in curve.stable_lines
+        ],
+        "marks": {kind: _mark_look(kind) for kind, _, _ in corners},
+        "corners": [list(corner) for corner in corners],
+        "ends": [[curve.kind, *at.tolist()] for curve in curves for at in curve.loose_ends],
+    }
+
+
+def _line_look(look: style.EventStyle) -> dict[str, Any]:
+    return {"label": look.label, "color": look.color, "dashes": [] if look.dashes == "solid" else [*look.dashes[1]]}
+
+
+def _mark_look(kind: str) -> dict[str, Any]:
+    """Name and outline of a point of codimension two, in units of its size."""
+    look = style.corner_look(kind, 1.0)
+    marker = MarkerStyle(look["marker"])
+    shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
+    return {"label": look["label"], "shape": [np.asarray(part).ravel().round(3).tolist() for part in shape]}
+
+
+def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> CodedMap:
+    layers = with_legend_notes(PAINTERS[view.kind.name](view), view.ds)
+    textures, patterns = _textures(layers)
+    outlined = np.zeros(layers.codes.shape, np.int64)
+    for texture in layers.textures:
+        outlined |= 0 if texture.outlined is None else texture.outlined
+    base = 2 * (len(patterns) + 1)
+    keys, codes = np.unique(layers.codes * base + 2 * textures + outlined, return_inverse=True)
+    entries, own = [], text.regime(view.ds)
+    for key in keys.tolist():
+        rest, look = key % base, layers.looks[key // base]
+        entry = _shown(layers, look) | (patterns[rest // 2 - 1] if rest > 1 else {})
+        if rest % 2:
+            entry["outlined"] = True
+        if look.regime in MARKED:
+            entry["enlarged"] = text_of(own.meaning(look.regime).text)  # as its entry in the legend
+        entries.append(entry)
+    described = {
+        "name": name,
+        "needs": list(needs),
+        "meaning": meaning,
+        "numbers": view.kind.name == SCALAR,
+        "entries": entries,
+        "bars": [_bar(bar, view.plane[needs[0]], needs[0], bar is _main(layers)) for bar in layers.bars],
+        "shade": _shade(layers, needs[0]),
+        "title": text_of(layers.beside or ""),
+        "legend": [_entry(entry) for entry in layers.entries],
+    }
+    kind = np.uint8 if len(entries) <= 256 else np.uint16
+    return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described, layers)
+
+
+def _main(layers: MapLayers) -> ScalarLayer | None:
+    """The field whose ends can be chosen: the only one with a bar, or of the errors that of chaos."""
+    named = [bar for bar in layers.bars if len(layers.bars) == 1 or bar.title == "chaotic"]
+    return named[0] if named else None
+
+
+def _shown(layers: MapLayers, look: CellStyle) -> dict[str, Any]:
+    """The content of a look: the number of a bar, or a colour, which a shade darkens unless it is a regime's."""
+    if look.field is not None:
+        field = layers.fields[look.field]
+        if field.bar:
+            return {"bar": layers.bars.index(field)}
+        return {"color": _hex(field.colors(np.array(-np.inf)))}  # below any scale
+    return {"color": look.color} | ({"shaded": True} if layers.shade is not None and look.regime is None else {})
+
+
+def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:
+    """The shade that darkens colours, by a variable."""
+    if layers.shade is None:
+        return None
+    return {"variable": variable, "low": layers.shade.low, "high": layers.shade.high, "dark": layers.shade.dark}
+
+
+def _hex(color: Colors) -> str:
+    return "#" + bytes(color[:3]).hex()
+
+
+def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
+    """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
+    numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
+    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # textured where its colour is hidden
+    textures = [
+        (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
+    ]
+    for cells, hatch, ink in [*textures, *((texture.cells, texture.hatch, texture.ink) for texture in layers.textures)]:
+        if cells.any():
+            patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
+            numbers[cells] = len(patterns)
+    return numbers, patterns
+
+
+def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str, main: bool) -> dict[str, Any]:
+    """A bar; ``main`` is the one whose ends can be chosen."""
+    above, both = bar.signs or (bar.colormap, None)
+    zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
+    return {
+        "variable": variable,
+        "label": text_of(bar.label),
+        "title": bar.title,
+        "scale": bar.form,
+        "ends": list(bar.ends),
+        "main": main,
+        "colors": _table(above),
+        "both": both and _table(both),
+        "zero": float(zeros[0]) if zeros.size else 0.0,  # where a number of exactly 0 stands on a logarithmic scale
+    }
+
+
+def _table(colormap: Colormap) -> str:
+    return np.asarray(colormap(np.arange(colormap.N), bytes=True))[:, :3].tobytes().hex()
+
+
+def _entry(entry: LegendEntry) -> dict[str, Any]:
+    """An entry of a legend."""
+    described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
+    if entry.dark < 1.0:
+        return described | {"dark": entry.dark}
+    return described | ({"hatch": entry.hatch[0], "ink": to_hex(entry.ink)} if entry.hatch else {})

@@ -1,0 +1,359 @@
+"""The page of a picture: its size, type and resolution, the ends of its scale, or given axes."""
+
+import math
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import style as mpl_style
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.transforms import ScaledTranslation
+
+from atlas.argument_checks import validate_flag
+from atlas.errors import InputError, brief_repr
+from atlas.render.options import ScaleOptions
+from atlas.render.style import DPI, defaults, drawing_context, rc_params
+from atlas.render.text_wrap import TITLE, fit
+
+WIDTH = 7.0
+"""Default width of a figure in inches: two columns of a journal."""
+
+_FONT = 10.0
+"""Points of the type at the standard width; all sizes of type here are relative to it."""
+_NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
+"""Width in inches of one column of a journal, and its type in points."""
+_SHOWN_DPI = 144.0
+"""Dots per inch in a notebook, which shows 72 of them per inch of the page on coarse screens."""
+_INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
+_PIXELS = (1500, 1100)
+"""Least size, (x, y), of a map's plot in a file of the standard page, in pixels: larger cells are all drawn."""
+_LENGTHS = (0.8, 60.0)
+"""Least and greatest length of a page in inches."""
+_BESIDE = 5.0
+"""Least width in inches of a page with a legend beside its plot."""
+
+
+class NotebookFigure(Figure):
+    """A figure that a notebook shows by itself, without pyplot or a magic line, and that threads draw in turn."""
+
+    def savefig(self, *given: Any, **options: Any) -> None:
+        """As in Matplotlib."""
+        with drawing_context():
+            super().savefig(*given, **options)
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        width, height = self.get_size_inches()
+        data = BytesIO()
+        self.savefig(data, format="png", dpi=_SHOWN_DPI)
+        # At half of its pixels, for fine screens.
+        return data.getvalue(), {"width": round(width * _SHOWN_DPI / 2), "height": round(height * _SHOWN_DPI / 2)}
+
+
+@dataclass(frozen=True)
+class FigureLayout:
+    """A page, with lengths in inches and type in points; ``given`` are axes to draw into in place of a new figure.
+
+    ``explained``: true with a legend.
+    """
+
+    width: float = WIDTH
+    height: float | None = None
+    font: float = _FONT
+    dpi: float = DPI
+    vmin: float | None = None
+    vmax: float | None = None
+    title: bool = True
+    explained: bool = True
+    rc: Mapping[str, Any] = field(default_factory=dict)
+    given: tuple[Axes, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """The size of the type relative to the standard page."""
+        return self.font / _FONT
+
+    @property
+    def has_side_legend(self) -> bool:
+        """Whether a legend fits beside the plot."""
+        return self.width >= _BESIDE * self.scale
+
+    @property
+    def map_height(self) -> float:
+        """Default height of a map in inches."""
+        return 1.2 + 0.5 * self.width
+
+    @property
+    def map_size(self) -> tuple[float, float]:
+        """Nominal width and height of a map's plot in points."""
+        return self.plot_size(self.map_height)
+
+    @property
+    def map_pixels(self) -> tuple[int, int]:
+        """Size, (x, y), of a map's plot in pixels: finer cells are read from an overview."""
+        dots = self.dpi / DPI
+        width, tall = (mine / standard for mine, standard in zip(self.map_size, STANDARD.map_size, strict=True))
+        return max(1, round(_PIXELS[0] * width * dots)), max(1, round(_PIXELS[1] * tall * dots))
+
+    def plot_size(self, height: float) -> tuple[float, float]:
+        """Nominal width and height of the plot in points, before the figure is laid out."""
+        if self.given:
+            extent, dots = self.given[0].get_window_extent(), _root(self.given[0]).dpi
+            return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
+        return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
+
+    def context(self) -> AbstractContextManager[None]:
+        """Matplotlib's settings for drawing on this page, restored at the end."""
+        settings: Any = rc_params(self.scale)
+        if self.given:  # given axes have their type already
+            settings = {name: settings[name] for name in _OURS}
+        else:
+            settings = defaults() | settings | {"savefig.dpi": self.dpi}
+        return drawing_context(settings | dict(self.rc))
+
+    def figure(self, height: float) -> Figure:
+        """An empty figure with room for texts outside its axes; ``height`` is the default."""
+        size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
+        color = self.rc.get("figure.facecolor", "white")
+        drawn = NotebookFigure(figsize=size, layout="constrained", facecolor=color, dpi=dpi)
+        FigureCanvasAgg(drawn)
+        return drawn
+
+    def panels(self, height: float, count: int, title: str) -> tuple[Figure, list[Axes]]:
+        """A figure with ``count`` plots over one shared axis, or the given axes, under a title.
+
+        InputError for another number of given axes.
+        """
+        if self.given and len(self.given) != count:
+            raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
+        drawn = _root(self.given[0]) if self.given else self.figure(height)
+        if self.given and self.explained:
+            _make_room(drawn)
+        plots = list(self.given or drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        if self.title:
+            plots[0].set_title(title, loc="left", gid=TITLE)
+        return drawn, plots
+
+    def head(self, drawn: Figure, title: str, **look: Any) -> None:
+        """Add a title over all plots of a figure."""
+        if self.title:
+            size = mpl.rcParams["font.size"]
+            drawn.suptitle(title, fontsize=size, ha="left", x=0.012, **look).set_gid(TITLE)
+
+    def ends(self, low: float, high: float) -> tuple[float, float]:
+        """The ends of a scale: the given ones, else these; InputError unless they rise."""
+        low = low if self.vmin is None else self.vmin
+        high = high if self.vmax is None else self.vmax
+        if not low < high:
+            raise InputError(f"the scale must rise: found {low:g} to {high:g}; give vmin, vmax or both")
+        return low, high
+
+    def check_no_limits(self, why: str) -> None:
+        """InputError with this reason if ends of a scale are given."""
+        if self.vmin is not None or self.vmax is not None:
+            raise InputError(f"{why}: it has no scale that vmin and vmax could end")
+
+    def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
+        """A legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
+
+        Narrow pages always have it below. No legend without entries, or if none is wanted. A long legend extends a page
+        of default height rather than shrinking the plot.
+        """
+        if not (entries and self.explained):
+            return
+        aside = beside is not None and (self.has_side_legend or bool(self.given))
+        if beside:
+            look |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
+        if aside:
+            drawn_legend = self._one_legend(drawn, entries, True, {"labelspacing": 0.45, **look})
+            self._grow(drawn, drawn_legend.get_window_extent().height - drawn.bbox.height + 0.1 * drawn.dpi)
+            return
+        room = self.given[-1].get_window_extent().width if self.given else drawn.bbox.width
+        for columns in range(len(entries), 0, -1):
+            rows = -(-len(entries) // columns)
+            if columns > 1 and -(-len(entries) // rows) != columns:
+                continue  # legends fill columns first; rows of equal length look best
+            drawn_legend = self._one_legend(drawn, entries, False, {"ncols": columns, **look})
+            extent = drawn_legend.get_window_extent()
+            if columns == 1 or extent.width <= room - 4.0:
+                self._grow(drawn, extent.height * (rows - 2) / rows)
+                return
+            drawn_legend.remove()
+
+    def _one_legend(self, drawn: Figure, entries: Sequence[Artist], aside: bool, look: dict[str, Any]) -> Legend:
+        host: Any = drawn if not self.given else self.given[0 if aside else -1]
+        place: dict[str, Any]
+        if not self.given:
+            place = {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
+        elif aside:
+            place = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0)}
+        else:
+            drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
+            place = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
+        legend: Legend = host.legend(handles=list(entries), **place | look)
+        return legend
+
+    def _grow(self, drawn: Figure, dots: float) -> None:
+        if dots > 0.0 and not self.given and self.height is None:
+            drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + dots / drawn.dpi)
+
+    def wrap_texts(self, drawn: Figure) -> None:
+        """Break labels and titles that are longer than the page into lines, except in given axes."""
+        if not self.given:
+            with self.context():
+                fit(drawn)
+
+    def settle(self, drawn: Figure) -> None:
+        """Fit the texts and lay the figure out: its plots then have their final size."""
+        self.wrap_texts(drawn)
+        drawn.draw_without_rendering()
+
+
+STANDARD = FigureLayout()
+
+
+def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> FigureLayout:
+    """The page with these options, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one per plot.
+
+    Raises InputError for an invalid length, size or resolution, and for an unreadable style.
+    """
+    unknown = set(look) - set(ScaleOptions.__annotations__)
+    if unknown:
+        raise InputError(
+            f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*ScaleOptions.__annotations__, 'ax'])}"
+        )
+    wrong = InputError(
+        f"ax: found {brief_repr(ax)}, must be matplotlib axes, one or, for a sweep, one for each of its plots"
+    )
+    try:
+        given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
+    except TypeError:
+        raise wrong from None
+    if any(not isinstance(plot, Axes) for plot in given):
+        raise wrong
+    for name in ("width", "height"):
+        if given and look.get(name) is not None:
+            raise InputError(f"{name}: the given axes have a size already")
+    rc = _style(look.get("style"))
+    figsize = rc.pop("figure.figsize", (None, None))
+    width = _length("width", look.get("width")) or figsize[0] or WIDTH
+    asked = _number("font_size", look.get("font_size"), positive=True)
+    usual = mpl.rcParams["font.size"] if given else np.interp(width, (_NARROW, WIDTH), (_NARROW_FONT, _FONT))
+    font = float(asked or rc.get("font.size") or usual)
+    if asked:
+        rc = {name: value for name, value in rc.items() if name not in _SIZES}
+        rc |= {name: rc_params(font / _FONT)[name] for name in _SIZES if given}
+    styled = rc.pop("savefig.dpi", DPI)  # removed from the style, whose settings override the page's
+    dpi = _number("dpi", look.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
+    if font * dpi / 72.0 < _LEAST_DOTS:
+        raise InputError(
+            f"dpi: found {dpi:g}, with type of {font:g} points, makes letters of {font * dpi / 72.0:.2g} dots; must "
+            f"make them {_LEAST_DOTS:g} or more"
+        )
+    return FigureLayout(
+        width=width,
+        height=_length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
+        font=font,
+        dpi=dpi,
+        vmin=_number("vmin", look.get("vmin")),
+        vmax=_number("vmax", look.get("vmax")),
+        title=validate_flag("title", look.get("title", True)),
+        explained=validate_flag("legend", look.get("legend", True)),
+        rc=rc,
+        given=given,
+    )
+
+
+def _length(name: str, value: float | str | None) -> float | None:
+    """A length in inches from a number or from a text with a unit, such as "85mm"; InputError otherwise."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        match = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*(mm|cm|in)\s*", value)
+        if not match:
+            raise InputError(f"{name}: found {brief_repr(value)}, must be a length such as 85mm, 8.5cm or 3.35in")
+        value = float(match[1]) * _INCHES[match[2]]
+    inches = _number(name, value) or 0.0
+    low, high = _LENGTHS
+    if not low <= inches <= high:
+        raise InputError(
+            f"{name}: found {inches:.3g} inches, must be {low:g} to {high:g} inches ({25.4 * low:.0f}mm to "
+            f"{25.4 * high:.0f}mm)"
+        )
+    return inches
+
+
+def _number(name: str, value: float | None, positive: bool = False) -> float | None:
+    """A finite number, positive and not too large if asked, or None; InputError otherwise."""
+    if value is None:
+        return None
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{name}: found {brief_repr(value)}, must be a number")
+    if positive and not 0.0 < number <= 1e4:
+        raise InputError(f"{name}: found {number:g}, must be positive and at most 10000")
+    return number
+
+
+CURRENT = "current"
+"""The style of the settings of Matplotlib that the user has changed."""
+_LEAST_DOTS = 4.0
+"""Settings of the type: an index of an index is half as large and needs a dot."""
+_OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
+"""The settings of the type that also apply to given axes."""
+_SIZES = tuple(name for name in rc_params(1.0) if name.endswith("size"))
+
+
+def _style(chosen: str | Path | None) -> dict[str, Any]:
+    """The settings of a style, without those of windows."""
+    if chosen is None:
+        return {}
+    if not isinstance(chosen, str | os.PathLike):
+        right = f"must be a style of matplotlib's, {CURRENT!r} or the path of a file"
+        raise InputError(f"style: found {brief_repr(chosen)}, {right}")
+    settings: Any
+    if str(chosen) == CURRENT:
+        of_all: Any = mpl.rcParams
+        with drawing_context():
+            settings = {name: of_all[name] for name, usual in defaults().items() if of_all[name] != usual}
+    elif str(chosen) in mpl_style.library:
+        settings = mpl_style.library[str(chosen)]
+    else:
+        if os.path.exists(chosen) and not os.path.isfile(chosen) and not os.path.isdir(chosen):
+            raise InputError(f"style {chosen}: not a regular file")  # a device or a pipe may never end
+        try:
+            settings = mpl.rc_params_from_file(chosen, use_default_template=False)
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"style {chosen}: neither a style of matplotlib's nor a file to read: {why}") from None
+    layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
+    return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
+
+
+def _make_room(drawn: Figure) -> None:
+    """Have a figure without a layout engine make room for a legend beside or under its plots, which is cut off else.
+
+    The tight engine bears with a later ``tight_layout`` or ``subplots_adjust``. Axes at places of their own stay there.
+    """
+    if drawn.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in drawn.axes):
+        drawn.set_layout_engine("tight")
+
+
+def _root(ax: Axes) -> Figure:
+    root = ax.get_figure(root=True)
+    if root is None:
+        raise InputError("ax: these axes belong to no figure any more")
+    return root

@@ -1,0 +1,97 @@
+"""The values of each cell in the upper plot of a sweep: the gap coordinate at sections, or an observable."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from atlas.errors import InputError
+from atlas.formatting import plural
+from atlas.query import machine
+from atlas.render import text
+from atlas.spec.system import stored_spec, stored_system
+from workers.model.observables import Observable, observables_of
+from workers.model.system import System
+from workers.results import PERIODIC, REGIME, SECTION
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from atlas.query.plane import PlaneAxis
+
+
+@dataclass(frozen=True)
+class PlottedValues:
+    """An observable, or None for section values, which every atlas with ``section_samples`` holds."""
+
+    observable: Observable | None = None
+
+    @classmethod
+    def of(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
+        """The named observable, else section values, else the first observable held by all of these atlases, else None.
+
+        InputError for an observable that one of them lacks.
+        """
+        if asked is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
+            return cls()
+        stored = [atlas_observables(ds) for ds in atlases]
+        if asked is None:
+            common = [observable for observable in stored[0] if all(observable in held for held in stored)]
+            return cls(common[0]) if common else None
+        for held in stored:
+            if asked not in [observable.name for observable in held]:
+                possible = (
+                    f"it holds {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
+                )
+                raise InputError(f"observe: this atlas does not hold {asked!r}; {possible}")
+        return cls(next(observable for observable in stored[0] if observable.name == asked))
+
+    @property
+    def name(self) -> str:
+        """Its variable."""
+        return SECTION.name if self.observable is None else self.observable.variable
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The variables needed for it."""
+        return (self.name,) if self.observable is None else (self.name, self.observable.number)
+
+    def values(self, ds: "xr.Dataset", x: "PlaneAxis") -> NDArray[np.float64]:
+        """Its values (N, K) along a sweep."""
+        if self.observable is None:
+            return machine.gap_values(ds, x.name, ds[self.name])
+        return np.asarray(ds[self.name].values)
+
+    def label(self, ds: "xr.Dataset") -> str:
+        """The label of its axis."""
+        return shown_label(self.observable, stored_system(ds.attrs))
+
+    def notes(self, ds: "xr.Dataset") -> list[Any]:
+        """Legend entries with the number of orbits whose values are not all kept."""
+        if self.observable is None or self.observable.number not in ds:
+            return []
+        number, kept = ds[self.observable.number].values, ds[self.name].shape[-1]
+        orbits = ds[REGIME.name].values == PERIODIC
+        more, endless = (int(np.count_nonzero(orbits & mask)) for mask in (number > kept, number < 0))
+        says = [f"{plural(more, 'orbit')} with more than\n{kept} values: the first of them"] if more else []
+        says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {kept}"] if endless else []
+        return [Line2D([], [], linestyle="", label=label) for label in says]
+
+
+def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
+    """The observables of an atlas, from its spec."""
+    system, asked = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
+    if system is None or not asked:
+        return ()
+    return tuple(observable for observable in observables_of(asked, system.definition) if observable.variable in ds)
+
+
+def shown_label(observable: Observable | None, system: System | None) -> str:
+    """The axis label of an observable, its words in two lines and its unit, or of section values."""
+    if observable is None:
+        return text.gap_label(system)
+    link = "at" if observable.kind.startswith("impact") else "of"
+    first, _, second = observable.words.partition(f" {link} ")
+    return (f"{first}\n{link} {second}" if second else first) + text.unit_ending(observable.unit)

@@ -1,0 +1,132 @@
+"""The wanted picture of an atlas: its arguments, checked, and the kind and overlays that fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Unpack
+
+from atlas.argument_checks import Window, check_name, validate_atlas, validate_flag, validate_pixels, validate_window
+from atlas.errors import InputError, check_names
+from atlas.query.extremes import check_number
+from atlas.query.window import axis_names
+from atlas.render.kinds import (
+    AXES,
+    BASINS,
+    CLASSES,
+    CURVES,
+    KIND_TABLE,
+    KINDS,
+    OVERLAYS,
+    SCALAR,
+    PictureKind,
+    found_axes,
+)
+from atlas.render.options import AtlasFigureOptions, names_in
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from atlas.render.layout import FigureLayout
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """The wanted picture of an atlas: the arguments of ``atlas.render.figure``, checked.
+
+    ``curves`` are kinds of exact curves, None for all; ``names``: true for names and levels on a map.
+    """
+
+    page: "FigureLayout"
+    kind: str | None = None
+    window: Window | None = None
+    overlays: tuple[str, ...] = ()
+    curves: tuple[str, ...] | None = None
+    names: bool = True
+    against: "xr.Dataset | None" = None
+    pixels: tuple[int, int] | None = None
+    variable: str | None = None
+    log: bool = False
+    observe: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        kind: str | None = None,
+        window: Window | None = None,
+        pixels: tuple[int, int] | None = None,
+        **options: Unpack[AtlasFigureOptions],
+    ) -> "PictureRequest":
+        """The picture wanted by these arguments of ``figure``; InputError for an invalid one."""
+        from atlas.render.layout import page  # imports matplotlib
+
+        look: dict[str, Any] = dict(options)
+        lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
+        options_of = "names", "against", "variable", "log", "observe"
+        own: dict[str, Any] = {name: look.pop(name) for name in options_of if name in look}
+        for name, value in (("kind", kind), *((option, own.get(option)) for option in ("variable", "observe"))):
+            if value is not None:
+                check_name(name, value)
+        check_names("kind of picture", [] if kind is None else [kind], KIND_TABLE)
+        for name in ("names", "log"):
+            validate_flag(name, own.get(name, False))
+        if own.get("against") is not None:
+            validate_atlas(own["against"], "against")
+        return cls(page(**look), kind, validate_window(window), lines, curves, pixels=validate_pixels(pixels), **own)
+
+
+def resolve_kind(ds: "xr.Dataset", wanted: PictureRequest) -> PictureKind:
+    """The kind to draw: the named one, or the first that fits; InputError if it does not fit."""
+    axes, atlases, axes_found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
+    if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
+        _check_scalar(ds, wanted)
+        return KIND_TABLE[SCALAR]
+    fitting = [name for name in KINDS if KIND_TABLE[name].axes == axes]
+    possible = [name for name in fitting if KIND_TABLE[name].atlases == atlases]
+    if not possible:
+        raise InputError(f"two atlases are drawn together as sweeps, {axes_found}")
+    held = [name for name in possible if KIND_TABLE[name].variables[0] in ds]
+    held = [BASINS] if BASINS in held else held or possible
+    chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
+    kind = KIND_TABLE[chosen]
+    if chosen not in fitting:
+        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {axes_found}{here}")
+    if chosen not in possible:
+        needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
+        raise InputError(f"kind {chosen!r} needs {needed}{here}")
+    if kind.scale is CLASSES:
+        wanted.page.check_no_limits(f"kind {chosen!r} draws classes")
+    return kind
+
+
+def _check_scalar(ds: "xr.Dataset", wanted: PictureRequest) -> None:
+    """InputError unless the named variable is a number of each cell of a plane."""
+    name = wanted.variable
+    if wanted.kind not in (None, SCALAR):
+        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
+    if name is None:
+        raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
+    if wanted.against is not None:
+        raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
+    if len(axis_names(ds)) != 2:
+        raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
+    check_number(ds, name)
+
+
+def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """The named kinds of curves, from a list, a text with commas, or "all"; None for no curves."""
+    if curves is None:
+        return None
+    if isinstance(curves, str) and curves == "all":
+        return CURVES
+    wanted = names_in("curves", curves)
+    check_names("kind of curve", wanted, CURVES)
+    return wanted
+
+
+def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
+    """Raise InputError unless all are overlays for this number of axes."""
+    for overlay in overlays:
+        if overlay not in OVERLAYS:
+            raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")
+        axes, kind = (1, "a sweep") if overlay == "branches" else (2, "a map")
+        if len(axis_names(ds)) != axes:
+            raise InputError(f"overlay {overlay!r} is drawn over {kind}, {found_axes(ds)}")

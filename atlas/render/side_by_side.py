@@ -1,0 +1,205 @@
+"""Several atlases in one figure: the differences of two, and maps side by side on one scale."""
+
+import math
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from atlas.errors import InputError
+from atlas.query.color_limits import scale_ends
+from atlas.query.compare import Comparison, differences, differing
+from atlas.query.plane import Cells, Plane
+from atlas.query.read_counter import counted
+from atlas.query.window import axis_names, select_window
+from atlas.render import maps, scalar_maps, text
+from atlas.render.kinds import KIND_TABLE, found_axes
+from atlas.render.layers import LegendEntry, MapLayers, ScalarLayer, build_layers
+from atlas.render.layout import STANDARD, FigureLayout
+from atlas.render.painters import PAINTERS
+from atlas.render.request import PictureRequest
+from atlas.render.text_wrap import OWN_TITLE
+from workers.results import LARGEST, PENDING, PER_PERIOD
+
+KINDS = ("exponent", "period")
+"""The kinds of map for side-by-side drawing."""
+DIFFERENCE = colormaps["PuOr_r"]
+SAME, WITHOUT = "#ffffff", "#9a9a9a"
+"""Colours of cells with the same regime in both atlases, and of cells without an exponent in one of them."""
+
+_SHARE = 2.0
+"""Percentage of the differences that may lie beyond the ends of the scale."""
+
+
+def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
+    """Two maps: the difference of the exponents, there minus here, and the regimes there where they differ.
+
+    Without exponents only the second map. InputError for atlases with one axis.
+    """
+    count = len(axis_names(compared.one))
+    if count != 2:
+        hint = "sweeps: atlas plot --against" if count == 1 else "pick a plane with .sel"
+        raise InputError(f"a comparison is drawn as a map, {found_axes(compared.one)}; {hint}")
+    if not compared.has_exponents:
+        page.check_no_limits("a comparison without exponents draws classes")
+    count = 2 if compared.has_exponents else 1
+    with counted() as reads, page.context():
+        drawn, panels, own = _sheet(page, count, most=2)
+        here, there = compared.planes(own.map_pixels)
+        page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
+        pending = (here.regime == PENDING) | (there.regime == PENDING)
+        shown = [(there, "another regime", _changes(here, there, pending, compared.other))]
+        if compared.has_exponents:
+            label = text.in_its_unit(compared.one, rf"change of $\lambda_1$ [{PER_PERIOD}]")
+            shown.append((here, "difference of exponents", _difference(here, there, pending, page, label)))
+        entries: list[Artist] = []
+        for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
+            entries += maps.lay(ax, plane, layers, own)
+            ax.set_title(title, loc="left")
+            scalar_maps.draw_bars(drawn, [ax], layers.bars, own, below=True)
+        _label_outside(panels)
+        page.legend(drawn, entries)
+    return drawn
+
+
+def side_by_side(atlases: Sequence[xr.Dataset], wanted: PictureRequest, names: Sequence[str] = ()) -> Figure:
+    """Maps of several atlases in one figure, on one scale, each under the parameters that differ.
+
+    Their kind is one of KINDS, by default the first that all of them hold; ``names`` are titles if no parameter
+    differs. Axes have the same limits. Raises InputError for fewer than two atlases, for another kind, and for
+    different axes or variables.
+    """
+    chosen, page = KIND_TABLE[_check(atlases, wanted.kind)], wanted.page
+    if chosen.name == "period":
+        page.check_no_limits("kind 'period' draws classes")
+    shown = [select_window(ds, wanted.window) for ds in atlases]
+    changed = differing(shown)
+    with counted() as reads, page.context():
+        drawn, panels, own = _sheet(page, len(shown), most=3)
+        views = [maps.read(chosen, ds, PictureRequest(own)) for ds in shown]
+        page.head(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
+        bars = []
+        if chosen.name == "exponent":
+            known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
+            norm = scalar_maps.two_sided(page, *scale_ends(known))
+            label = text.in_its_unit(shown[0], rf"$\lambda_1$ [{PER_PERIOD}]")
+            bars = [ScalarLayer(scalar_maps.EXPONENT, norm, known, label)]
+        entries: dict[str, Artist] = {}
+        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
+        for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
+            title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
+            ax.set_title(title, loc="left", gid=OWN_TITLE)
+            layers = maps.with_legend_notes(PAINTERS[chosen.name](view, *(bar.norm for bar in bars)), view.ds)
+            for entry in maps.lay(ax, view.plane, layers, own):
+                entries.setdefault(str(entry.get_label()), entry)
+        _label_outside(panels)
+        # The axes are shared, so these limits apply to all.
+        planes = [view.plane for view in views]
+        panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
+        panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
+        scalar_maps.draw_bars(drawn, panels, bars, page, below=not page.has_side_legend)
+        page.legend(drawn, list(entries.values()))
+    return drawn
+
+
+def _sheet(page: FigureLayout, count: int, most: int) -> tuple[Figure, list[Axes], FigureLayout]:
+    """A figure of several plots with common axes, the plots, and the page of one plot.
+
+    Rows have at most ``most`` plots on a wide page, one less on a narrow page.
+    """
+    most = most if page.has_side_legend else most - 1
+    columns = count if count <= most else 2 if count == 4 else most
+    rows = math.ceil(count / columns)
+    under = 0.9 if page.has_side_legend else 1.5  # with a colour bar
+    # The height of a row grows with the width of its maps.
+    height = page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
+    drawn = page.figure(height)
+    plots = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    for empty in plots[count:]:
+        empty.remove()
+    return drawn, plots[:count], replace(page, width=page.width / columns, height=(page.height or height) / rows)
+
+
+def _label_outside(plots: Sequence[Axes]) -> None:
+    """Remove the labels of axes with another map to their left or below."""
+    grid: Any = plots[0].get_gridspec()
+    for k, ax in enumerate(plots):
+        if k % grid.ncols:
+            ax.set_ylabel("")
+        if k + grid.ncols < len(plots):
+            ax.set_xlabel("")
+        else:
+            ax.tick_params(labelbottom=True)  # also if the place below is empty
+
+
+def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
+    """The kind to draw."""
+    if len(atlases) < 2:
+        raise InputError(f"maps side by side need two atlases or more, found {len(atlases)}")
+    first = axis_names(atlases[0])
+    if len(first) != 2:
+        count = "one" if len(first) == 1 else f"{len(first)}"
+        raise InputError(f"maps have two axes, found {count} ({', '.join(first)})")
+    for k, ds in enumerate(atlases[1:], 2):
+        if axis_names(ds) != first:
+            raise InputError(
+                f"the axes differ: {', '.join(first)} of atlas 1, {', '.join(axis_names(ds))} of atlas {k}"
+            )
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"kind {kind!r} is drawn of one atlas; side by side: {', '.join(KINDS)}")
+    for chosen in KINDS if kind is None else [kind]:
+        variable = KIND_TABLE[chosen].variables[0]
+        lacking = [k for k, ds in enumerate(atlases, 1) if variable not in ds]
+        if not lacking:
+            return chosen
+    raise InputError(f"kind {chosen!r} draws {variable!r}, which atlas {lacking[0]} lacks")
+
+
+def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
+    return text.parameter_line([(text.symbol(ds, name), float(ds[name])) for name in names])
+
+
+def _title(compared: Comparison) -> str:
+    """The common parameters, and below them the differing ones there and here."""
+    common = text.title_line(compared.one.drop_vars(compared.differing))
+    sides = [_values(ds, compared.differing) for ds in (compared.other, compared.one)]
+    return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
+
+
+def _coarseness(block: int) -> str:
+    """Note below a title if cells stand for several."""
+    return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
+
+
+def _difference(here: Plane, there: Plane, pending: Cells, page: FigureLayout, label: str) -> MapLayers:
+    """The differences of exponents, with their scale under this label."""
+    change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
+    known = change[~np.isnan(change)]
+    most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
+    # The scale is symmetric: one given end decides the other.
+    wanted = [end for end in (page.vmax, page.vmin) if end is not None]
+    end = abs(wanted[0]) if wanted else most or 1.0
+    norm = scalar_maps.two_sided(page, -end, end)
+    change = np.where(pending, np.nan, change)
+    unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
+    layers = build_layers(
+        np.where(pending, np.int8(PENDING), here.regime), [unknown], [ScalarLayer(DIFFERENCE, norm, change, label)]
+    )
+    return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
+
+
+def _changes(here: Plane, there: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
+    """The regimes there, in the words of that atlas, of cells with another regime here."""
+    same = (here.regime == there.regime) & ~pending, SAME, "same regime"
+    layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), there.regime), [same]), ds)
+    own = LegendEntry(*same[1:])
+    others = [entry for entry in layers.legend if entry != own]
+    named = [e if e.regime == PENDING else replace(e, label=f"{e.label} instead") for e in others]
+    return replace(layers, legend=[own, *named])

@@ -1,0 +1,163 @@
+"""Texts in pictures: symbols, units and values of parameters, labels of axes, titles, the gap coordinate."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import xarray as xr
+from matplotlib.mathtext import MathTextParser
+
+from atlas.query.plane import CoordinateInfo
+from atlas.spec.system import stored_system
+from workers.model.parameter import TAU
+from workers.model.system import System
+from workers.results import PER_PERIOD, PER_TIME, REGIME, Variable
+
+_TERMS = 3
+"""Most terms of a gap coordinate in a label."""
+
+
+@lru_cache(maxsize=1024)
+def shown_symbol(symbol: str, name: str) -> str:
+    r"""A symbol as mathtext, without the dollars; the name if it is empty or invalid, as ``\frac{``."""
+    try:
+        parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
+    except ValueError:
+        parsed = False
+    return symbol if parsed else rf"\mathit{{{name.replace('_', chr(92) + '_')}}}"
+
+
+def symbol(ds: xr.Dataset, name: str) -> str:
+    """The symbol of an atlas's parameter as mathtext, without the dollars."""
+    return shown_symbol(CoordinateInfo.of(ds, name).symbol, name)
+
+
+def axis_label(name: str, meaning: CoordinateInfo) -> str:
+    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none.
+
+    For a parameter without a meaning its symbol suffices.
+    """
+    symbol, text = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
+    return f"{text if text != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
+
+
+def variable_label(ds: xr.Dataset, name: str) -> str:
+    """Meaning and unit of a variable, for a colour bar."""
+    meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
+    for rate in (PER_PERIOD, PER_TIME):
+        if meaning.endswith(f" {rate}"):
+            return f"{meaning.removesuffix(f' {rate}')} [{rate}]"
+    return meaning + unit_ending(unit)
+
+
+def in_its_unit(ds: xr.Dataset, label: str) -> str:
+    """A label of exponents: per unit time for machines without a force."""
+    return label.replace(PER_PERIOD, PER_TIME) if is_unforced(ds) else label
+
+
+def is_unforced(ds: xr.Dataset) -> bool:
+    """Whether the machine of an atlas has no force."""
+    system = stored_system(ds.attrs)
+    return system is not None and system.definition.unforced
+
+
+def regime(ds: xr.Dataset) -> Variable:
+    """The regime of an atlas's cells, whose codes have the words for its machine."""
+    system = stored_system(ds.attrs)
+    return REGIME if system is None else system.regime
+
+
+def motion_key(ds: xr.Dataset) -> str:
+    """Title of a legend that explains the names n-p-q of motions."""
+    return f"$n$-$p$-$q$: $n$ {'passages' if is_unforced(ds) else 'periods'},\n$p$ impacts above, $q$ below"
+
+
+def rest(ds: xr.Dataset) -> str:
+    """The rest of an atlas's machine that erases disturbances: on a rigid stop, or in stick where it has none."""
+    system = stored_system(ds.attrs)
+    rigid = system is None or any(contact.restitution is not None for contact in system.definition.contacts)
+    return "rest on a stop" if rigid else "stick"
+
+
+def unit_ending(*units: str) -> str:
+    """Ending of a label: its CF unit in brackets, empty for the 1 of pure numbers or for several units."""
+    return "" if len({*units}) > 1 or units[0] == "1" else f" [{units[0]}]"
+
+
+def title_line(ds: xr.Dataset) -> str:
+    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without zero initial states.
+
+    The title of a machine whose constants are numbers, with no fixed parameter but the phase of its force.
+    """
+    system = stored_system(ds.attrs)
+    order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
+    fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
+    states = system.states if system else ()
+    shown = [n for n in fixed if float(ds[n]) or n not in states]
+    if system is not None and {*shown} <= {TAU}:
+        shown = [n for n in shown if float(ds[n])]
+        title = (system.title or system.name).replace("$", r"\$")
+        return ",  ".join(filter(None, [title, parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])]))
+    return parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])
+
+
+def system_line(system: System, values: Mapping[str, float]) -> str:
+    """title_line for these parameters of a system."""
+    shown = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
+    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
+
+
+def parameter_line(items: Sequence[tuple[str, float]]) -> str:
+    """Symbols with their values on one line, which ``fit`` breaks at commas."""
+    return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
+
+
+def number(value: float) -> str:
+    """A number as mathtext: up to six digits, with simple multiples of pi as such."""
+    for below in (1, 2, 3, 4, 6):
+        above = value / math.pi * below
+        times = round(above)
+        if abs(above - times) < 1e-12 and 0 < abs(times) <= 12:
+            return {1: "", -1: "-"}.get(times, str(times)) + r"\pi" + (f"/{below}" if below > 1 else "")
+    mantissa, _, power = f"{value:.6g}".partition("e")
+    return rf"{mantissa} \times 10^{{{int(power)}}}" if power else mantissa
+
+
+def gap_label(system: System | None) -> str:
+    """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
+    if system is None:
+        return "first state at $t = kT$"
+    entries = [entry.constant for entry in system.definition.shown]
+    states = [system.parameter(name) for name in system.definition.coordinates]
+    at = "its event" if system.definition.unforced else "$t = kT$"
+    ending = f" at {at}" + unit_ending(*(state.unit for state, c in zip(states, entries, strict=True) if c != 0.0))
+    known = [entry for entry in entries if entry is not None]
+    if len(known) < len(entries):
+        return f"gap coordinate\n$y${ending}"
+    formula = combination(known, [state_symbol(system, state.name) for state in states])
+    alone = [(state, c) for state, c in zip(states, known, strict=True) if c != 0.0]
+    own = alone[0][0].meaning.removeprefix("initial ").split(",")[0]  # what follows the comma would take lines
+    meaning = own if [c for _, c in alone] == [1.0] else "gap coordinate"
+    return f"{meaning}\n${formula}${ending}"
+
+
+def state_symbol(system: System, state: str) -> str:
+    """The symbol of a component of the state, from the parameter of its initial value."""
+    return shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
+
+
+def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
+    """The sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
+
+    ``otherwise`` for more than three terms.
+    """
+    terms = [(c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0]
+    terms.sort(key=lambda term: term[0] < 0.0)
+    if not 0 < len(terms) <= _TERMS:
+        return otherwise
+    written = ""
+    for c, symbol in terms:
+        sign = "-" if c < 0.0 else "+" if written else ""
+        factor = "" if abs(c) == 1.0 else rf"{number(abs(float(c)))}\,"
+        written += (f" {sign} " if written else sign) + factor + symbol
+    return written

@@ -1,0 +1,203 @@
+"""Saddles on the boundaries of basins: the unstable orbits that decide which attractor a motion reaches.
+
+A boundary between two basins is, where it is smooth, the stable manifold of an unstable orbit with a single multiplier
+outside the unit circle. A motion on the boundary tends to that orbit. It is found so: two states with a boundary
+between them are bisected until they are BRACKET apart; both are taken on by the map; when they are more than APART from
+each other they are bisected again. What stays between them is a motion on the boundary. Once it recurs after q periods,
+Newton's method on P^q(z) - z gives the orbit, its Jacobian the multipliers. The left eigenvector l of the multiplier
+outside is the normal of the stable manifold there: l dz = 0 for deviations dz along it.
+
+Skufca, Yorke & Eckhardt, Phys. Rev. Lett. 96 (2006) 174101 (edge tracking).
+"""
+
+from dataclasses import dataclass
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from atlas.robustness.fatal_shock import CHAOS_STATES, NO_MOTION, reached
+from atlas.robustness.linear_measures import not_smooth
+from atlas.robustness.section_map import SectionMap
+from workers.attractors.basins import AttractorTable, section_points
+from workers.model.oscillator import Array
+from workers.results import UNKNOWN_LABEL
+
+BRACKET, RESTART_DISTANCE = 1e-10, 1e-6
+"""Distances of the two states after a bisection, and before the next, relative to that of the first two."""
+MAX_STEPS, BURN = 400, 12
+"""Forcing periods for which a boundary is tracked; those before its motion may recur."""
+MAX_PERIOD, RECURRENCE_DISTANCE = 12, 1e-3
+"""Longest period of a saddle; distance within which its motion recurs, relative to that of the first two states."""
+PARTS = 8
+"""Parts that an interval is divided into at once."""
+MAX_ATTEMPTS, NEWTON, CLOSED = 12, 30, 1e-11
+"""Searches for an orbit, Newton's steps in each; residual of an orbit, relative to its largest component."""
+SAME_ORBIT = 1e-6
+"""Distance of states of one orbit, relative to its largest component."""
+ASIDE = 1e-5
+"""Deviation along the unstable direction that shows which basins meet at a saddle, relative to its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class Saddle:
+    """An unstable orbit between basins.
+
+    states (q, 2n)        section states, physical; the multipliers (2n,) are those of the whole orbit
+    normal (q, 2n)        of its stable manifold at each state, of length 1 in the norm's coordinates w z
+    along (q, 2n)         for n = 1 the stable direction at each state, likewise of length 1; else empty
+    sides                 the labels reached a little to either side of the first state, against its normal and along it
+    residual              the largest component of P^q(z) - z
+    weights (2n,)         those of the norm
+    """
+
+    states: Array
+    multipliers: NDArray[np.complex128]
+    normal: Array
+    along: Array
+    sides: tuple[int, int]
+    residual: float
+    weights: Array
+
+    @property
+    def period(self) -> int:
+        """Its forcing periods q."""
+        return len(self.states)
+
+    @property
+    def slopes(self) -> Array:
+        """For n = 1, dv/dx along the stable manifold at each state (q,), in physical units."""
+        x, v = (self.normal * self.weights).T
+        return np.asarray(-x / v)
+
+
+class TrackingResult(NamedTuple):
+    """The saddles that were found, and why no more were: one line for each boundary without one."""
+
+    saddles: list[Saddle]
+    troubles: list[str]
+
+
+def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
+    """The saddles between the basins of the attractors of a table, found from each pair of them, either way."""
+    count = max([CHAOS_STATES, *(attractor.period for attractor in table.attractors)])
+    points = section_points(table, count)
+    saddles, troubles = list[Saddle](), list[str]()
+    if len(table.attractors) < 2:
+        count = len(table.attractors)
+        troubles.append(f"between basins: attractors that the initial states reach: {count}, fewer than two")
+    for own, other in permutations(range(len(table.attractors)), 2):
+        tracker = _Tracker(table, own, weights)
+        saddle = tracker.track(points[own, 0], points[other, 0])
+        if isinstance(saddle, str):
+            troubles.append(f"from {own} towards {other}: {saddle}")
+        elif not any(_same(saddle, known) for known in saddles):
+            saddles.append(saddle)
+    return TrackingResult(saddles, troubles)
+
+
+def _same(one: Saddle, other: Saddle) -> bool:
+    """Whether two saddles are one orbit."""
+    if one.period != other.period:
+        return False
+    away = np.abs(other.states - one.states[0]).max(axis=1).min()
+    return bool(away <= SAME_ORBIT * np.abs(one.states).max(initial=1e-300))
+
+
+class _Tracker:
+    """The boundary of one attractor's basin being tracked."""
+
+    def __init__(self, table: AttractorTable, own: int, weights: Array) -> None:
+        self.table, self.own, self.weights = table, own, weights
+        self.map = SectionMap(table.cell.oscillator)
+
+    def inside(self, states: Array) -> NDArray[np.bool_]:
+        """Which states (N, 2n) reach the own attractor."""
+        return np.asarray(reached(self.table, states) == self.own)
+
+    def size(self, deviation: Array) -> float:
+        return float(np.linalg.norm(self.weights * deviation))
+
+    def track(self, first: Array, last: Array) -> Saddle | str:
+        """The saddle that a boundary between a state inside and one outside leads to; or why there is none."""
+        whole = self.size(last - first)
+        pair = self.bisected(first, last, whole)
+        history: list[Array] = []
+        tried = 0
+        for step in range(MAX_STEPS):
+            if self.size(pair[1] - pair[0]) > RESTART_DISTANCE * whole:
+                pair = self.bisected(pair[0], pair[1], whole)
+            history.append(0.5 * (pair[0] + pair[1]))
+            period = self._recurs(history, whole) if step >= BURN else 0
+            if period and tried < MAX_ATTEMPTS:
+                tried += 1
+                orbit = self.orbit(history[-1], period, whole)
+                if orbit is not None:
+                    return orbit
+            pair = self.map.images(pair, 1)
+            if not np.isfinite(pair).all():
+                return "its motion cannot be followed"
+        if tried:
+            return f"its motion nearly recurs, but no orbit there could be shown to be a saddle in {tried} attempts"
+        return (
+            f"its motion settles on no orbit of up to {MAX_PERIOD} periods in {MAX_STEPS}: the boundary may be fractal"
+        )
+
+    def bisected(self, first: Array, last: Array, whole: float) -> Array:
+        """Two states (2, 2n) on the way from one inside to one outside, BRACKET apart, with the boundary between."""
+        low, high, length = 0.0, 1.0, self.size(last - first)
+        while (high - low) * length > BRACKET * whole:
+            shares = np.linspace(low, high, PARTS + 1)
+            if not np.all(np.diff(shares) > 0.0):
+                break
+            inside = self.inside(first + shares[1:-1, None] * (last - first))
+            place = int(np.argmin(np.append(inside, False)))  # the first one outside
+            low, high = float(shares[place]), float(shares[place + 1])
+        return np.stack([first + low * (last - first), first + high * (last - first)])
+
+    def _recurs(self, history: list[Array], whole: float) -> int:
+        """After how many periods the motion has come back to where it is; 0 if it has not."""
+        for period in range(1, min(MAX_PERIOD, len(history) - 1) + 1):
+            if self.size(history[-1] - history[-1 - period]) <= RECURRENCE_DISTANCE * whole:
+                return period
+        return 0
+
+    def orbit(self, state: Array, period: int, whole: float) -> Saddle | None:
+        """The saddle of a period, or of a divisor of it, next to a state by Newton's method; None if there is none."""
+        z, eye = state.copy(), np.eye(len(state))
+        for _ in range(NEWTON):
+            states, last, jacobian = self.map.turn(z, period)
+            residual = float(np.abs(last - z).max())
+            if not np.isfinite(residual):
+                return None
+            if residual <= CLOSED * max(1e-300, float(np.abs(states).max())):
+                break
+            step = np.linalg.lstsq(jacobian - eye, z - last)[0]
+            z = z + step
+            if self.size(z - state) > 100.0 * RECURRENCE_DISTANCE * whole:
+                return None
+        else:
+            return None
+        for turn in range(1, period):  # a motion that turns on its way to an orbit may recur after several of its turns
+            if period % turn == 0 and np.abs(states[turn] - z).max() <= SAME_ORBIT * np.abs(states).max():
+                return self.orbit(z, turn, whole)
+        multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
+        if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):
+            return None
+        normal, along = zip(*(self._directions(one, period) for one in states), strict=True)
+        aside = ASIDE * max(self.size(one) for one in states) * normal[0] / self.weights
+        low, high = reached(self.table, np.stack([z - aside, z + aside])).tolist()
+        if low == high or {low, high} & {UNKNOWN_LABEL, NO_MOTION}:
+            return None
+        return Saddle(
+            states, multipliers, np.array(normal), np.array(along), (int(low), int(high)), residual, self.weights
+        )
+
+    def _directions(self, state: Array, period: int) -> tuple[Array, Array]:
+        """The normal of the stable manifold, and for n = 1 its direction, both in the norm's coordinates."""
+        jacobian = self.weights[:, None] * self.map.turn(state, period)[2] / self.weights
+        values, vectors = np.linalg.eig(jacobian.T)
+        normal = np.real(vectors[:, np.argmax(np.abs(values))])
+        normal = normal / np.linalg.norm(normal) * (1.0 if normal[np.argmax(np.abs(normal))] > 0.0 else -1.0)
+        return normal, np.array([-normal[1], normal[0]]) if len(state) == 2 else np.zeros(0)

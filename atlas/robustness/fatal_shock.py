@@ -1,0 +1,232 @@
+"""The minimal fatal shock: the smallest deviation at a section that takes a motion to another attractor.
+
+    min |W dz|  over deviations dz of the section states z_k of an attractor from which z_k + dz reaches another one
+
+Any fatal shock is an upper bound, so the search only has to find small ones. It begins with the nearest states that are
+known to reach another attractor, and improves the best few of them: rays in directions near that of the best shock are
+tried at smaller sizes; where none is fatal, nearer directions are tried. The best shock is bisected along its ray. Then
+states that fill the ball of its size evenly are tried. The search begins again from any that is fatal, and ends where
+none is: a part of that ball with the share ``unseen`` of its volume, all fatal, is missed in one search of twenty.
+
+Halekotte & Feudel, Sci. Rep. 10 (2020) 11783.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.attractors.attractor import SHOWN
+from workers.attractors.basins import AttractorTable, section_points
+from workers.attractors.cell_attractors import attractor_of
+from workers.attractors.initial_states import unseen_share
+from workers.model.oscillator import Array
+from workers.results import BEYOND_TABLE, INVALID, UNKNOWN_LABEL
+
+Labels = NDArray[np.int64]
+Reached = Callable[[Array], Labels]
+"""The attractor that each physical section state (N, 2n) reaches; UNKNOWN_LABEL where it is not known, NO_MOTION where
+the state lies beyond a stop."""
+
+CHAOS_STATES = 64
+"""Section states from which shocks of chaos and tori begin; of an orbit all of them."""
+
+NO_MOTION = -3
+"""In the place of a label: no motion begins at that state."""
+
+CANDIDATES, DIRECTIONS, SIZES = 4, 8, 6
+"""Shocks that are improved together; directions tried about a shock in a round; sizes tried along a direction."""
+
+WIDEST, NARROWEST = 0.5, 2e-4
+"""Angles between a shock and the directions tried about it: at first, and at last. A smooth boundary is met at
+distances that differ by half of their square."""
+
+PARTS, EXACT = 8, 1e-9
+"""Parts that an interval along a ray is divided into at once; relative length at which the last one ends."""
+
+BEGINNINGS = 8
+"""Searches at most, each from a smaller shock than the last."""
+
+
+class FatalShock(NamedTuple):
+    """A fatal shock: |W dz| = size, from section state ``phase`` of the attractor to ``state`` (2n,), which ``reached``
+    another one. ``safe``: the largest size tried along its ray that is not fatal and below it.
+
+    tried    states in the ball of that size of which none is fatal; unseen: see above
+    """
+
+    size: float
+    phase: int
+    state: Array
+    reached: int
+    safe: float
+    tried: int
+    unseen: float
+
+
+def minimal_fatal_shock(
+    reached: Reached, own: int, states: Array, weights: Array, known: Array, seed: int = 0, tries: int = 256
+) -> FatalShock | None:
+    """The smallest fatal shock found of the attractor with label ``own`` and section states (p, 2n).
+
+    known    states (K, 2n) from which another attractor is reached
+    tries    states in the ball that is tried last
+    None where no known state reaches another attractor.
+    """
+    search = _ShockSearch(reached, own, states, weights, np.random.default_rng(seed))
+    best = search.nearest(known)
+    if best is None:
+        return None
+    points = _ball(states.shape[1], tries * BEGINNINGS, seed).reshape(BEGINNINGS, tries, -1)
+    for ball in points:
+        best = search.bisected(search.improved(best))
+        smaller, tried = search.within(best.size[0], ball)
+        if smaller is None:
+            break
+        best, tried = smaller, 0
+    return search.reported(best, tried)
+
+
+def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | None:
+    """The minimal fatal shock of the attractor with label ``own``; None if no other attractor is known.
+
+    The nearest states known to reach another attractor are the initial states of the table and the section states of
+    the other attractors.
+    """
+    count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
+    sections = section_points(table, count)
+    of_each = [points[: a.period or CHAOS_STATES] for a, points in zip(table.attractors, sections, strict=True)]
+    others = [k for k in range(len(of_each)) if k != own]
+    if not others:
+        return None
+    starts = [table.states[0, table.attractors[k].starts] for k in others]
+    known = np.concatenate([*(of_each[k] for k in others), *starts])
+    return minimal_fatal_shock(lambda states: reached(table, states), own, of_each[own], weights, known)
+
+
+def reached(table: AttractorTable, states: Array) -> Labels:
+    """The label of the attractor that each physical section state (N, 2n) reaches.
+
+    BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, UNKNOWN_LABEL if not known.
+    """
+    search = table.solved(states, references=False)
+    labels, regime = search.label.copy(), search.regime
+    for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
+        new = attractor_of(table.oscillators, search, r)
+        place = table.label(table.cell.same(new)[0]) if new else UNKNOWN_LABEL
+        labels[r] = BEYOND_TABLE if new and place == UNKNOWN_LABEL else place
+    labels[(labels < 0) & (regime == INVALID)] = NO_MOTION
+    return np.asarray(labels, dtype=np.int64)
+
+
+class _Shocks(NamedTuple):
+    """Fatal shocks, the smallest first: phase (K,), direction (K, 2n) of norm 1 as W sees it, size (K,)."""
+
+    phase: Labels
+    direction: Array
+    size: Array
+
+    def at_rows(self, rows: Labels) -> "_Shocks":
+        return _Shocks(self.phase[rows], self.direction[rows], self.size[rows])
+
+
+class _ShockSearch:
+    def __init__(self, reached: Reached, own: int, states: Array, weights: Array, rng: np.random.Generator) -> None:
+        self.reached, self.own, self.states, self.weights, self.rng = reached, own, states, weights, rng
+
+    def at(self, phase: Labels, direction: Array, size: Array) -> Array:
+        """The states (..., 2n) that shocks lead to."""
+        return self.states[phase] + size[..., None] * direction / self.weights
+
+    def labels(self, states: Array) -> Labels:
+        return self.reached(states.reshape(-1, states.shape[-1])).reshape(states.shape[:-1])
+
+    def fatal(self, states: Array) -> NDArray[np.bool_]:
+        """Which states (..., 2n) reach another attractor, as is known."""
+        return self.others(self.labels(states))
+
+    def others(self, labels: Labels) -> NDArray[np.bool_]:
+        """Which labels are those of another attractor, as is known."""
+        return ~np.isin(labels, (self.own, UNKNOWN_LABEL, NO_MOTION))
+
+    def shocks_to(self, states: Array) -> _Shocks:
+        """The shocks from the nearest phases to these states (K, 2n), the smallest first."""
+        away = (states[:, None] - self.states) * self.weights
+        sizes = np.linalg.norm(away, axis=2)
+        phase, rows = sizes.argmin(axis=1), np.arange(len(states))
+        size = sizes[rows, phase]
+        shocks = _Shocks(phase, away[rows, phase] / size[:, None], size)
+        return shocks.at_rows(np.argsort(size, kind="stable"))
+
+    def nearest(self, states: Array) -> _Shocks | None:
+        """The smallest shocks to some of these states (K, 2n) that are fatal; None where none is."""
+        states = states[self.fatal(states)] if len(states) else states
+        return self.shocks_to(states).at_rows(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
+
+    def improved(self, shocks: _Shocks) -> _Shocks:
+        """The smallest shock that rays near these lead to."""
+        angle = np.full(len(shocks.size), WIDEST)
+        while len(rows := np.flatnonzero(angle > NARROWEST)):
+            phase, direction, size = shocks.at_rows(rows)
+            near = self._near(direction, angle[rows])
+            cuts = np.minimum(angle[rows][:, None] * 2.0 ** np.arange(1.0, 1.0 - SIZES, -1.0), 0.9)
+            cuts = np.append(cuts, angle[rows][:, None] ** 2 / 16.0, axis=1)
+            sizes = (size[:, None] * (1.0 - cuts))[:, None] * np.ones((1, near.shape[1], 1))
+            fatal = self.fatal(self.at(phase[:, None, None], near[:, :, None], sizes))
+            best = np.where(fatal, sizes, np.inf).reshape(len(rows), -1)
+            place, row = best.argmin(axis=1), np.arange(len(rows))
+            better = np.isfinite(best[row, place])
+            shocks.direction[rows[better]] = near[row, place // sizes.shape[2]][better]
+            shocks.size[rows[better]] = best[row, place][better]
+            angle[rows[~better]] *= 0.5
+        return shocks.at_rows(np.array([np.argmin(shocks.size)]))
+
+    def _near(self, direction: Array, angle: Array) -> Array:
+        """Directions (K, DIRECTIONS + 1, 2n) about some (K, 2n), each its own first, at these angles (K,)."""
+        across = self.rng.standard_normal((len(direction), DIRECTIONS, direction.shape[1]))
+        across -= np.vecdot(across, direction[:, None])[..., None] * direction[:, None]
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        angles = angle[:, None, None]
+        return np.concatenate([direction[:, None], np.cos(angles) * direction[:, None] + np.sin(angles) * across], 1)
+
+    def bisected(self, one: _Shocks) -> _Shocks:
+        """A shock made as small as it can be along its ray; ``safe`` is the state just below it that is not fatal."""
+        low, high = 0.0, float(one.size[0])
+        while high - low > EXACT * high:
+            sizes = np.linspace(low, high, PARTS + 1)[1:-1]
+            fatal = np.append(self.fatal(self.at(one.phase, one.direction, sizes)), True)
+            first = int(np.argmax(fatal))
+            low, high = (low if first == 0 else float(sizes[first - 1])), float(np.append(sizes, high)[first])
+        self.safe = low
+        return one._replace(size=np.array([high]))
+
+    def within(self, size: float, ball: Array) -> tuple[_Shocks | None, int]:
+        """The smallest fatal shocks to states that fill a ball of this size; if there is none, how many were tried."""
+        phase = np.arange(len(ball)) % len(self.states)
+        states = self.at(phase, ball, np.full(len(ball), size))
+        labels = self.labels(states)
+        fatal = self.others(labels)
+        if not np.any(fatal):
+            return None, int(np.sum(labels == self.own))
+        sizes = size * np.linalg.norm(ball[fatal], axis=1)
+        order = np.argsort(sizes, kind="stable")[:CANDIDATES]
+        direction = ball[fatal] * (size / sizes)[:, None]
+        return _Shocks(phase[fatal][order], direction[order], sizes[order]), 0
+
+    def reported(self, best: _Shocks, tried: int) -> FatalShock:
+        """The shock as a user sees it."""
+        state = self.at(best.phase, best.direction, best.size)
+        reached = int(self.labels(state)[0])
+        unseen = float(unseen_share(tried)) if tried else 1.0
+        return FatalShock(float(best.size[0]), int(best.phase[0]), state[0], reached, self.safe, tried, unseen)
+
+
+def _ball(size: int, count: int, seed: int) -> Array:
+    """Points (count, size) that fill the unit ball evenly, of a scrambled Halton sequence."""
+    from scipy.special import ndtri
+    from scipy.stats import qmc  # it takes a while to load
+
+    points = qmc.Halton(size + 1, scramble=True, rng=seed).random(count)
+    normal = ndtri(np.clip(points[:, :size], 1e-12, 1.0 - 1e-12))
+    return np.asarray(points[:, size:] ** (1.0 / size) * normal / np.linalg.norm(normal, axis=1, keepdims=True))

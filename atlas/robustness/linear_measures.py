@@ -1,0 +1,187 @@
+"""Measures of an attracting orbit that follow from its linearised map: return time, reactivity, amplification.
+
+An orbit of p forcing periods T has section states z_1, ..., z_p and Jacobians J_k = DP(z_k) of one forcing period: a
+small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``norm.weights_of``:
+
+    return time     -1 / lambda_1 in forcing periods, lambda_1 the largest Lyapunov exponent per period
+    reactivity      max_k ln |W J_k W^-1|, the fastest growth over one period; above 0 a deviation can grow before it
+                    decays
+    amplification   max_m max_k |W J_{k+m-1} ... J_k W^-1|, m = 0, 1, ...: the largest growth ever, at least 1
+
+The amplification is exact: if every product of m matrices has a norm below 1, then no longer product exceeds the
+largest of the shorter ones, since |A B| <= |A| |B|. The search ends at the first such m.
+
+Neubert & Caswell, Ecology 78 (1997) 653; Krakovska, Kuehn & Longo, Eur. J. Appl. Math. 35 (2024) 155.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from atlas.robustness.norm import weight_matrices
+from workers.attractors.attractor import STABLE, Attractor
+from workers.attractors.cell_attractors import FIRST
+from workers.kernel.cell_loops import physical_states
+from workers.kernel.hybrid.state import guard_value, harmonics_at, mode_number_of_state, slot_of
+from workers.kernel.motion import NEUTRAL, RUNNING, STATUS, Motion, axes, motions_at
+from workers.model.hybrid_modes import SIGNALS, code_of
+from workers.model.oscillator import Array, Oscillator, take_one
+from workers.orbit.map import iterate, jacobian_of
+
+MAX_PRODUCTS = 100_000
+"""Matrix products after which the growth of deviations is no longer followed."""
+
+AT_SECTION = 1e-9
+"""Share of a period before and after the section within which an impact counts as at the section."""
+
+ENDLESS = 1e-10
+"""Decay per forcing period below which a deviation is taken to last."""
+
+EVEN = 1e-12
+"""Share by which a force may exceed kinetic friction and count as equal to it."""
+
+NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST, JUMPS = (
+    "chaos or a torus: there is no orbit to linearise about",
+    "the orbit touches a stop at the section, where the map is not smooth",
+    "friction holds the orbit at rest: deviations there last",
+    "a coordinate drifts: deviations of it last",
+    "a deviation in some direction does not decay",
+    f"deviations may still grow after {MAX_PRODUCTS} products of Jacobians",
+    "one turn of the orbit could not be followed",
+    "friction sticks at the section under a force above the kinetic one: the map jumps there",
+)
+"""Why a measure of an attractor is not known."""
+UNMEASURED = {NO_ORBIT: 0, TOUCHES: 1, STICKS: 2, DRIFTS: 3, LASTING: 4, LONG: 5, LOST: 6, JUMPS: 7}
+"""Their codes in a store; a new one gets a new code."""
+FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "lost", "jumps")
+"""Their names in a store, by code."""
+
+
+class OrbitPhases(NamedTuple):
+    """The section states (p, 2n) of an orbit, physical, and the Jacobians (p, 2n, 2n) of one forcing period there."""
+
+    states: Array
+    jacobians: Array
+
+
+class LinearMeasures(NamedTuple):
+    """The measures of an orbit, NaN or -1 if unknown, and the reason; ``amplified_after``: the m of the amplification.
+
+    Their names are those of a store's table.
+    """
+
+    return_time: float = np.nan
+    reactivity: float = np.nan
+    amplification: float = np.nan
+    amplified_after: int = -1
+    reason: str = ""
+
+
+def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) -> LinearMeasures:
+    """The measures of an attractor of one machine, a record of many, in the norm of weights (2n,)."""
+    if attractor.regime not in STABLE:
+        return LinearMeasures(reason=NO_ORBIT)
+    largest = float(attractor.result["largest"])
+    time = np.inf if largest >= -ENDLESS else -1.0 / largest
+    phases = phases_of(oscillator, attractor)
+    if isinstance(phases, str):
+        return LinearMeasures(time, reason=phases)
+    matrices = weight_matrices(phases.jacobians, weights)
+    fastest = reactivity(matrices)
+    if largest >= -ENDLESS:
+        return LinearMeasures(time, fastest, reason=LASTING)
+    growth = amplification(matrices)
+    return LinearMeasures(time, fastest, reason=LONG) if growth is None else LinearMeasures(time, fastest, *growth)
+
+
+def phases_of(oscillator: Oscillator, orbit: Attractor) -> OrbitPhases | str:
+    """The phases of an orbit of one machine, a record of many; or the reason if its map has no Jacobian there."""
+    if oscillator.drifts:
+        return DRIFTS
+    h, mode = orbit.h, orbit.mode
+    states, jacobians = list[Array](), list[Array]()
+    for _ in range(orbit.period):
+        start = motions_at(h[None], np.array([[mode]]))
+        states.append(physical_states(oscillator, start, np.zeros(1, dtype=np.int64))[0])
+        motion, jacobian = one_period(oscillator, h, mode)
+        if motion.tally[STATUS] != RUNNING:
+            return LOST
+        if motion.tally[NEUTRAL] > 0.0:
+            return STICKS
+        jacobians.append(jacobian)
+        h, mode = motion.h, int(motion.mode[0])
+    phases = OrbitPhases(np.array(states), np.array(jacobians))
+    return not_smooth(oscillator, phases.states) or phases
+
+
+def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Array]:
+    """The motion one period after block state h (n, 2) of one machine, a record of many, and the Jacobian (2n, 2n).
+
+    The Jacobian is that of physical states.
+    """
+    none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
+    osc = take_one(oscillator, 0)
+    motion: Motion = oscillator.with_modes(lambda _: iterate(osc, h, mode, axes(len(h)), *none, *one), FIRST)
+    return motion, np.asarray(oscillator.to_physical[0] @ jacobian_of(motion.V) @ oscillator.to_blocks[0])
+
+
+def not_smooth(oscillator: Oscillator, states: Array) -> str:
+    """Why the map of one machine has no derivative at one of these section states (p, 2n), "" if it has."""
+    if touches_a_stop(oscillator, states):
+        return TOUCHES
+    return JUMPS if slips_at_a_push(oscillator, states) else ""
+
+
+def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
+    """Whether one of these section states (p, 2n) of one machine is on a rigid stop, to within AT_SECTION periods."""
+    n, period = states.shape[1] // 2, float(oscillator.period[0])
+    for row, *stops in oscillator.rigid_stops:
+        y, v = states[:, :n] @ row[0], states[:, n:] @ row[0]
+        for stop in stops:
+            near = AT_SECTION * (period * np.abs(v) + np.abs(states[:, :n]) @ np.abs(row[0]))
+            if np.isfinite(stop[0]) and np.any(np.abs(y - stop[0]) <= near):
+                return True
+    return False
+
+
+def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
+    """Whether friction sticks in one of these states (p, 2n) of one machine's sections under a force above the kinetic.
+
+    A push along the force, however small, makes it slide on then; a push against it does not. The machine has been
+    through these states.
+    """
+    if not oscillator.has_modes:
+        return False
+    table, own = take_one(oscillator, 0).table, oscillator.table.machines
+    _, C, F = own.sizes
+    for state in states:
+        number = int(mode_number_of_state(table.elements, state))
+        k, turn = int(slot_of(table.codes, number)), harmonics_at(table.tau, table.pieces.waves.shape[2])
+        for e, sign in enumerate(code_of(number, C, F, *own.segments).slips if k >= 0 else ()):
+            force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, turn)
+            if sign == 0 and abs(force) > (1.0 + EVEN) * own.rub[0, 0, e, 0]:
+                return True
+    return False
+
+
+def reactivity(matrices: Array) -> float:
+    """The log of the largest 2-norm of matrices (p, d, d); -infinity if all are zero."""
+    with np.errstate(divide="ignore"):
+        return float(np.log(np.linalg.norm(matrices, 2, axis=(1, 2)).max()))
+
+
+def amplification(matrices: Array, most: int = MAX_PRODUCTS) -> tuple[float, int] | None:
+    """The largest 2-norm of products of consecutive matrices (p, d, d), cyclic; and the number of factors.
+
+    1 and 0 if no product has a norm above 1; None if that is still open after ``most`` products.
+    """
+    p = len(matrices)
+    products, best = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape), (1.0, 0)
+    for m in range(1, most // p + 1):
+        products = matrices[(np.arange(p) + m - 1) % p] @ products
+        size = float(np.linalg.norm(products, 2, axis=(1, 2)).max())
+        if size < 1.0:
+            return best
+        if size > best[0]:
+            best = (size, m)
+    return None

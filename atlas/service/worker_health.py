@@ -1,0 +1,113 @@
+"""Exclusion of workers, judged by the outcomes of their attempts.
+
+A worker refuses if it cannot do the jobs. If it fails, worker or job may be at fault. A failure counts against the
+worker until the job also fails on a worker that has succeeded. After FAILURES such jobs in a row the worker is
+excluded, and its failures do not count against the jobs.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+Index = tuple[int, ...]
+
+MAX_FAILURES = 3
+"""Failures that count against a worker, without a success between them, after which it is excluded."""
+MAX_FAILED_JOBS = 16
+"""Jobs that failed at every attempt, without a success, after which a run without a fit worker ends."""
+
+
+@dataclass(frozen=True)
+class WorkerRefusal:
+    """A worker that refuses the jobs of a run, and the reason; ``passing`` if the store may answer it later."""
+
+    worker: str
+    reason: str
+    passing: bool = False
+
+
+@dataclass(frozen=True)
+class AttemptFailure:
+    """The exception of a job in words, and its worker, empty if unknown; ``full`` if the store has no room.
+
+    ``trace`` is the traceback on the worker.
+    """
+
+    worker: str
+    reason: str
+    full: bool = False
+    trace: str = ""
+
+
+class WorkerHealth:
+    """The record of successes and failures by which workers are excluded from a run."""
+
+    def __init__(self) -> None:
+        self.refused: dict[str, str] = {}
+        self._away: set[str] = set()
+        self._proven: set[str] = set()
+        self._failing: dict[str, dict[Index, str]] = {}
+        self._failed: set[Index] = set()
+
+    def refuse(self, refusal: WorkerRefusal) -> None:
+        """A worker has refused a job."""
+        self.refused[refusal.worker] = refusal.reason
+        if refusal.passing:
+            self._away.add(refusal.worker)
+
+    def readmit(self, worker: str) -> None:
+        """A worker that refused may get jobs again."""
+        self.refused.pop(worker, None)
+
+    def finish(self, worker: str) -> None:
+        """A worker has done a job."""
+        self._proven.add(worker)
+        self._failing.pop(worker, None)
+        for waiting in self._away:  # the store answers this worker, so perhaps the others too
+            self.refused.pop(waiting, None)
+        self._away.clear()
+
+    def fail(self, index: Index, failure: AttemptFailure, before: Iterable[AttemptFailure]) -> None:
+        """A job has failed; ``before`` are its earlier failures."""
+        self._failed.add(index)
+        others = {earlier.worker for earlier in before} - {failure.worker}
+        if others and failure.worker in self._proven:
+            for worker in others:
+                self._failing.get(worker, {}).pop(index, None)
+        elif failure.worker:
+            self._failing.setdefault(failure.worker, {})[index] = failure.reason
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """The excluded workers, and the reasons."""
+        unfit = {worker: jobs for worker, jobs in self._failing.items() if len(jobs) >= MAX_FAILURES}
+        return {worker: _in_words(jobs) for worker, jobs in unfit.items()} | self.refused
+
+    def is_at_fault(self, failures: Iterable[AttemptFailure], attempts: int) -> bool | None:
+        """Whether a job has failed ``attempts`` times on fit workers; None if some of these have not succeeded yet."""
+        left_out = self.left_out
+        workers = [failure.worker for failure in failures if failure.worker not in left_out]
+        if len(workers) < attempts:
+            return False
+        return True if {*workers} <= self._proven | {""} else None
+
+    def readmit_failed(self) -> bool:
+        """Readmit workers that failed, and count their failures against the jobs.
+
+        False if there is no such worker, or HOPELESS jobs have failed without a single success.
+        """
+        if not self.left_out.keys() - self.refused.keys() or (
+            not self._proven and len(self._failed) >= MAX_FAILED_JOBS
+        ):
+            return False
+        self._failing.clear()
+        return True
+
+
+def host_of(worker: str) -> str:
+    """The part of a worker's address that all workers of one machine share."""
+    return worker.rpartition(":")[0]
+
+
+def _in_words(jobs: Mapping[Index, str]) -> str:
+    index, reason = next(iter(jobs.items()))
+    return f"{len(jobs)} tiles in a row failed there, the first being {index}: {reason}"

@@ -1,0 +1,206 @@
+"""Workers for the jobs of a run: those of a client, or processes that the first job starts."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+from atlas.errors import RunError
+from atlas.service.batches import MIN_WORKER_MEMORY, J, JobType, R
+from atlas.service.clients import check_client, connect_client, start_client, worker_count
+from atlas.service.cluster import leave_if_bootstrapping
+from atlas.service.dispatch import Dispatcher, WorkerStatus, open_dispatcher
+from atlas.service.lease import Lease, hold_lease
+from atlas.service.notebook import progress_reporter
+from atlas.service.options import RunOptions
+from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
+from atlas.service.summary import TileFailure
+from atlas.store.create import remove_half_made
+from atlas.store.object_backend import Given, StoreBackend, open_backend, picklable_backend, waiting
+from atlas.store.sidecar import LEASE_NAME, read_lease_token, sidecar_of
+from atlas.store.store import AtlasStore, open_store
+from atlas.task.store_ref import StoreRef, prepare_worker
+from workers import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+class TimedReport(Protocol):
+    """The receipt of a job."""
+
+    @property
+    def processor_seconds(self) -> float:
+        """Seconds of a worker's processor that the job took."""
+
+
+T = TypeVar("T", bound=TimedReport)
+
+
+@dataclass
+class WorkerPool(Generic[J, R]):
+    """The workers for a claimed store; the first use of ``force`` sets them up, as new processes if there are none.
+
+    act       does a job
+    kernels   kernels that the jobs need
+    threads   threads of the workers: the number asked for, later the largest number seen
+    memory    bytes that a worker needs
+    begin     when the jobs began, by the monotonic clock
+
+    ``tasks`` and ``processor_seconds`` count the jobs done by ``do`` and their processor time.
+    """
+
+    handle: AtlasStore
+    act: Callable[[J], R]
+    kernels: tuple[str, ...]
+    options: RunOptions
+    claim: Lease
+    stack: ExitStack
+    threads: int
+    client: "Client | None"
+    memory: int = MIN_WORKER_MEMORY
+    begin: float = field(default_factory=time.monotonic)
+    tasks: int = 0
+    processor_seconds: float = 0.0
+    reported: float = 0.0
+    last: str = ""
+
+    @classmethod
+    def open(
+        cls,
+        handle: AtlasStore,
+        act: Callable[[J], R],
+        kernels: tuple[str, ...],
+        client: "Client | None",
+        options: RunOptions,
+        stack: ExitStack,
+        needed: bool = True,
+    ) -> "WorkerPool[J, R]":
+        """Claim a store until ``stack`` is closed, and return its crew; without workers unless they are ``needed``.
+
+        The crew's handle writes behind the fence of the claim.
+        """
+        client = connect_client(client, options, stack) if needed else None
+        threads = worker_count(client, options) if needed else 0
+        claim = stack.enter_context(hold_store_lease(handle.place, options))
+        return cls(handle.at(claim.fence_backend(handle.place)), act, kernels, options, claim, stack, threads, client)
+
+    @cached_property
+    def site(self) -> StoreRef:
+        """The store as jobs receive it."""
+        handle = self.handle
+        return StoreRef(
+            picklable_backend(handle.place), handle.run_id, SOLVER_VERSION, self.options.patience, self.claim.token
+        )
+
+    @cached_property
+    def force(self) -> Dispatcher[J, R]:
+        """The workers, until ``stack`` is closed."""
+        site = self.site
+        if self.client is None:
+            prepare_kernels(self.options.report, *self.kernels)
+        client = start_client(self.client, self.threads, self.options, self.stack)
+        self.begin = time.monotonic() if self.client is None else self.begin
+        labour = JobType(
+            str(site.store), self.act, partial(prepare_worker, site, self.kernels), site.forget, self.memory
+        )
+        return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
+
+    def outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
+        """The outcomes of jobs, see ``Dispatcher.outcomes``; RunError, too, if the claim has been taken meanwhile."""
+        try:
+            yield from self.force.outcomes(jobs, tick)
+        except RunError:
+            with suppress(OSError):  # a store that cannot be reached says nothing of its claim
+                self.handle.place.check_fence()  # if the claim was taken, workers refuse for that reason
+            raise
+
+    def run_jobs(
+        self: "WorkerPool[J, T]",
+        jobs: Sequence[J],
+        doing: Callable[[], Progress],
+        take: Callable[[T], None] = lambda _: None,
+    ) -> None:
+        """Let the workers do jobs whose results are parts of the store; ``take`` is called with every receipt.
+
+        ``doing`` gives the progress to report. RunError if a job fails for good.
+        """
+
+        def tick(workers: WorkerStatus) -> None:
+            self.claim.check()
+            self.threads = max(self.threads, workers.threads)
+            waiting = "" if workers.threads else "no worker left: waiting for one"
+            self._report(doing(), workers.trouble or waiting)
+
+        for outcome in self.outcomes(jobs, tick) if jobs else ():
+            if isinstance(outcome, TileFailure):
+                raise RunError(
+                    f"a task failed: {outcome.message}; finished parts are kept, and the same command resumes"
+                )
+            self.tasks += 1
+            self.processor_seconds += outcome.processor_seconds
+            take(outcome)
+            self._report(doing())
+
+    def _report(self, progress: Progress, trouble: str = "") -> None:
+        """Report the progress of the jobs; in a log once every few seconds."""
+        now = time.monotonic()
+        stage = trouble or progress.stage
+        passing = now - self.reported < LOG_INTERVAL or stage == self.last
+        if not passing:
+            self.reported, self.last = now, stage
+        self.options.report(replace(progress, stage=stage, passing=passing))
+
+
+@contextmanager
+def open_store_call(
+    store: "Given | AtlasStore", client: "Client | None", options: RunOptions
+) -> Iterator[tuple[AtlasStore, RunOptions, ExitStack]]:
+    """The beginning of a call that works on a store: its handle, its options with a reporter of progress, and a stack.
+
+    The stack is closed when the call ends. The handle waits ``options.patience`` seconds for a server that does not
+    answer. InputError for a client that contradicts the options, and without an atlas.
+    """
+    leave_if_bootstrapping()
+    check_client(client, options)
+    with progress_reporter(options.on_progress) as report, ExitStack() as stack:
+        options = replace(options, on_progress=report)
+        if isinstance(store, AtlasStore):
+            handle = store.at(waiting(store.place, options.patience))
+        else:
+            place = open_backend(store, storage_options=options.storage_options)
+            handle = open_store(waiting(place, options.patience))
+        yield handle, options, stack
+
+
+@contextmanager
+def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease]:
+    """Hold the claim of a store. Leftovers of dead runs are removed at the beginning, their notes at the end.
+
+    A single beat waits only as long as the place does: the next beat follows, and a run whose store does not answer
+    should end without delay. For some beat to succeed, and to remove the notes, the run waits ``options.patience``
+    seconds; meanwhile nothing is written without a look at the claim.
+    """
+    notes = sidecar_of(waiting(place, options.patience))
+
+    def say(text: str) -> None:
+        options.report(Progress(text))
+
+    def tidy() -> None:
+        if read_lease_token(notes) == claim.token:  # else the notes belong to another run
+            notes.clear(keep=LEASE_NAME)
+
+    patience = options.patience if place.local is None else 0.0
+    with hold_lease(sidecar_of(place), str(place), say, options.timing, patience) as claim:
+        if place.local is not None:
+            remove_half_made(place.local)
+        try:
+            yield claim
+        except Exception:
+            raise  # notes of unfinished tiles stay: the tiles may be the cause
+        except BaseException:
+            tidy()
+            raise
+        tidy()

@@ -1,0 +1,74 @@
+"""The records of machines that solved a store's tiles: a record is an empty group, named by a digest of its facts."""
+
+import json
+from contextlib import suppress
+from functools import lru_cache
+from typing import Any
+
+from atlas.store.host import MACHINES, UNKNOWN, HostInfo, host_from_facts
+from atlas.store.metadata_backup import FORM, form_fault
+from atlas.store.object_backend import StoreBackend
+from atlas.store.store import ROOT, AtlasStore
+
+
+def record_host(handle: AtlasStore, machine: HostInfo) -> None:
+    """Add a machine to the list of machines that solved this store's tiles."""
+    _recorded(handle.place, handle.run_id, machine)
+
+
+@lru_cache(maxsize=64)  # once for each process and store
+def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
+    import zarr
+    from zarr.errors import ContainsGroupError
+
+    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+
+    path = f"{MACHINES}/{machine.name}"
+    if place.exists(f"{path}/{ROOT}"):
+        return
+    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
+        zarr.create_group(zarr_store(place, read_only=False), path=path, zarr_format=3, attributes=dict(machine.facts))
+
+
+def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:
+    """The machines that solved tiles of this store, in no order; UNKNOWN for a damaged record."""
+    return tuple(read_host(handle.place, key) or UNKNOWN for key in host_keys(handle))
+
+
+def host_keys(handle: AtlasStore) -> list[str]:
+    """The keys of the records of the machines."""
+    keys = handle.place.list_keys(f"{MACHINES}/")
+    return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
+
+
+def read_host(place: StoreBackend, key: str) -> HostInfo | None:
+    """The machine of a record, None if it is damaged."""
+    group = _group(place, key)
+    machine = _machine(group, key)
+    return None if form_fault(group) else machine
+
+
+def mend_record(handle: AtlasStore, key: str) -> bool:
+    """Write a damaged record again from its facts; False if the facts are damaged: then it is an unknown machine's."""
+    if (machine := _machine(_group(handle.place, key), key)) is not None:
+        handle.place.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
+        return True
+    record_host(handle, UNKNOWN)  # verification still has to know that there was another machine
+    handle.place.remove(key)
+    return False
+
+
+def _group(place: StoreBackend, key: str) -> Any:
+    """The metadata of a record; None if they are no JSON."""
+    with suppress(ValueError, RecursionError):
+        return json.loads(place.get(key) or b"")
+    return None
+
+
+def _machine(group: Any, key: str) -> HostInfo | None:
+    """The machine with the facts of a record; None if its name, in the key, is another's."""
+    try:
+        machine = host_from_facts(group["attributes"])
+    except (KeyError, TypeError):
+        return None
+    return machine if machine.name == key.split("/")[1] else None

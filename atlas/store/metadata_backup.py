@@ -1,0 +1,212 @@
+"""The spare of a store's metadata: a second object with the root's original metadata.
+
+Either object can be written again from the other. The spare lies in the folder of an array, which readers of Zarr
+groups do not list.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+from atlas.errors import REPACK_HINT, brief_repr, message_of
+from atlas.store.axes import ROOT, matches_coordinates
+from atlas.store.backend import StoreBackend
+from atlas.store.schema import COMPONENT, ZOOM
+from atlas.store.zip_backend import ZipBackend
+
+SPARE = f"{COMPONENT}/spare"
+"""The key of the spare: a checksum in the first line, then the root's metadata."""
+FORM = {"zarr_format": 3, "node_type": "group"}
+"""The metadata of every group, beside its attributes and its copies of others."""
+Json = Mapping[str, Any]
+
+
+def encode_backup(root: bytes) -> bytes:
+    """The spare of a root's metadata."""
+    return hashlib.sha256(root).hexdigest().encode() + b"\n" + root
+
+
+def read_backup(place: StoreBackend) -> dict[str, Any] | None:
+    """The root's metadata from the spare of a store; None if the spare is missing, damaged or another store's."""
+    return decode_backup(place, place.get(ROOT), place.get(SPARE))
+
+
+def decode_backup(place: StoreBackend, root: bytes | None, data: bytes | None) -> dict[str, Any] | None:
+    """``read_backup`` with the bytes of both objects: the root's metadata and their spare.
+
+    A spare with another spec than the root's is another store's if the coordinates at the place match the root.
+    """
+    checksum, _, content = (data or b"").partition(b"\n")
+    if hashlib.sha256(content).hexdigest().encode() != checksum:
+        return None
+    spare = dict(json.loads(content))
+    try:
+        own = json.loads(root or b"")["attributes"]
+        other = own["digest"] != spare["attributes"]["digest"]
+        return None if other and matches_coordinates(place, json.loads(own["spec"]), own["digest"]) else spare
+    except (ValueError, AttributeError, KeyError, TypeError, RecursionError):  # the root's are damaged
+        return spare
+
+
+def remedy(place: StoreBackend) -> str:
+    """The remedy of missing, damaged or wrong metadata, in words."""
+    return REPACK_HINT if isinstance(place, ZipBackend) else f"atlas verify --repair {place} writes them again"
+
+
+def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
+    """The copies of metadata of arrays and groups in a root's metadata, by their keys."""
+    nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
+    return {f"{name}/{ROOT}": node for name, node in nodes.items()}
+
+
+def find_backup_faults(place: StoreBackend, spare: Json) -> dict[str, str]:
+    """The faults of a store's metadata, in words by key: missing, damaged, or unlike the spare."""
+    faults = {}
+    for key, right in {ROOT: spare, **nodes_of(spare)}.items():
+        if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
+            faults[key] = fault
+    return faults
+
+
+def restore_from_backup(place: StoreBackend, spare: Json, keys: Mapping[str, str]) -> None:
+    """Write the metadata of these keys from the spare, and the root's with copies of all present metadata."""
+    nodes = nodes_of(spare)
+    for key in keys:
+        if key != ROOT:
+            place.put(key, json.dumps(without_consolidated(nodes[key])).encode())
+    copy_metadata(place, spare)
+
+
+def copy_metadata(place: StoreBackend, root: Json) -> None:
+    """Write a root's metadata with copies of the present metadata of its arrays and groups.
+
+    These are the ones copied in ``root``, and all others except the zoom levels: a spare lacks groups that a search or
+    a run has added since.
+    """
+    present = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
+    keys = sorted({*nodes_of(root), *(key for key in present if _parents(key) <= present)})
+    copies = {}
+    for key, data in sorted(place.get_all(keys).items()):
+        try:
+            node = without_consolidated(json.loads(data))
+            copies[key.removesuffix(f"/{ROOT}")] = node | (_copies({}) if node.get("node_type") == "group" else {})
+        except (ValueError, AttributeError, RecursionError):
+            continue  # damaged, as a verification reports
+    place.put(ROOT, json.dumps({**FORM, "attributes": root["attributes"]} | _copies(copies)).encode())
+
+
+def copy_members(place: StoreBackend, group: str, names: Iterable[str]) -> None:
+    """Write the metadata of a group, if it has copies, with copies of its arrays' present metadata, then the root's."""
+    own = json.loads(place.get(f"{group}/{ROOT}") or b"{}")
+    if "consolidated_metadata" in own:
+        nodes = {name: json.loads(place.get(f"{group}/{name}/{ROOT}") or b"{}") for name in names}
+        place.put(f"{group}/{ROOT}", json.dumps(without_consolidated(own) | _copies(nodes)).encode())
+    copy_metadata(place, json.loads(place.get(ROOT) or b"{}"))
+
+
+def _parents(key: str) -> set[str]:
+    """The keys of the metadata of all groups above an array or a group, without the root's."""
+    parts = key.split("/")[:-1]
+    return {"/".join([*parts[:n], ROOT]) for n in range(1, len(parts))}
+
+
+def _copies(nodes: Json) -> dict[str, Any]:
+    return {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": nodes}}
+
+
+def without_consolidated(metadata: Json) -> dict[str, Any]:
+    """Metadata without copies of others."""
+    return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
+
+
+def form_fault(group: Any) -> str:
+    """The fault of the form of a group's metadata, in words; "" if Zarr can read them.
+
+    Zarr refuses metadata with an unknown key.
+    """
+    if not isinstance(group, dict) or not isinstance(group.get("attributes"), dict):
+        return "has no attributes"
+    for name, must in FORM.items():
+        if group.get(name) != must:
+            return f"has {name} {brief_repr(group.get(name))}, must be {brief_repr(must)}"
+    for name in group:
+        if name not in (*FORM, "attributes", "consolidated_metadata"):
+            return f"has an unknown key {brief_repr(name)}"
+    copies = group.get("consolidated_metadata")
+    if copies is None:
+        return ""
+    nodes = copies.get("metadata") if isinstance(copies, dict) else None
+    if not isinstance(nodes, dict) or {"consolidated_metadata": {**copies, "metadata": {}}} != _copies({}):
+        return "has consolidated metadata of an unknown form"
+    damaged = (name for name, node in nodes.items() if not _is_node(node))
+    return next((f"has consolidated metadata that differ from those of {name}/{ROOT}" for name in damaged), "")
+
+
+def _is_node(copy: Any) -> bool:
+    """Whether the copy of the metadata of an array or a group says which of the two it is of."""
+    if not isinstance(copy, dict) or copy.get("zarr_format") != FORM["zarr_format"]:
+        return False
+    return copy.get("node_type") == "array" or not form_fault(copy)
+
+
+def root_fault(data: bytes | None, spare: Json) -> str:
+    """The first fault of the object of a root's metadata, in words; "" if it equals its spare."""
+    return next(_faults(data, spare, whole=False), "")
+
+
+def copy_difference(own: Any, copy: Json | None) -> str:
+    """The fault of metadata that differ from the root's copy, in words; "" if they are equal."""
+    alike = isinstance(own, dict) and copy is not None and without_consolidated(own) == without_consolidated(copy)
+    return "" if alike else f"differs from its copy in {ROOT}"
+
+
+def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
+    """The faults of an object of metadata, compared as a ``whole``, or a root's by its attributes and copies."""
+    if data is None:
+        yield "is missing"
+        return
+    try:
+        stored = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        yield f"is damaged ({message_of(error)})"
+        return
+    if not isinstance(stored, dict) or not isinstance(stored.get("attributes"), dict):
+        yield "is damaged (it has no attributes)"
+        return
+    attributes, pairs = stored["attributes"], list[tuple[str, Any, Any]]()
+    if whole:
+        unknown = [f"key {brief_repr(name)}" for name in without_consolidated(stored).keys() - right.keys()]
+        unknown += [f"attribute {brief_repr(name)}" for name in attributes.keys() - right["attributes"].keys()]
+        yield from (f"has an unknown {name}" for name in unknown)
+        pairs = [
+            (name, stored.get(name), value)
+            for name, value in without_consolidated(right).items()
+            if name != "attributes"
+        ]
+    pairs += [(f"attribute {name}", attributes.get(name), value) for name, value in right["attributes"].items()]
+    for pair in pairs:
+        yield from _unlike(*pair)
+    if not whole:
+        if fault := form_fault(stored):
+            yield fault
+            return
+        copies = nodes_of(stored)
+        wrong = (key for key, node in nodes_of(right).items() if copy_difference(node, copies.get(key)))
+        yield from (f"has consolidated metadata that differ from those of {key}" for key in wrong)
+
+
+def _unlike(name: str, own: Any, must: Any) -> Iterator[str]:
+    """The differences of two values, in the innermost parts that both have; the spec, stored as JSON, is unpacked."""
+    if isinstance(own, str) and isinstance(must, str) and must.startswith("{"):
+        with suppress(ValueError, RecursionError):
+            own, must = json.loads(own), json.loads(must)
+    if isinstance(own, dict) and isinstance(must, dict) and own.keys() == must.keys():
+        for key in must:
+            yield from _unlike(f"{name}.{key}", own[key], must[key])
+    elif isinstance(own, list) and isinstance(must, list) and len(own) == len(must) and dict in map(type, must):
+        for number, pair in enumerate(zip(own, must, strict=True)):
+            yield from _unlike(f"{name}[{number}]", *pair)
+    elif own != must:
+        yield f"has {name} {brief_repr(own)}, must be {brief_repr(must)}"

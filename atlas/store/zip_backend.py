@@ -1,0 +1,145 @@
+"""An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
+
+import errno
+import glob
+import os
+import re
+import threading
+import uuid
+import zipfile
+import zlib
+from collections.abc import Hashable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from stat import S_ISREG
+
+from atlas.errors import InputError
+from atlas.platform import file_lock
+from atlas.store.backend import StoreBackend
+
+SUFFIX = ".zip"
+_SINCE = (1980, 1, 1, 0, 0, 0)
+"""The date of every member, so that equal atlases are equal files."""
+_LARGEST_UNPACKED = 2**28
+"""Largest unpacked size of a compressed member, in bytes. Our members are not compressed; another may be a zip bomb."""
+_PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
+_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
+"""Exceptions of zipfile for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
+
+
+@dataclass(frozen=True)
+class ZipBackend(StoreBackend):
+    """A zip file as a read-only place. A damaged file raises OSErrors."""
+
+    path: Path
+
+    only_read = "a zip file"
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def get(self, key: str) -> bytes | None:
+        archive = self._archive()
+        if archive is None:
+            return None
+        with archive.lock, zip_errors_as_os_errors(self.path):
+            return archive.file.read(key) if key in archive.keys else None
+
+    def version(self, key: str) -> Hashable:
+        archive = self._archive()
+        return self.path.stat().st_mtime_ns if archive is not None and key in archive.keys else None
+
+    def list_keys(self, prefix: str = "") -> Iterator[str]:
+        archive = self._archive()
+        yield from (key for key in (archive.keys if archive else ()) if key.startswith(prefix))
+
+    def _archive(self) -> "_Archive | None":
+        """The open file, None if there is none."""
+        try:
+            stat = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        if not S_ISREG(stat.st_mode):  # a pipe could block its reader forever
+            raise OSError(errno.EINVAL, "not a regular file", str(self.path))
+        with zip_errors_as_os_errors(self.path):
+            return _opened(self.path, stat.st_ino, stat.st_size, stat.st_mtime_ns, os.getpid())
+
+
+@dataclass(frozen=True)
+class _Archive:
+    file: zipfile.ZipFile
+    keys: dict[str, None]
+    lock: threading.Lock
+
+
+@lru_cache(maxsize=8)  # reads the table of contents once for each file and process
+def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _Archive:
+    file = zipfile.ZipFile(path)
+    for member in file.infolist():
+        if member.compress_size > size or member.file_size > max(member.compress_size, _LARGEST_UNPACKED):
+            raise zipfile.BadZipFile(f"{member.filename} says that it has {member.file_size} bytes")
+    return _Archive(file, dict.fromkeys(name for name in file.namelist() if not name.endswith("/")), threading.Lock())
+
+
+@contextmanager
+def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
+    """Turn zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
+    try:
+        yield
+    except _DAMAGE as error:
+        raise OSError(errno.EIO, f"the zip file is damaged or incomplete: {error}", str(path)) from None
+
+
+def check_not_packed(place: StoreBackend) -> None:
+    """InputError if a place that is to be written is read-only, such as a zip file."""
+    if place.only_read:
+        name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipBackend) else "path or a URL"
+        raise InputError(f"{place}: {place.only_read} is read only; give a {name}")
+
+
+@contextmanager
+def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
+    """Hold the lock of an unfinished file, which is deleted with it; OSError if another process holds it."""
+    path = unfinished.with_suffix(".lock")
+    path.touch()  # the lock would make a missing folder
+    lock = file_lock(path)
+    lock.acquire(timeout=timeout)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
+    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
+
+    Nothing is compressed: chunks already are, and metadata are small. Unlocked files left by killed writers are
+    removed.
+    """
+    begin = f".{target.name}"
+    for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
+        if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
+            with suppress(OSError), _held(left, timeout=0):
+                left.unlink()
+    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
+    with ExitStack() as held:
+        with suppress(OSError):  # a file system without locks
+            held.enter_context(_held(unfinished))
+        try:
+            with unfinished.open("wb") as file:
+                with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
+                    for key, data in members:
+                        member = zipfile.ZipInfo(key, _SINCE)
+                        member.external_attr = 0o644 << 16
+                        archive.writestr(member, data)
+                file.flush()
+                os.fsync(file.fileno())  # or a rename could outlive the content
+            size = unfinished.stat().st_size
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    return size

@@ -1,0 +1,42 @@
+"""Handles of the stores in use by this process: read once, and again after a change."""
+
+from collections.abc import Hashable
+from threading import Lock
+
+from atlas.store.object_backend import StoreBackend, open_backend, sibling_backend, waiting
+from atlas.store.outage import LONG_PATIENCE
+from atlas.store.store import ROOT, AtlasStore, open_store
+from atlas.store.tile_records import TileRecords
+
+_reading = Lock()
+_records: dict[StoreBackend, TileRecords] = {}
+_headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
+"""Handles by place and patience, each with the state of the store's root."""
+
+
+def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> AtlasStore:
+    """The handle of a store, after one check of its root's state; errors as of ``open_store``."""
+    place = waiting(open_backend(store), patience)
+    version = place.version(ROOT)
+    with _reading:  # the threads of a worker come at once
+        known = _headers.get((place, patience))
+        if known is None or known[0] != version:
+            known = _headers[place, patience] = version, open_store(place)
+            _records.pop(place, None)
+    return known[1]
+
+
+def cached_records(handle: AtlasStore) -> TileRecords:
+    """The records of the tiles of a store that no longer changes."""
+    if handle.place not in _records:
+        _records[handle.place] = TileRecords(handle)
+    return _records[handle.place]
+
+
+def evict_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> None:
+    """Drop the handles of a store and of its origin."""
+    place = open_backend(store)
+    known = _headers.pop((place, patience), None)
+    _records.pop(place, None)
+    if known is not None and known[1].origin is not None:
+        evict_handle(sibling_backend(place, known[1].origin.store))

@@ -1,0 +1,197 @@
+"""A tile as a task: the message to a worker, its execution, its receipt."""
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from atlas.errors import RunError
+from atlas.overview.pyramid import pyramid_of
+from atlas.platform import peak_memory
+from atlas.spec.laws import LawUse, law_names, law_uses
+from atlas.spec.spec import Slices, Spec
+from atlas.store.store import AtlasStore, is_done
+from atlas.store.tile_records import read_record, single_records
+from atlas.store.tiles import copy_tile, read_tile, write_tile
+from atlas.store.tiling import INNER_CHUNK, Tiling
+from atlas.task.compile import compile_once
+from atlas.task.label_basins import complete_basins
+from atlas.task.reuse import reuse_cells
+from atlas.task.solve_block import kernels_of, solve_missing
+from atlas.task.store_ref import StoreRef, WorkerRefusedError, translate_file_errors
+from workers.results import PENDING, REASON, REGIME, REGIMES, reason_counts
+
+Arrays = dict[str, np.ndarray]
+
+LABELS = -1
+"""Level of the job that labels basins."""
+
+
+@dataclass(frozen=True)
+class RunJob:
+    """A task sent to a worker: one tile of a store. ``attempt.do_job`` runs it locally.
+
+    With a ``level`` above 0 it is a chunk of that level of the overviews; at level LABELS, the last labels of basins.
+    ``attempt`` is the token of this attempt at the tile, from ``attempt.run_job``: of two live attempts the first
+    writes nothing more.
+    """
+
+    index: tuple[int, ...]
+    site: StoreRef
+    level: int = 0
+    attempt: str = ""
+
+    @property
+    def note(self) -> str:
+        """The name of the note with the token of the current attempt at the tile."""
+        return "started-" + "-".join(map(str, self.index))
+
+    def handle(self) -> AtlasStore:
+        """The handle of the store in its present state, behind the fences of the run and of the attempt."""
+        return self.site.handle(self.note, self.attempt)
+
+
+@dataclass(frozen=True)
+class TileReport:
+    """The report of a finished tile.
+
+    cells, counts, reasons          cells solved; by regime; by the reason of an uncertain result
+    reused                          cells copied from the origin of the store
+    solve_seconds, write_seconds    inside the solver; inside the store
+    processor_seconds               of the solver's thread
+    periods                         forcing periods simulated
+    peak_bytes                      peak memory of the worker's process
+    changed                         cells solved again whose regime changed
+    record                          of the whole tile, see ``store.record``; empty if unknown
+    laws                            use of the laws that are expressions, in the cells solved
+    """
+
+    index: tuple[int, ...]
+    cells: int
+    counts: dict[str, int]
+    reasons: dict[str, int]
+    solve_seconds: float
+    write_seconds: float
+    periods: int
+    peak_bytes: int
+    reused: int = 0
+    processor_seconds: float = 0.0
+    changed: int = 0
+    record: tuple[float, ...] = ()
+    laws: dict[str, LawUse] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DerivedReport:
+    """The receipt of a job other than a tile: new records of tiles, and failures."""
+
+    index: tuple[int, ...]
+    records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
+    fault: str = ""
+
+
+def make_chunk(job: RunJob) -> DerivedReport:
+    """Make a chunk of the overviews."""
+    with translate_file_errors(job.site.store):
+        handle = job.handle()
+        try:
+            pyramid_of(handle).make(job.level, job.index)
+        except WorkerRefusedError:
+            raise
+        except (RunError, ValueError) as error:  # damage below is not the worker's fault
+            return DerivedReport(job.index, fault=str(error))
+    return DerivedReport(job.index)
+
+
+def label_basins(job: RunJob) -> DerivedReport:
+    """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
+    with translate_file_errors(job.site.store):
+        handle = job.handle()
+        complete_basins(handle)
+        # All tiles: a dead attempt may have written one again.
+        return DerivedReport(
+            job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle))
+        )
+
+
+def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
+    """Solve the cells of a tile that are unknown in the store's origin, and write it."""
+    with translate_file_errors(job.site.store):
+        slices = handle.tiling.at(job.index).slices
+        known = reuse_cells(handle, slices)
+    compile_once(*kernels_of(handle.spec))  # its own disk may be full, which is not the store's fault
+    begin, busy = time.perf_counter(), time.thread_time()
+    arrays = solve_cells(handle.spec, slices, known.arrays, known.due)
+    middle, processor = time.perf_counter(), time.thread_time() - busy
+    with translate_file_errors(job.site.store):
+        handle = job.handle()  # the store may have been replaced
+        if is_done(handle, job.index):  # another attempt has finished it: the stored tile stays
+            arrays, record = stored_tile(handle, job.index), stored_record(handle, job.index)
+        else:
+            record = commit(handle, job, arrays, known.source if not known.due.any() else None)
+    before, after = known.regime[known.due], handle.dominant_arrays(arrays)[REGIME.name][known.due]
+    return replace(
+        make_report(handle, job.index, arrays, known.due, record),
+        reused=int((~known.due).sum()),
+        changed=int(((before != PENDING) & (before != after)).sum()),
+        solve_seconds=middle - begin,
+        processor_seconds=processor,
+        write_seconds=time.perf_counter() - middle,
+    )
+
+
+def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
+    """The known arrays with the due cells solved, part by part to limit the memory."""
+    if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # a part of a line has no results of its own
+        return solve_missing(spec, slices, known, due)
+    arrays = {name: values.copy() for name, values in known.items()}
+    for part in Tiling(due.shape, (INNER_CHUNK,) * due.ndim).tiles():
+        at = part.slices
+        if due[at].any():
+            cells = tuple(slice(s.start + p.start, s.start + p.stop) for s, p in zip(slices, at, strict=True))
+            for name, values in solve_missing(spec, cells, {n: v[at] for n, v in known.items()}, due[at]).items():
+                arrays[name][at] = values
+    return arrays
+
+
+def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore | None = None) -> tuple[float, ...]:
+    """Write a tile, if the job still may, and the overview over it alone; return its record.
+
+    ``source`` is a store with the same tile, whose objects are copied. A worker suspended between reading the notes and
+    writing writes too late, but the same bits as any other.
+    """
+    record = write_tile(handle, job.index, arrays) if source is None else copy_tile(handle, source, job.index, arrays)
+    pyramid_of(handle).build_chunk_over(job.index, arrays)
+    return tuple(record.tolist())
+
+
+def stored_tile(handle: AtlasStore, index: tuple[int, ...]) -> Arrays:
+    """All arrays of a finished tile."""
+    return read_tile(handle, index)
+
+
+def stored_record(handle: AtlasStore, index: tuple[int, ...]) -> tuple[float, ...]:
+    """The record of a tile finished before, in the form of a receipt."""
+    record = read_record(handle, index)
+    return () if record is None else tuple(record.tolist())
+
+
+def make_report(
+    handle: AtlasStore, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
+) -> TileReport:
+    """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
+    leading, system = handle.dominant_arrays(arrays), handle.spec.record
+    codes = leading[REGIME.name][solved]
+    counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
+    return TileReport(
+        index=index,
+        cells=int(solved.sum()),
+        counts={name: count for name, count in counts.items() if count},
+        reasons=reason_counts(leading[REASON.name][solved]),
+        solve_seconds=0.0,
+        write_seconds=0.0,
+        periods=int(leading["periods_used"][solved].sum(dtype="int64")),
+        peak_bytes=peak_memory(),
+        record=record,
+        laws=law_uses(system, {name: leading[name][solved] for name in law_names(system) if name in leading}),
+    )

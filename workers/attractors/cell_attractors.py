@@ -1,0 +1,124 @@
+"""The attractors of one cell; each motion is assigned to a known one or to a new one."""
+
+import numpy as np
+
+from workers.attractors.attractor import STABLE, Attractor
+from workers.attractors.matching import is_same_orbit, nearest, states_along, states_of_turn
+from workers.attractors.search import MotionSearch
+from workers.cell.exponents import free_exponents
+from workers.kernel.motion import axes
+from workers.model.mode_table import is_symmetric
+from workers.model.oscillator import Oscillator, take_one
+from workers.orbit.attraction import shrinking_norm
+from workers.orbit.map import iterate, jacobian_of
+from workers.results import LOCKING, NO_IMPACT
+
+FIRST = np.zeros(1, dtype=np.int64)
+"""The only row of a record of one machine."""
+
+LONGEST_KNOWN = 32
+"""Longest orbit with which motions are compared; longer orbits are solved in full, and compared then."""
+
+
+class CellAttractors:
+    """The known attractors of one cell; its oscillator is a record of many.
+
+    symmetric    whether the machine is its own mirror image half a period later
+    undecided    initial states, by number, without a known attractor
+    """
+
+    def __init__(self, oscillator: Oscillator) -> None:
+        self.oscillator = oscillator
+        self.symmetric = bool(is_symmetric(oscillator)[0])
+        self.attractors: list[Attractor] = []
+        self.undecided: list[int] = []
+
+    def put(self, start: int, search: MotionSearch, r: int) -> Attractor | None:
+        """The attractor, known or new, that motion r from an initial state reaches; None if it is unknown."""
+        known = search.recognised_attractor(r)
+        if known is None:
+            new = attractor_of(self.oscillator, search, r)
+            if new is None:
+                self.undecided.append(start)
+                return None
+            known, search.distance[r] = self.same(new)
+            if known is None:
+                self._add(new)
+                new.starts.append(start)
+                return new
+        known.starts.append(start)
+        if known.reference is not None:
+            known.last.append(search.last(r))
+            known.pooled += 1
+            known.distance = max(known.distance, float(search.distance[r]))
+            known.seen += int(search.compared[r])
+        return known
+
+    def same(self, new: Attractor) -> tuple[Attractor | None, float]:
+        """The known attractor equal to a new one, or None, and their distance: orbits exactly, others by statistics.
+
+        All motion that locks onto a stop follows the same release, so it is one attractor.
+        """
+        if new.regime == LOCKING:
+            return next(iter(self.alike(new)), None), np.nan
+        if new.reference is None:
+            return next(
+                (known for known in self.attractors if is_same_orbit(self.oscillator, known, new)), None
+            ), np.nan
+        return nearest(self.alike(new), new.reference)
+
+    def image(self, attractor: Attractor) -> Attractor | None:
+        """The mirror image of one of the attractors, which may be itself; None if unknown.
+
+        All motion without impact counts as one attractor, except in machines with modes.
+        """
+        alone = attractor.regime == NO_IMPACT and self.symmetric and not self.oscillator.has_modes
+        return attractor if alone or attractor.result["symmetric"] else attractor.mirror
+
+    def alike(self, attractor: Attractor) -> list[Attractor]:
+        """The known attractors of the same regime."""
+        return [known for known in self.attractors if known.regime == attractor.regime]
+
+    def _add(self, new: Attractor) -> None:
+        """Add an attractor, and pair it with a known orbit if that is its mirror image."""
+        for known in self.attractors if self.symmetric and new.reference is None else []:
+            if is_same_orbit(self.oscillator, known, new, half=True):
+                known.mirror, new.mirror = new, known
+        self.attractors.append(new)
+
+
+def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attractor | None:
+    """The attractor of a motion that was solved in full, without other motions; None if it is unknown.
+
+    It is an orbit or motion without impact with a proof, chaos or a torus with its statistics, or for a motion that
+    locks onto a stop the class alone.
+    """
+    regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
+    new = Attractor(regime, search.result(r), int(search.cells.mode[r]), reference=reference)
+    if reference is not None:
+        new.last, new.seen = [search.last(r)], int(new.result["survived"]) + int(search.compared[r])
+        return new
+    if regime == LOCKING:
+        return new
+    if regime not in STABLE:
+        return None
+    new.cycle = search.cells.cycles.get(r)
+    if new.cycle:
+        new.period = int(new.result["period"])
+        new.orbit = states_along(oscillator, new.cycle, new.result["state"], new.mode)
+        return new
+    if regime == NO_IMPACT and not oscillator.has_modes:
+        new.h, new.period, largest = np.zeros_like(orbits.h[r]), 1, float(free_exponents(oscillator)[0, 0])
+    else:
+        new.h, new.period, new.shift = orbits.h[r].copy(), int(orbits.period[r]), float(orbits.shift[r])
+        largest = float(orbits.exponents[r, 0])
+    new.orbit = states_of_turn(oscillator, new)
+    if largest < 0.0 and new.period <= LONGEST_KNOWN:
+        none, whole = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
+        osc, frame = take_one(oscillator, 0), axes(len(new.h))
+        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *whole), FIRST)
+        jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
+        norm = shrinking_norm(osc.gap.blocks, jacobian, contraction)
+        if np.isfinite(norm).all():
+            new.jacobian, new.contraction, new.norm = jacobian, contraction, norm
+    return new

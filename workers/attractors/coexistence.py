@@ -1,0 +1,240 @@
+"""``solve_attractors``: all attractors of every cell that its initial states reach, with their shares.
+
+A cell's own initial state is solved as by ``solve_tile``. The others follow in waves, each as large as all before it,
+so that most of them meet known attractors: a motion that falls into a known attractor is done (see ``same``), any other
+motion is solved in full. A cell is done early if half of its initial states all reach one attractor.
+
+Apparent chaos is watched for all of ``survival``, see ``Settings``, if any initial state of the cell has found a stable
+orbit. The periods of all motions on one attractor count together. If one motion leaves it, it is a transient: each
+motion belongs to the attractor on which it ends, or is undecided.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from workers.attractors.attractor import STABLE, STATISTICAL, Attractor
+from workers.attractors.cell_attractors import CellAttractors
+from workers.attractors.initial_states import AttractorSettings, initial_states, unseen_share, wilson
+from workers.attractors.matching import mirror_states, nearest
+from workers.attractors.search import KnownAttractors, MotionSearch, motions_at_once
+from workers.cell.cell_batch import Results
+from workers.model.oscillator import Array, Rows, at_rows
+from workers.model.system import System, find_system
+from workers.results import APERIODIC, CHAOTIC, INVALID, NO_REASON
+from workers.settings import Settings
+from workers.tile import initial_state, solve_parts
+
+WATCHED_AGAIN = 8
+"""The remaining motions of a transient are watched for this part of ``survival``."""
+
+
+def solve_attractors(
+    system: str | System,
+    params: Mapping[str, ArrayLike],
+    settings: Settings | None = None,
+    starts: AttractorSettings | None = None,
+) -> Results:
+    """All attractors of every cell, as arrays of the parameters' broadcast shape; like solve_tile.
+
+    Every result but the cost has one more dimension ``attractor`` after that shape, of length ``starts.keep``: the
+    attractor with the largest share first. Unused places hold no result, regime PENDING. A cell that is invalid, or has
+    no decided initial state, has the result of its own initial state in the first place.
+    ``System.variables(settings, attractors=True)`` has the variables.
+    Raises ValueError also for the method "fixed".
+    """
+    record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
+    if settings.method == "fixed":
+        raise ValueError('method: found "fixed", all attractors are found by the method "adaptive" only')
+    for name, _, _ in starts.box:
+        if name not in record.states:
+            raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
+
+    def solve_part(params: dict[str, Array], arrays: Results) -> None:
+        coexistence = CoexistenceSearch(record, params, settings, starts)
+        coexistence.solve()
+        coexistence.write(arrays)
+
+    at_once = max(1, motions_at_once(settings, len(record.states)) // max(map(len, starts.waves())))
+    variables = record.variables(settings, attractors=True)
+    return solve_parts(record, params, settings, variables, at_once, solve_part, attractors=starts.keep)
+
+
+class CoexistenceSearch:
+    """N cells with parameters (N,), and their known attractors.
+
+    used (N,)    forcing periods
+    tried (N,)   initial states that have a motion
+    own          the search from the cells' own initial states
+    """
+
+    def __init__(
+        self, record: System, params: Mapping[str, Array], settings: Settings, starts: AttractorSettings
+    ) -> None:
+        self.record, self.params = record, params
+        self.oscillators, self.reasons = record.build_many(params)
+        self.settings, self.starts = settings, starts
+        with np.errstate(all="ignore"):
+            self.states = initial_states(starts, self.oscillators, record, initial_state(record, params))
+        self.cells = [CellAttractors(at_rows(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
+        self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
+
+    def solve(self) -> None:
+        """Solve the initial states wave by wave, then watch whether apparent chaos lasts."""
+        going = np.arange(len(self.cells))
+        for wave in self.starts.waves():
+            self._solve_wave(going, wave)
+            enough = (self.tried >= self.starts.enough) & (wave.stop >= self.starts.enough)
+            one = np.array([len(cell.attractors) == 1 and not cell.undecided for cell in self.cells])
+            going = np.flatnonzero((self.reasons == NO_REASON) & ~(one & enough))
+        self._watch()
+        self._pair()
+
+    def search(
+        self, owner: Rows, states: Array, mode: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
+    ) -> MotionSearch:
+        """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
+
+        contact (N,) are the contacts of motions that continue earlier ones.
+        """
+        known = KnownAttractors(
+            self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells]
+        )
+        oscillators, reasons = at_rows(self.oscillators, owner), self.reasons[owner]
+        params = {name: values[owner] for name, values in self.params.items()}
+        return MotionSearch(self.record, params, oscillators, reasons, states, self.settings, known, owner, mode)
+
+    def _solve_wave(self, cells: Rows, wave: range) -> None:
+        owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
+        there = np.isfinite(self.states[owner, number]).all(axis=1) | (number == 0)
+        owner, number = owner[there], number[there]
+        if not len(owner):
+            return
+        search = self.search(owner, self.states[owner, number])
+        search.solve()
+        if wave.start == 0:
+            self.own = search
+        moving = np.flatnonzero((search.label >= 0) | (search.regime != INVALID))
+        np.add.at(self.tried, owner[moving], 1)
+        self._put(search, number, moving)
+
+    def _put(self, search: MotionSearch, number: Rows, rows: Rows) -> None:
+        """Assign these motions to their attractors, in the order of the initial states, and count the cost of all."""
+        np.add.at(self.used, search.owner, search.cells.used)
+        for r in rows.tolist():
+            self.cells[search.owner[r]].put(int(number[r]), search, r)
+
+    def _watch(self) -> None:
+        """Watch apparent chaos beside a stable orbit until it has survived, or ends.
+
+        The remaining motions of a transient are watched once more.
+        """
+        for last in (False, True):
+            watches = [
+                (c, attractor, self._missing(cell, attractor, last))
+                for c, cell in enumerate(self.cells)
+                for attractor in cell.attractors
+            ]
+            suspects = [(c, suspect, missing) for c, suspect, missing in watches if missing > 0]
+            if not suspects:
+                return
+            place = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
+            owner = np.array([c for c, _, _ in suspects])[place]
+            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[place]
+            number = np.concatenate([suspect.starts for _, suspect, _ in suspects])
+            search = self.search(
+                owner, *_stacked([state for _, suspect, _ in suspects for state in suspect.last]), STABLE
+            )
+            search.watch(periods)
+            ended = (search.label >= 0) | np.isin(search.regime, STABLE)
+            for k, (c, suspect, _) in enumerate(suspects):
+                suspect.seen += int(search.cells.flown[place == k].sum())
+                self._part(self.cells[c], suspect, number, search, np.flatnonzero((place == k) & ~ended), last=last)
+            self._put(search, number, np.flatnonzero(ended))
+
+    def _missing(self, cell: CellAttractors, suspect: Attractor, last: bool) -> int:
+        """Periods for which an attractor is still to be watched."""
+        if suspect.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in cell.attractors):
+            return 0
+        if last:
+            return self.settings.survival // WATCHED_AGAIN * len(suspect.starts) if suspect.transient else 0
+        return self.settings.survival - suspect.seen
+
+    def _part(
+        self, cell: CellAttractors, suspect: Attractor, number: Rows, search: MotionSearch, stay: Rows, last: bool
+    ) -> None:
+        """Mark an attractor as a transient if some of its motions leave; the others may become undecided at last."""
+        suspect.transient |= len(stay) < len(suspect.starts)
+        suspect.starts, suspect.last = number[stay].tolist(), [search.last(r) for r in stay]
+        if suspect.transient and (last or not len(stay)):
+            cell.attractors.remove(suspect)
+            cell.undecided += suspect.starts
+
+    def _pair(self) -> None:
+        """Pair chaos and tori with their mirror images, by the batches of the mirror images of their motions."""
+        alone = [
+            (c, attractor)
+            for c, cell in enumerate(self.cells)
+            for attractor in cell.attractors
+            if cell.symmetric and attractor.reference is not None and len(cell.alike(attractor)) > 1
+        ]
+        if not alone:
+            return
+        owner = np.array([c for c, _ in alone])
+        images = mirror_states(
+            at_rows(self.oscillators, owner), *_stacked([attractor.last[0] for _, attractor in alone])
+        )
+        search = self.search(owner, *images, ())
+        going, means = search.sample(search.cells.ready)
+        np.add.at(self.used, owner, search.cells.used)
+        for r, of_image in zip(going, means, strict=True):
+            c, attractor = alone[r]
+            attractor.mirror, _ = nearest(self.cells[c].alike(attractor), of_image)
+        for _, attractor in alone:
+            if attractor.mirror is not None and attractor.mirror.mirror is not attractor:
+                attractor.mirror = None
+
+    def write(self, arrays: Results) -> None:
+        """Write the result arrays of these cells."""
+        for c, cell in enumerate(self.cells):
+            ranked = sorted(cell.attractors, key=lambda a: a.order)
+            shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
+            arrays["periods_used"][c] = self.used[c]
+            arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.tried[c]
+            arrays["undecided"][c], arrays["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
+            if self.tried[c]:
+                arrays["unseen_share"][c] = unseen_share(self.tried[c])
+            if not shown:
+                _write(arrays, c, 0, self.own.result(c))
+            for k, attractor in enumerate(shown):
+                more = _of_share(len(attractor.starts), int(self.tried[c])) | {
+                    "exact": attractor.regime in STABLE,
+                    "lumped": attractor.pooled,
+                    "lumped_distance": attractor.distance if attractor.pooled else np.nan,
+                    "survived": attractor.seen
+                    if attractor.regime in (CHAOTIC, APERIODIC)
+                    else attractor.result["survived"],
+                    "mirror": next((i for i, a in enumerate(shown) if a is cell.image(attractor)), -1),
+                }
+                _write(arrays, c, k, attractor.result | more)
+                if 0 in attractor.starts:
+                    arrays["own"][c] = k
+
+
+def _of_share(hits: int, tried: int) -> dict[str, Any]:
+    """The share of an attractor that this many of all initial states reach, with its error and its interval."""
+    (below, above), (low, high) = wilson(hits, tried, 1.0), wilson(hits, tried)
+    return {"share": hits / tried, "share_error": 0.5 * (above - below), "share_low": low, "share_high": high}
+
+
+def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) and contacts (N,) as arrays."""
+    return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
+
+
+def _write(arrays: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
+    for name, value in result.items():
+        if name != "periods_used":
+            arrays[name][cell, place] = value

@@ -1,0 +1,122 @@
+"""Stretches of periods of many motions: their beginning, their continuation, their failures."""
+
+from typing import Any
+
+import numpy as np
+
+from workers import results
+from workers.kernel.averages import LEVELS
+from workers.kernel.cell_loops import physical_states, start_motions
+from workers.kernel.lanes.layout import LANES
+from workers.kernel.lanes.modes import run_through_modes
+from workers.kernel.lanes.run import MotionBatch, run_alone, run_batch
+from workers.kernel.motion import BEYOND, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL, Motion, cosine_vectors, motions_at
+from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Reasons, Rows, many_of, map_fields
+
+REASON_OF = np.array(
+    [
+        results.NO_REASON, results.GAVE_UP, results.COSTLY_PERIOD, results.NOT_FINITE, results.BEYOND_STOP,
+        results.MANY_MODES, results.NO_MODE, results.ENDLESS_EVENTS, results.TWO_IMPACTS,
+        results.RESONANCE,
+    ],
+    dtype=np.int8,
+)  # fmt: skip
+"""The reason of a motion that cannot continue, by its status."""
+
+
+def begin(
+    oscillators: Oscillator,
+    reasons: Reasons,
+    states: Array,
+    mode: Rows | None = None,
+    vectors: int = 0,
+    record: int = 0,
+) -> tuple[Motion, Reasons]:
+    """N motions from physical section states (N, 2n), and the reasons (N,) against them, ``reasons`` included.
+
+    contact (N,): of motions that continue from these states; without it the state decides.
+    """
+    N, size = states.shape
+    motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
+    motions.V[:] = cosine_vectors(size // 2)[:vectors]
+    scales = start_motions(oscillators, motions, states, np.flatnonzero(reasons == results.NO_REASON))
+    if mode is not None:
+        motions.mode[:, 0] = mode
+    causes = np.where(np.isfinite(scales), reasons, np.int8(results.ENERGY_OUT_OF_DOUBLES))
+    return motions, np.where(motions.mode[:, 0] == BEYOND, np.int8(results.BEYOND_STOP), causes)
+
+
+def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
+    """The reason why each motion cannot continue, NO_REASON if it can."""
+    tally = motions.tally[cells]
+    stopped = REASON_OF[tally[:, STATUS].astype(np.int64)]
+    runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
+    stopped[runs & (tally[:, WORK] < 0.0)] = results.WORK_SPENT
+    stopped[runs & ~finite] = results.NOT_FINITE
+    return stopped
+
+
+def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> MotionBatch:
+    """A batch of many motions without periods to go, with room for the last ``kept`` sections of each."""
+    N, n = motions.h.shape[:2]
+    return MotionBatch(
+        oscillators,
+        motions,
+        periods=np.zeros(N, dtype=np.int64),
+        done=np.zeros(N, dtype=np.int64),
+        levels=np.zeros((N, LEVELS, 4)),
+        weighted=np.zeros((N, 2)),
+        sections=np.zeros((N, kept, n, 2)),
+    )
+
+
+def has_ended(batch: MotionBatch) -> Mask:
+    """Mask of the cells with nothing left to do: their periods, their motion or their work have ended."""
+    tally = batch.motions.tally
+    return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
+
+
+def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
+    """Advance these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES at a time.
+
+    With ``to_end`` false it returns once half of the lanes are idle, so that other cells can take their place. Cells
+    with only underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after
+    the other.
+    """
+    if batch.oscillators.has_modes:
+        signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
+        batch.oscillators.with_modes(lambda some: run_through_modes(batch, some, signals, enough, lanes), cells)
+        return
+    grows = batch.oscillators.growth[cells] > 0.0
+    if np.any(grows):
+        run_alone(batch, cells[grows])
+        cells = cells[~grows]
+    underdamped = np.all(batch.oscillators.gap.blocks[cells, :, COLUMN.d] > 0.0, axis=1)
+    for oscillates in (True, False):
+        some = cells[underdamped == oscillates]
+        if len(some):
+            run_batch(batch, some, 0 if to_end else min(lanes, len(some)) // 2, lanes, oscillates)
+
+
+def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
+    """Physical section states (N, K, 2n) of motions, advanced to the last of them: the first ``counts`` (N,) <= K of
+    each. NaN beyond these, and after a motion cannot be followed.
+    """
+    N, n = motions.h.shape[:2]
+    batch, every = batch_of(oscillators, motions), np.arange(N)
+    states = np.full((N, int(np.max(counts, initial=0)), 2 * n), np.nan)
+    for k in range(states.shape[1]):
+        going = every[(k < counts) & (motions.tally[:, STATUS] == RUNNING)]
+        states[going, k] = physical_states(oscillators, motions, going)
+        batch.periods[:], batch.done[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
+        if len(rest := going[counts[going] > k + 1]):
+            run(batch, rest)
+    return states
+
+
+def run_periods(osc: Oscillator, motion: Motion, periods: int) -> int:
+    """Advance a motion by some periods, in place; returns the periods completed, fewer if it or its work ends."""
+    batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]))
+    batch.periods[0] = periods
+    run(batch, np.zeros(1, dtype=np.int64))
+    return int(batch.done[0])

@@ -1,0 +1,263 @@
+"""Measures of a machine, contacts one by one, and losses, by another pass over the motion of each cell.
+
+Cells of known class are followed once more, over one turn of their orbit or WINDOW periods. Cells without a class keep
+their fill values.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.cell.cell_batch import MIN_WORK, CellBatch
+from workers.cell.outcome import write_results
+from workers.kernel.cell_loops import physical_states
+from workers.kernel.hybrid.measures import MeasurePlan, MeasureTotals, read_motions
+from workers.kernel.motion import FLIGHT, RUNNING, motions_at
+from workers.model.definition import Definition
+from workers.model.elements import Contact, Friction, Spring
+from workers.model.hybrid_machines import HybridMachines, about_centre, is_mirror_symmetric, is_undriven, loses_nothing
+from workers.model.hybrid_modes import ON
+from workers.model.measures import LAW_ERROR, RANGE_SHARE
+from workers.model.mode_table import build_hybrid
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    CONSERVATIVE,
+    DIES_AWAY,
+    LOCKING,
+    NEVER_RECURS,
+    NO_IMPACT,
+    PERIODIC,
+    PERIODS_SPENT,
+    QUASIPERIODIC,
+    UNDETERMINED,
+    WORK_SPENT,
+)
+
+WINDOW = 256
+"""Periods, from ``state`` on, over which motion without an orbit is measured."""
+
+WORK_PER_PERIOD = 2000
+"""Evaluations allowed per such period besides LEAST_WORK; motion that costs more is not measured."""
+
+MACHINES_PER_BLOCK = 512
+"""Machines measured together: each has a table of its modes."""
+
+KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
+"""Classes of motion with results for the machine."""
+
+MIRRORED = 1e-6
+"""Distance between a state and the mirror image of the state half an orbit later, as a share of both, up to which the
+orbit counts as symmetric."""
+
+
+@np.errstate(all="ignore")
+def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Write the machine's own results of cells of known class, from parameters (N,) each."""
+    hybrid = cells.oscillators.has_modes
+    if not (hybrid or definition.measures):
+        return
+    rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN))
+    for first in range(0, max(len(rows), hybrid), MACHINES_PER_BLOCK):
+        some = rows[first : first + MACHINES_PER_BLOCK]
+        values = {name: value[some] for name, value in params.items()}
+        machines = with_modes(cells, some, definition, values)
+        periods, closes = measured_periods(cells, some)
+        states, codes = starts_of(cells, some, closes)
+        meters = _meters(machines, definition, values)
+        readings, whole = follow_motions(machines, meters, states, codes, periods, closes & hybrid)
+        span = periods * machines.period
+        variables = _of_measures(definition, definition.outputs(values)[2], readings, span)
+        if hybrid:
+            own = machines.table.machines
+            variables |= _of_machine(own, readings, closes, periods)
+            variables |= _of_elements(definition, own, readings, closes, periods)
+            variables |= _of_laws(definition, own, readings, values)
+            counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
+            variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
+        write_results(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
+
+
+def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
+
+    Motion of a machine that loses nothing comes to nothing; growth says so itself. What nothing drives dies away.
+    """
+    reason = cells.results["reason"]
+    undecided = cells.results["regime"] == UNDETERMINED
+    rows = np.flatnonzero(undecided & np.isin(reason, (PERIODS_SPENT, NEVER_RECURS, WORK_SPENT)))
+    if len(rows):
+        machines = definition.hybrid({name: value[rows] for name, value in params.items()})
+        lossless = loses_nothing(machines)
+        reason[rows[~lossless & is_undriven(machines)]] = DIES_AWAY
+        reason[rows[lossless & (reason[rows] != NEVER_RECURS)]] = CONSERVATIVE
+
+
+def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
+    """The machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
+    own = cells.oscillators
+    return at_rows(own, rows) if own.has_modes else build_hybrid(definition.hybrid(values))[0]
+
+
+def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
+    """Periods (N,) over which these cells are measured, and a mask of cells for which that is a turn of an orbit."""
+    period = cells.results["period"][rows].astype(np.int64)
+    closes = period > 0
+    if not cells.oscillators.has_modes:  # without damping, impact-free motion need not repeat
+        gap = cells.oscillators.gap
+        damped = np.all((gap.eta > 0.0) | (gap.lam == 0.0), axis=-1)
+        closes &= (cells.results["regime"][rows] == PERIODIC) | damped[rows]
+    return np.where(closes, period, WINDOW), closes
+
+
+def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
+    """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
+    states, mode = cells.results["state"][rows], cells.mode[rows]
+    proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
+    orbits = motions_at(cells.orbits.h, cells.orbits.mode)
+    states[proved] = physical_states(cells.oscillators, orbits, rows[proved])
+    mode[proved] = cells.orbits.mode[rows[proved], 0]
+    if not cells.oscillators.has_modes:  # a motion about to leave a stop leaves it at once
+        mode = np.clip(mode, FLIGHT - ON, FLIGHT + ON)
+    return states, mode[:, None]
+
+
+def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
+    """Quantities measured of machines: measures, arguments of laws, and the range of the coordinate in pictures."""
+    rows, orders, _ = definition.outputs(values)
+    own: HybridMachines = machines.table.machines
+    more = [*_arguments(definition, own), (machines.gap_row, 0.0)]
+    peaks = [*("peak" in measure.report for _, measure in definition.measures), *(True for _ in more)]
+    return MeasurePlan(
+        rows=np.concatenate([rows, np.stack([row for row, _ in more], axis=1)], axis=1),
+        orders=np.concatenate([orders, np.tile([order for _, order in more], (len(rows), 1))], axis=1),
+        peaks=np.tile(np.array(peaks, dtype=np.float64), (len(rows), 1)),
+        damping=own.damping,
+        pad=own.pad,
+        rub=own.rub,
+        law=own.law,
+        grip=own.grip,
+    )
+
+
+def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
+    """Rows (N, n) of the arguments of friction and springs in ``definition.fitted``, and the derivatives they act on.
+
+    The depth of a contact is measured anyway.
+    """
+    first = len(definition.contacts)  # springs follow the contacts there
+    frictions = [(machines.slide[:, f], 1.0) for f, e in enumerate(definition.friction) if e in definition.fitted]
+    springs = [(machines.row[:, first + s], 0.0) for s, e in enumerate(definition.springs) if e in definition.fitted]
+    return frictions + springs
+
+
+def follow_motions(
+    machines: Oscillator, meters: MeasurePlan, states: Array, codes: Rows, periods: Rows, closes: Mask
+) -> tuple[MeasureTotals, Mask]:
+    """Readings of motions from physical states (N, 2n), with mode numbers (N, 1), over ``periods`` (N,).
+
+    closes (N,): the periods are one turn of an orbit. Also returns a mask of motions that could be followed.
+    """
+    N, readings = len(states), _nothing_read(meters)
+    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    allowance, turns = MIN_WORK + WORK_PER_PERIOD * periods.astype(np.float64), closes.astype(np.int64)
+
+    def read(some: Rows) -> None:
+        motion = states, codes, done, periods, turns, allowance, some
+        status[some] = read_motions(machines, meters, readings, *motion)[some]
+
+    machines.with_modes(read, np.arange(N))
+    return readings, status == RUNNING
+
+
+def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
+    (N, M), C, F = meters.orders.shape, meters.pad.shape[2], meters.rub.shape[2]
+    outputs, contacts, frictions = np.zeros((4, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
+    outputs[2], outputs[3] = np.inf, -np.inf
+    return MeasureTotals(
+        first=outputs[0], square=outputs[1], low=outputs[2], high=outputs[3],
+        hits=np.zeros((N, C, 2)), endless=contacts[0], touching=contacts[1], stop=contacts[2], depth=contacts[3],
+        force=contacts[4], stuck=frictions[0], rubbed=frictions[1], damped=np.zeros((N, 1)),
+        halves=np.full((N, 2, 2 * meters.rows.shape[2]), np.nan),
+    )  # fmt: skip
+
+
+def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals, span: Array) -> dict[str, Array]:
+    """The variables of measures."""
+    variables: dict[str, Array] = {}
+    for m, (name, measure) in enumerate(definition.measures):
+        square = readings.square[:, m] / span
+        values = {
+            "mean": readings.first[:, m] / span,
+            "rms": np.sqrt(square),
+            "peak": np.maximum(-readings.low[:, m], readings.high[:, m]),
+            "power": weights[:, m] * square,
+        }
+        variables |= {f"{name}_{report}": values[report] for report in measure.report}
+    return variables
+
+
+def _of_machine(
+    machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
+) -> dict[str, NDArray[Any]]:
+    """The variables of a whole machine with modes."""
+    centred, centre = about_centre(machines)
+    halves = readings.halves - np.concatenate([centre, np.zeros_like(centre)], axis=1)[:, None]
+    if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
+        halves = np.delete(halves, machines.drifting, axis=2)
+    early, late = halves[:, 0], halves[:, 1]
+    away = np.linalg.norm(early + late, axis=1)
+    size = np.linalg.norm(early, axis=1) + np.linalg.norm(late, axis=1)
+    return {
+        "symmetric": is_mirror_symmetric(centred) & closes & (periods % 2 == 1) & (away <= MIRRORED * size),
+        "peak_to_peak": readings.high[:, -1] - readings.low[:, -1],
+        "damper_loss": readings.damped[:, 0] / periods,
+    }
+
+
+def _of_elements(
+    definition: Definition, machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
+) -> dict[str, NDArray[Any]]:
+    """The variables of contacts and friction. A spring returns all energy, up to rounding."""
+    variables: dict[str, NDArray[Any]] = {}
+    span, pad = periods * 2.0 * np.pi / machines.omega, machines.pad
+    springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
+    springs &= np.all(pad == pad[:, :1], axis=(1, 3))
+    for c, contact in enumerate(definition.contacts):
+        name, endless = contact.name, readings.endless[:, c] > 0.0
+        for side, key in enumerate(("lower", "upper")):
+            if getattr(contact, key) is not None:
+                variables[f"{name}_{key}"] = np.where(closes, np.where(endless, -1, readings.hits[:, c, side]), 0)
+        variables[f"{name}_fraction"] = np.minimum(readings.touching[:, c] / span, 1.0)
+        variables[f"{name}_loss"] = np.where(springs[:, c], 0.0, readings.stop[:, c] / periods)
+        variables[f"{name}_penetration"], variables[f"{name}_force"] = readings.depth[:, c], readings.force[:, c]
+    for f, friction in enumerate(definition.friction):
+        variables[f"{friction.name}_stuck"] = np.minimum(readings.stuck[:, f] / span, 1.0)
+        variables[f"{friction.name}_loss"] = readings.rubbed[:, f] / periods
+    return variables
+
+
+def _of_laws(
+    definition: Definition, machines: HybridMachines, readings: MeasureTotals, values: Mapping[str, Array]
+) -> dict[str, Array]:
+    """The variables of laws that are expressions."""
+    variables: dict[str, Array] = {}
+    m = len(definition.measures)
+    for element in definition.fitted:
+        name, low, high = element.name, readings.low[:, m], readings.high[:, m]
+        if isinstance(element, Contact):
+            low, high = np.zeros(len(low)), readings.depth[:, definition.contacts.index(element)]
+        else:
+            m += 1
+        if isinstance(element, Friction):
+            belt = machines.belt[:, definition.friction.index(element)]
+            ends = np.abs(low - belt), np.abs(high - belt)
+            low, high = np.where((low <= belt) & (belt <= high), 0.0, np.minimum(*ends)), np.maximum(*ends)
+            variables[f"{name}_speed"] = high
+        if isinstance(element, Spring):
+            variables[f"{name}_reach"] = np.maximum(np.abs(low), np.abs(high))
+        variables[name + RANGE_SHARE], variables[name + LAW_ERROR] = definition.law_use(element, values, low, high)
+    return variables

@@ -1,0 +1,116 @@
+"""Values of observables, by another pass over each motion: see model/observables.py.
+
+Cells of known class are followed once more, as for their measures: over one turn of their orbit, or WINDOW periods.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from workers.cell.cell_batch import MIN_WORK, CellBatch
+from workers.cell.interval import begin
+from workers.cell.measures import KNOWN, MACHINES_PER_BLOCK, WORK_PER_PERIOD, measured_periods, starts_of, with_modes
+from workers.cell.outcome import write_results
+from workers.kernel.hybrid.measures import MeasurePlan
+from workers.kernel.motion import RUNNING
+from workers.kernel.observables import COURSE, ObservableSelection, ObservedValues, observe_motions
+from workers.model.definition import Definition
+from workers.model.mode_table import build_hybrid
+from workers.model.observables import IMPACT_PHASE, KINDS, MAXIMUM, MINIMUM, Observable, observables_of
+from workers.model.oscillator import Array, Mask, Oscillator, Rows
+from workers.results import NO_REASON
+
+Values = dict[str, Any]
+"""Values (N, K) and counts (N,) of observables, by the names of their results."""
+
+
+@np.errstate(all="ignore")
+def observe(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
+    """Write the observables of cells of known class, from parameters (N,) each."""
+    observables = observables_of(cells.settings.observe, definition)
+    rows = np.flatnonzero(np.isin(cells.results["regime"], KNOWN))
+    for first in range(0, len(rows) if observables else 0, MACHINES_PER_BLOCK):
+        some = rows[first : first + MACHINES_PER_BLOCK]
+        values = {name: value[some] for name, value in params.items()}
+        machines = with_modes(cells, some, definition, values)
+        periods, closes = measured_periods(cells, some)
+        motions = *starts_of(cells, some, closes), periods, closes
+        outputs = outputs_for(observables, definition, values)
+        shown, whole = record_observables(
+            machines, observables, outputs, motions, cells.settings.observe_values, definition.turns
+        )
+        write_results(cells, some[whole], **{name: value[whole] for name, value in shown.items()})
+
+
+def record_observables(
+    machines: Oscillator,
+    observables: tuple[Observable, ...],
+    outputs: tuple[Array, Array],
+    motions: tuple[Array, Rows, Rows, Mask],
+    most: int,
+    turns: int,
+) -> tuple[Values, Mask]:
+    """The first values of each observable of N motions, at most ``most``; and a mask of motions that could be followed.
+
+    outputs: see outputs_for. motions: physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions
+    for which these are one turn of an orbit. turns: see Definition.
+    """
+    states, codes, periods, closes = motions
+    N, M, own = len(states), len(observables), machines.table.machines
+    wanted = ObservableSelection(
+        np.array([KINDS.index(observable.kind) for observable in observables]),
+        np.array([observable.contact for observable in observables]),
+        np.array([observable.side for observable in observables]),
+    )
+    counts, endless = np.zeros((2, N, M), dtype=np.int64)
+    seen = ObservedValues(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
+    seen.course[..., COURSE.value] = np.nan
+    starts, states, codes, status = (states, codes), states.copy(), codes.copy(), np.full(N, RUNNING)
+    periods = periods.astype(np.int64)  # as results periods are int32, which kernels would be compiled for once more
+    turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
+    done = np.where(closes & turns_of_outputs, -periods, 0)
+    allowance = MIN_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
+    meters = MeasurePlan(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
+
+    def see(some: Rows) -> None:
+        motion = starts, states, codes, done, periods, closes.astype(np.int64), allowance, some
+        status[some] = observe_motions(machines, meters, wanted, seen, *motion)[some]
+
+    machines.with_modes(see, np.arange(N))
+    numbers, results = np.where(endless > 0, -1, counts), Values()
+    for m, observable in enumerate(observables):
+        shown = seen.values[:, m]
+        if observable.kind == IMPACT_PHASE:  # of the machine, with frequency omega / turns
+            shown = np.mod(turns * shown, observable.turn)
+        results |= {observable.variable: shown, observable.number: numbers[:, m]}
+    return results, status == RUNNING
+
+
+def outputs_for(
+    observables: tuple[Observable, ...], definition: Definition, values: Mapping[str, Array]
+) -> tuple[Array, Array]:
+    """The rows (N, M, n) of observables, and the derivatives (N, M) that the rows act on, see Observable.row."""
+    rows_of = [observable.row(definition, values) for observable in observables]
+    rows = np.stack([row for row, _ in rows_of], axis=1)
+    return rows, np.tile([order for _, order in rows_of], (len(rows), 1))
+
+
+def observe_orbits(
+    definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, most: int
+) -> Values:
+    """Values of observables, named with commas between, on orbits from physical section states (N, 2n), over one turn.
+
+    Parameters and ``periods`` are (N,). Values are NaN, and counts 0, if an orbit cannot be followed.
+    """
+    observables = observables_of(observed_by, definition)
+    machines, reasons = build_hybrid(definition.hybrid(values))
+    begun, reasons = begin(machines, reasons, states)
+    motions = states, begun.mode, periods, np.ones(len(states), dtype=bool)
+    shown, whole = record_observables(
+        machines, observables, outputs_for(observables, definition, values), motions, most, definition.turns
+    )
+    there = whole & (reasons == NO_REASON)
+    for observable in observables:
+        shown[observable.variable][~there], shown[observable.number][~there] = np.nan, 0
+    return shown

@@ -1,0 +1,366 @@
+"""The adaptive schedule: each cell is followed until its class is certain, and apparent chaos is watched.
+
+The stages of a cell are searching, warming, averaging, watching, and averaging once more. At the end of every stretch
+of periods, except in warming, it looks for a stable orbit.
+
+``max_periods`` bounds the periods that decide the class; watching apparent chaos may take ``survival`` periods more. A
+tenth of max_periods is kept for the proof of an orbit.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from workers.cell import averages, outcome
+from workers.cell.averages import clearly_positive, current_average, periods_for, shears
+from workers.cell.cell_batch import RETURNS, CellBatch
+from workers.cell.exponents import impact_count
+from workers.cell.orbits import LONG_PERIOD, NEAR_ORBIT, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
+from workers.cell.recurrence import Recurrence
+from workers.kernel.motion import CONTRACTION
+from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
+from workers.orbit.newton import far_from_closing
+from workers.results import LOCKING, NO_REASON, NOT_RELAXED, NOT_STATIONARY, RESTED
+
+SEARCHING, WARMING, AVERAGING, WATCHING = range(4)
+
+FIRST_INTERVAL = 32
+"""Periods before the first look at a cell; each further stretch is as long as all before it."""
+
+MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
+"""The transient: its least periods, its relaxation times, and its largest share of max_periods."""
+
+NEAR_LATER = 1e-3
+"""NEAR after the first stretch: motion has had time to come nearer, and chaos often returns within NEAR itself, at the
+cost of a trial each time."""
+
+WARM_UP = 64
+"""Periods in which the tangent frame aligns before its growth counts."""
+
+FIRST_AVERAGE = 192
+"""Periods averaged before the first look at the average."""
+
+LONG_MEMORY, MIN_SURVIVAL_SHARE = 5.0, 1.0 / 32.0
+"""Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in at least LONG_MEMORY
+periods; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of transient chaos falls about like
+that: measured in 16,000 cells over all parameters."""
+
+MIN_WATCH = 256
+"""Periods of the shortest stretch of watching; each further one is half as long as the survival before it."""
+
+TORUS_LIMIT = 1e-5
+"""Largest modulus of the weighted averages of two stretches that counts as zero."""
+
+TORUS_RETURN = 1e-5
+"""Nearest of the last RETURNS returns, relative to the motion's scale, of a possible slowly closing orbit."""
+
+
+def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contraction: Array | None = None) -> Array:
+    """Forcing periods in which the energy of these motions falls by a factor e without the force.
+
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, reduce
+    one of the 2n squares in the energy. May be infinite. If a motion grows, eta is the least rate of growth or decay.
+    With modes ``contraction``, the change per period of the log of volume, shows in place of R what all contacts and
+    frictions take: without impacts at most one square per period.
+    """
+    period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
+    if oscillators.has_modes:
+        slowest, events = oscillators.gap.eta[rows, 0], np.where(hits > 0.0, hits, 1.0)
+        beyond = 0.0 if contraction is None else np.minimum(contraction + oscillators.trace[rows] * period, 0.0)
+        return np.asarray(1.0 / (2.0 * slowest * period - events * np.expm1(beyond / events) / freedoms))
+    slow, fast = (np.abs(oscillators.gap.blocks[rows][..., column]) for column in (COLUMN.slow, COLUMN.fast))
+    least = np.minimum(*(np.where(rate > 0.0, rate, np.inf) for rate in (slow, fast))).min(axis=-1)
+    slowest = np.where(oscillators.growth[rows] > 0.0, least, slow.min(axis=-1))
+    return np.asarray(1.0 / (2.0 * slowest * period + (1.0 - oscillators.R[rows] ** 2) * hits / freedoms))
+
+
+def survival_share(relaxation: Array) -> Array:
+    """Share of ``survival`` for which chaos of these relaxation times is watched if no stable orbit is known."""
+    return np.clip((relaxation / LONG_MEMORY) ** 2, MIN_SURVIVAL_SHARE, 1.0)
+
+
+Property = Callable[[Rows], Mask]
+"""A property of cells: the mask of the cells that have it."""
+
+
+def none_of(rows: Rows) -> Mask:
+    """A mask of none of these cells."""
+    return np.zeros(len(rows), dtype=np.bool_)
+
+
+class AdaptiveSchedule:
+    """N cells on their way through the stages; each stage is a method for cells at the end of a stretch in it.
+
+    stage      of each cell; stretch: its next periods
+    memory     periods needed for its transient, NaN until known
+    watched    periods of watching
+    weighted   weighted average of its last stretch; middle: of that stretch, in periods flown
+    half       standard error of an average over half of the periods needed for the tolerance
+    recurrence record of the recurrence of its amplitude
+
+    is_known   mask of cells, at the end of a stretch, that end since their motion is recognised
+    leaves     mask of cells, after their transients, that leave the course to be judged elsewhere
+    part       share of ``survival`` for which chaos is watched, by its relaxation in periods
+    """
+
+    def __init__(
+        self,
+        cells: CellBatch,
+        is_known: Property = none_of,
+        leaves: Property = none_of,
+        part: Callable[[Array], Array] = survival_share,
+    ) -> None:
+        N = len(cells.used)
+        self.cells, self.settings = cells, cells.settings
+        self.is_known, self.leaves, self.part = is_known, leaves, part
+        self.half = math.sqrt(2.0) * self.settings.tolerance
+        self.stage = np.full(N, SEARCHING)
+        self.stretch = np.full(N, FIRST_INTERVAL)
+        self.memory, self.weighted, self.middle = np.full((3, N), math.nan)
+        self.watched = np.zeros(N, dtype=np.int64)
+        self.recurrence = Recurrence(N)
+
+    def take(self) -> None:
+        """Take the cells that have not ended through their stages, to their results."""
+        ready = self.cells.ready
+        while self.cells.going.any():
+            self.begin(ready)
+            through = self.cells.run(self.cells.ready)
+            if len(through):
+                self.look(through)
+            ready = through[self.cells.going[through]]
+
+    def begin(self, ready: Rows) -> None:
+        """Give each cell its next stretch, or its result if no periods are left."""
+        ready = outcome.end_impact_free(self.cells, ready)
+        length = np.minimum(self.stretch[ready], self._left(ready))
+        self._end(ready[length <= 0])
+        self.cells.set_interval(ready[length > 0], length[length > 0])
+
+    def look(self, through: Rows) -> None:
+        """Judge each cell at the end of a stretch."""
+        cells = self.cells
+        rows = outcome.end_stopped(cells, through)
+        stage, near = self.stage[rows], np.where(cells.flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
+        self.warming(rows[stage == WARMING])
+        rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
+        if not len(rows):
+            return
+        resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
+        self._end_at_rest(rows[resting])
+        rows, stage = rows[~resting], self.stage[rows[~resting]]
+        self.recurrence.look(cells, rows, stage != SEARCHING)
+        self.searching(rows[stage == SEARCHING])
+        self.averaging(rows[stage == AVERAGING])
+        self.watching(rows[stage == WATCHING])
+
+    def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
+        """Write the results of cells proved to converge to an orbit; returns the others that are not known."""
+        known = self.is_known(rows)
+        self.cells.going[rows[known]] = False
+        return end_on_orbits(self.cells, rows[~known], budget, near)
+
+    def end_on_long_orbits(self, rows: Rows) -> Rows:
+        """Write the results of cells proved to converge to a long orbit; returns the others."""
+        return end_on_long_orbits(self.cells, rows)
+
+    def _left(self, rows: Rows) -> Rows:
+        """Periods left to these cells' motions in their present stage."""
+        decide = self.settings.deciding_periods - (self.cells.used[rows] - self.watched[rows])
+        return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
+
+    def _end(self, rows: Rows) -> None:
+        """Write the results of cells out of periods."""
+        unrelaxed = self.cells.first[rows] < self.memory[rows]
+        clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
+        outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
+
+    def _end_at_rest(self, rows: Rows) -> None:
+        """Write the results of cells whose only mass has rested: its orbit, or an unknown period.
+
+        Every release starts the same motion, so every disturbance is gone at the next rest.
+        """
+        cells = self.cells
+        rows = self.end_on_long_orbits(rows)
+        if cells.vectors:
+            averages.lose_all(cells, rows)
+        survived = np.maximum(cells.survived_periods(rows) - cells.batch.done[rows], 0)
+        outcome.put_averaged(cells, rows)
+        outcome.write_results(cells, rows, regime=LOCKING, reason=RESTED, survived=survived)
+
+    # Searching
+
+    def searching(self, rows: Rows) -> None:
+        """The motion forgets its start: for some relaxation times, at least LEAST_TRANSIENT periods."""
+        cells, flown = self.cells, self.cells.flown[rows]
+        new = rows[(flown >= MIN_TRANSIENT) & np.isnan(self.memory[rows])]
+        tally, periods = cells.batch.motions.tally[new], cells.flown[new]
+        hits, contraction = impact_count(tally) / periods, tally[:, CONTRACTION] / periods
+        self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits, contraction)
+        most = max(MAX_TRANSIENT_SHARE * self.settings.max_periods, MIN_TRANSIENT)
+        transient = np.fmax(np.floor(np.minimum(self.memory[rows], most)), MIN_TRANSIENT)
+        self.stretch[rows] = np.minimum(flown, np.maximum(transient - flown, 1))
+        over = rows[flown >= transient]
+        cells.since[over] = cells.flown[over]
+        leaves = self.leaves(over)
+        cells.going[over[leaves]] = False
+        self.observe(over[~leaves])
+
+    def observe(self, rows: Rows) -> None:
+        """Warm up these cells after their transients, or watch them if no exponents are wanted."""
+        cells = self.cells
+        if cells.vectors:
+            averages.restart(cells, rows)
+            cells.framed[rows] = True
+            self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
+        else:
+            averages.begin(cells, rows)
+            self._watch(rows, self._missing(rows))
+
+    # Warming
+
+    def warming(self, rows: Rows) -> None:
+        """Tangent vectors are aligned: average from now on.
+
+        A second average is as long as the first should have been.
+        """
+        cells = self.cells
+        if not len(rows):
+            return
+        averages.begin(cells, rows)
+        self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
+        earlier = cells.earlier.periods[rows]
+        wanted = periods_for(earlier, cells.earlier.error[rows], self.half)
+        self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
+
+    # Averaging
+
+    def averaging(self, rows: Rows) -> None:
+        """The growth of tangent vectors is averaged.
+
+        Clearly positive, and known to half of the wanted accuracy (in periods): chaotic so far. Zero on two stretches:
+        a torus. Clearly negative: a long orbit is sought.
+        """
+        second = self.cells.earlier.periods[rows] > 0.0
+        self._judge_first(rows[~second])
+        self._judge_second(rows[second])
+
+    def _judge_first(self, rows: Rows) -> None:
+        """Half of the budget also suffices to call a cell chaotic."""
+        now = current_average(self.cells, rows)
+        positive = clearly_positive(now.mean, now.error, now.periods)
+        half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
+        chaotic = positive & self.recurrence.recurred[rows] & ((now.error <= self.half) | half_spent)
+        missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
+        self._average_on(rows[~chaotic], missing[~chaotic])
+        self._find_order(rows[~chaotic])
+        self._close(rows[chaotic])
+
+    def _judge_second(self, rows: Rows) -> None:
+        """Both averages together must reach the wanted accuracy unless they differ, and chaos must have survived.
+
+        A positive exponent must be clearly positive.
+        """
+        (whole, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
+        least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
+        accuracy = np.minimum(self.settings.tolerance, least)
+        changed = averages.has_changed(self.cells, rows)
+        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
+        watch = self._to_watch(rows)
+        enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
+        wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
+        self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
+        self._end(rows[enough & ~changed])
+        self._restart_changed(rows[enough & changed])
+
+    def _average_on(self, rows: Rows, missing: Array) -> None:
+        """The next stretch of an average that lacks ``missing`` periods: at most as long as the average so far."""
+        longest = self.cells.flown[rows] - self.cells.began[rows]
+        self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
+
+    def _restart_changed(self, rows: Rows) -> None:
+        """Keep only the later average of motion that has changed."""
+        cells = self.cells
+        before, now = cells.earlier.mean[rows], current_average(cells, rows)
+        averages.restart_first(cells, rows)
+        positive, out = clearly_positive(now.mean, now.error, now.periods), self._left(rows) <= 0
+        outcome.put_by_average(cells, rows[out], clear=NOT_STATIONARY)
+        uncertain = out & positive
+        outcome.write_results(cells, rows[uncertain], error=np.maximum(now.error, np.abs(now.mean - before))[uncertain])
+        chaotic = rows[~out & positive]
+        cells.since[chaotic] = cells.began[chaotic]
+        self._close(chaotic)
+        self.stretch[rows[~out & ~positive]] = now.periods[~out & ~positive]
+
+    def _close(self, rows: Rows) -> None:
+        """Close the average of these cells and watch them, or continue with the next average if there is no need to."""
+        averages.close(self.cells, rows)
+        missing = self._missing(rows)
+        self.warming(rows[missing <= 0])  # the frame is unchanged
+        rows, missing = rows[missing > 0], missing[missing > 0]
+        self.cells.framed[rows], self.cells.averaging[rows] = False, False
+        self._watch(rows, missing)
+
+    def _find_order(self, rows: Rows) -> None:
+        """Look for tori and, with a clearly negative exponent, for long orbits."""
+        cells, batch = self.cells, self.cells.batch
+        previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
+        middle = cells.flown[rows] - 0.5 * batch.periods[rows]
+        linear = shears(previous, now, middle - self.middle[rows])
+        self.weighted[rows], self.middle[rows] = now, middle
+        spread = np.where(linear, now, np.abs(now - previous))
+        flat = (np.maximum(np.abs(previous), np.abs(now)) < TORUS_LIMIT) & ~(now < -10.0 * spread)
+        flat = (flat | linear) & self.recurrence.same[rows] & self.recurrence.strikes[rows]
+        flat[flat] = self.never_closes(rows[flat])
+        outcome.put_quasiperiodic(cells, rows[flat], now[flat], spread[flat])
+        rows, now = rows[~flat], now[~flat]
+        mean, error, periods, _, _ = current_average(cells, rows)
+        late = (batch.periods[rows] >= LONG_PERIOD) & (now < -TORUS_LIMIT)
+        self.end_on_long_orbits(rows[clearly_positive(-mean, error, periods) | late])
+
+    def never_closes(self, rows: Rows) -> Mask:
+        """Mask of cells that have not returned to their present state in RETURNS periods."""
+        cells = self.cells
+        blocks, h = cells.oscillators.gap.blocks, cells.batch.motions.h
+        return np.asarray(far_from_closing(blocks, h, cells.batch.sections, rows, RETURNS, TORUS_RETURN))
+
+    # Watching
+
+    def watching(self, rows: Rows) -> None:
+        """Apparent chaos continues without tangent vectors for most of its watch.
+
+        Then it is averaged once more: equal averages are combined; otherwise the motion has changed, and the later
+        average replaces the earlier. Without exponents it is aperiodic then.
+        """
+        self.watched[rows] += self.cells.batch.done[rows]
+        missing = self._missing(rows)
+        self._watch(rows[missing > 0], missing[missing > 0])
+        if self.cells.vectors:
+            self.observe(rows[missing <= 0])
+        else:
+            rows = rows[missing <= 0]
+            recurs = self.recurrence.recurred[rows]
+            outcome.put_chaotic(self.cells, rows[recurs])
+            self._end(rows[~recurs])
+
+    def _watchable(self, rows: Rows) -> Rows:
+        """Periods for which these cells may still be watched, less the cost of proofs in both budgets."""
+        return np.minimum(self.settings.survival - self.watched[rows], self.cells.budget()[rows])
+
+    def _to_watch(self, rows: Rows) -> Rows:
+        """Periods for which these cells are still to be watched, within ``survival``."""
+        part = self.part(self.memory[rows] / RELAXATIONS)
+        part[has_coexisting_orbit(self.cells, rows)] = 1.0
+        required = (part * self.settings.survival).astype(np.int64)
+        return np.minimum(required - self.cells.survived_periods(rows), self._watchable(rows))
+
+    def _missing(self, rows: Rows) -> Rows:
+        """Periods for which these cells are still to be watched before an average as long as the last one."""
+        return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
+
+    def _watch(self, rows: Rows, missing: Rows) -> None:
+        """Watch these cells for a stretch of the ``missing`` periods, long enough for a long orbit to return in it."""
+        least = max(MIN_WATCH, self.settings.max_period + 1)
+        self.stage[rows] = WATCHING
+        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived_periods(rows) // 2, missing), least)

@@ -1,0 +1,222 @@
+"""Admissible orbits: each leg ends at its own event and at no other.
+
+Decided by the certified crossings of the kernel, leg by leg, without sampling.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.continuation.itinerary import mirror_sign
+from workers.continuation.legs import ACT, MODE, NO_EVENT, REBOUNDS, RESTS, beyond_range, event_of_leg
+from workers.continuation.shooting import OrbitMotion
+from workers.kernel.chatter import chatter_time
+from workers.model.hybrid_modes import DETACHED, OPEN, SIGNALS
+
+CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
+"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
+that would stick where it does not, or cannot where it does."""
+
+VERTEX = "vertex"
+"""Kind of the event at which a motion touches a vertex of a law in segments."""
+
+AT_ONCE = 1e-6
+"""Share of a period by which a certified event may differ from the event of the orbit; a shorter leg has no length."""
+
+HOPS = 1e-3
+"""Largest change of the load during a chatter that is replaced by rest, as a share of the load."""
+
+NEAR_TOUCH = 1e-3
+"""Share of a period about a graze in which its signal is known to turn back there."""
+
+
+class AdmissibilityFault(NamedTuple):
+    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST, out of ORDER or wrongly HELD.
+
+    Impacts are events of any kind, and a contact is that of any signal with the end of its range.
+    """
+
+    reason: str
+    impact: int = -1
+    time: float = math.nan
+    side: int = 0
+    signal: int = 0
+
+
+class Graze(NamedTuple):
+    """A graze: its time, and which end of its range a signal touches."""
+
+    time: float
+    signal: int
+    side: int
+
+
+def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = -1) -> AdmissibilityFault | None:
+    """The first fault, in time, of one orbit (all records of one); None if it is admissible.
+
+    ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate: an
+    impact counts as a graze.
+    """
+    rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
+    period = 2.0 * math.pi / float(motion.lin.omega[0])
+    for k, (_, event) in enumerate(motion.plan.legs):
+        if event not in (NO_EVENT, lost) and motion.plan.legs[k + 1][0].side * rates[event] <= 0.0:
+            return AdmissibilityFault(LOST, event)
+        if durations[k] < -1e-9 * period:
+            return _not_in_range(motion, k) or AdmissibilityFault(ORDER, event)
+    wrong, known = _would_stick(motion) or _would_hop(motion), [_in_turn(motion, touch) for touch in touches]
+    return wrong or next(
+        (fault for k in range(len(motion.plan.legs)) if (fault := _of_leg(motion, k, period, known, lost))), None
+    )
+
+
+def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
+    """A touch in the turn that begins with the first event, or in its mirror image."""
+    begin, span = float(motion.begins[0, 0]), float(motion.span[0])
+    turns = math.floor((touch.time - begin) / span)
+    flips = motion.itinerary.symmetric and turns % 2 != 0
+    side = touch.side * (mirror_sign(touch.signal, motion.lin.elements.soft.shape[1]) if flips else 1)
+    return Graze(touch.time - turns * span, touch.signal, side)
+
+
+def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
+    """A turn of friction that would rather stick."""
+    for event, signal, _ in motion.plan.turning:
+        low, high = (float(motion.holding(event, signal, side)[0]) for side in (-1, 1))
+        if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
+            return AdmissibilityFault(HELD, event, signal=signal, side=1 if -high < low else -1)
+    return None
+
+
+def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
+    """A rest in place of chatter whose hops take too long for that, since the load on the stop changes meanwhile.
+
+    The load must change by a share of itself of HOPS at most while they last.
+    """
+    for k, (_, event) in enumerate(motion.plan.legs):
+        if motion.plan.table[k, ACT] != RESTS:
+            continue
+        signal, side = motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side
+        c, start = signal // SIGNALS, motion.begins[:, k + 1 : k + 2]
+        R, weight = float(motion.lin.elements.R[0, c]), float(motion.lin.elements.weight[0, c])
+        _, (force, rate, _, _) = motion.at(start, signal)
+        load = -side * float(force[0, 0]) / weight
+        speed = abs(float(motion.turn.signals[0, 1, event]))
+        if R > 0.0 and not chatter_time(load, R * speed, R) * abs(float(rate[0, 0])) / weight <= HOPS * load:
+            return AdmissibilityFault(ORDER, event)
+    return None
+
+
+def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
+    """A leg in whose mode a signal is beyond its range from the beginning."""
+    leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
+    signal, side = beyond_range(
+        motion.pieces, 0, mode, np.array(leg.begun), motion.turn.states[0, k], _phase(motion, k), 1e-9
+    )
+    return (
+        AdmissibilityFault(HELD, motion.plan.legs[k - 1][1] if k else NO_EVENT, signal=signal, side=side)
+        if signal >= 0
+        else None
+    )
+
+
+def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
+    """The phase of the force some time after the beginning of a leg."""
+    own = motion.lin
+    return math.fmod(float(own.tau[0]) + float(own.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi)
+
+
+def _of_leg(
+    motion: OrbitMotion, k: int, period: float, touches: Sequence[Graze], lost: int
+) -> AdmissibilityFault | None:
+    """The first fault on a leg before the event at its end."""
+    (leg, _), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
+    tolerance = AT_ONCE * period
+    if end - begin <= 1e-9 * period:
+        return None
+    wrong = _not_in_range(motion, k)
+    if wrong is not None:
+        return wrong
+    expected = _events_at_end(motion, k, tolerance)
+    z, begun, since = motion.turn.states[0, k], np.array(leg.begun), 0.0
+    if k and motion.plan.legs[k - 1][1] == lost and motion.plan.table[k - 1, ACT] == REBOUNDS:
+        begun[leg.signal] = 2 * leg.side
+    while True:
+        left = end - begin - since
+        s, signal, side = event_of_leg(
+            motion.pieces, 0, motion.plan.table[k, MODE], z, _phase(motion, k, since), begun, left + tolerance
+        )
+        here = begin + since + s
+        touched = next(
+            (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, here, period)), None
+        )
+        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) in expected or not expected)):
+            return None
+        if touched is None or not _turns_back(motion, touched, period):
+            return AdmissibilityFault(CONTACT, time=here, signal=signal, side=side)
+        since = max(touched.time - begin, since + s)
+        if since >= end - begin:
+            return None
+        z, begun = motion.at(np.array([[begin + since]]))[0][0, 0], np.zeros_like(begun)
+        begun[signal] = 2 * side
+
+
+def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
+    """Signals and ends of the event at the end of a leg, and of all that follow at once: rounding decides their order.
+
+    None where the phase changes, or the turn ends without events.
+    """
+    legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
+    if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
+        return set()
+    following = legs[k + 1 :]
+    if k + 1 == len(legs):  # it ends at the first event of the next turn
+        following = legs[1:] if motion.itinerary.sign > 0 else tuple((leg.mirrored, i) for leg, i in legs[1:])
+        lengths = np.append(lengths, lengths[1:])
+    events = set[tuple[int, int]]()
+    for leg, length in zip((leg for leg, _ in following), lengths[k + 1 :], strict=False):
+        events.add((leg.signal, leg.side))
+        if length > tolerance:
+            break
+    return events
+
+
+def _near(motion: OrbitMotion, touch: Graze, here: float, period: float) -> bool:
+    span = float(motion.span[0])
+    apart = (touch.time - here) / span
+    return abs(apart - round(apart)) * span <= NEAR_TOUCH * period
+
+
+def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
+    """Whether a signal comes nearer to its end before a touch, and leaves it after."""
+    times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
+    _, (_, rates, _, _) = motion.at(times, touch.signal)
+    return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
+
+
+def peak_of(motion: OrbitMotion, why: AdmissibilityFault) -> float | None:
+    """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
+    k = int(np.searchsorted(motion.begins[0], why.time, side="right")) - 1
+    s = np.linspace(why.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
+    _, (_, rates, _, _) = motion.at(s[None], why.signal)
+    turned = np.flatnonzero(why.side * rates[0] <= 0.0)
+    return float(s[turned[0]]) if len(turned) else None
+
+
+def name_of_touch(motion: OrbitMotion, touch: Graze) -> str:
+    """The name of the event at which a signal touches an end of its range."""
+    k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
+    code = motion.plan.legs[max(k, 0)][0].code
+    contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)
+    if friction >= 0:
+        slip = code.slips[friction]
+        if not slip:
+            return "adding_sliding"
+        return "grazing_sliding" if slip == -touch.side else VERTEX
+    state, counted = code.contacts[contact], motion.lin.elements.counted[0, contact] > 0.0
+    if state == OPEN:
+        return "graze" if counted else VERTEX
+    first = abs(state) <= DETACHED and np.sign(state) == -touch.side
+    return "lift_off" if counted and (first or touch.signal % SIGNALS) else VERTEX

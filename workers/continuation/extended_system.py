@@ -1,0 +1,281 @@
+"""Orbits with conditions on them as one square system: events with one free parameter, curves and points with two.
+
+    (state, t_1..t_m, contact times, parameters) -> (orbit, conditions)
+
+The residual is exact. Its derivatives by state and times are exact too, all others central differences, so that
+Newton's method still gains six digits or more a step.
+"""
+
+import math
+from copy import copy
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.continuation.equations import check_orbits, motion_of, motion_of_unknowns
+from workers.continuation.families import Family
+from workers.continuation.floquet import multipliers, pair_near
+from workers.continuation.itinerary import Orbit, many_orbits
+from workers.continuation.newton import NewtonResult, newton
+from workers.continuation.shooting import OrbitMotion
+from workers.model.block_decomposition import apply_stacked
+from workers.model.family import NoOscillatorError, OrbitMachines
+from workers.model.oscillator import Array, Rows
+
+DIFFERENCE = 6e-6
+"""Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""
+
+CURVED = 1e-4
+"""The same where a second derivative is differenced."""
+
+FOLLOWS = 4.0
+"""How many times its size counts as one unit of a state: a step is as long as times and parameters make it, from which
+the state follows."""
+
+REMEMBERED = 8
+"""Oscillators, and motions, that are kept, since one point is asked several things."""
+
+SAME_EVENT = 1e-2
+"""Share of a turn within which an event of an orbit is that of another one with other events too."""
+
+UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS, MEETS = (
+    "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends", "meets",
+)  # fmt: skip
+"""Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
+time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
+hold friction where it turns round, or the force that holds it where it begins to stick, is its static level; another
+signal reaches an end of its range at an event."""
+
+
+class Condition(NamedTuple):
+    """One condition: its kind, the side of a graze, the event ``impact`` of a speed, the kappa of an angle, and the
+    signal that grazes an end of its range, or that is at one at an event.
+    """
+
+    kind: str
+    side: int = 0
+    impact: int = 0
+    kappa: float = 0.0
+    signal: int = 0
+
+
+def conditions_on(
+    orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
+) -> tuple[Condition, ...] | None:
+    """Conditions on a former orbit, as conditions on an orbit with other events but about the same times.
+
+    None where the event of a condition is gone.
+    """
+    kept, later = [], time_shift(orbit, former, span)
+    for condition in conditions:
+        if condition.kind in (SPEED, ONSET, ENDS, MEETS):
+            near, flips = _apart(orbit, former, span, later)
+            if not np.any(near[:, condition.impact] < SAME_EVENT):
+                return None
+            place = int(np.argmin(near[:, condition.impact]))
+            condition = condition._replace(impact=place, side=int(flips[place, condition.impact]) * condition.side)
+        kept.append(condition)
+    return tuple(kept)
+
+
+def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
+    """The shift of the times of a former orbit in an orbit with other events too: it brings their events nearest to
+    each other. Times of cycles count from their first event.
+    """
+    if not (orbit.itinerary.is_cycle and former.itinerary.is_cycle):
+        return 0.0
+    shifts = (orbit.times[:, None] - former.times).ravel()
+    fewer = int(len(orbit.times) > len(former.times))
+
+    def misfit(shift: float) -> float:
+        return float(np.sum(np.min(_apart(orbit, former, span, shift)[0], axis=1 - fewer)))
+
+    return float(min(shifts, key=misfit))
+
+
+def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Array, Array]:
+    """How far the events of an orbit (m,) are from those of another one (k,), (m, k), in turns, infinite for other
+    kinds of events; and -1 where the one is the mirror image of the other."""
+    turns = (orbit.times[:, None] - (former.times + later)) / span
+    flips = np.where(np.round(turns) % 2 == 0, 1, orbit.itinerary.sign)
+    alike = flips * np.array(orbit.itinerary.sides)[:, None] == np.array(former.itinerary.sides)
+    return np.where(alike, np.abs(turns - np.round(turns)), np.inf), flips
+
+
+class ExtendedSystem:
+    """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
+
+    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2n + m,) residuals of the orbit; ``width`` (free,) is the
+    scale of the parameters; ``states`` of the unknowns are the state and the times of the orbit. ``at`` takes the
+    vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
+    """
+
+    def __init__(
+        self, family: Family, orbit: Orbit, conditions: tuple[Condition, ...], values: Array, width: Array
+    ) -> None:
+        self.family, self.itinerary, self.conditions = family, orbit.itinerary, conditions
+        self.width = np.asarray(width, dtype=np.float64)
+        self._model = lru_cache(REMEMBERED)(lambda *values: family.model(np.array([values], dtype=np.float64)))
+        self._motion = lru_cache(REMEMBERED)(
+            lambda *X: motion_of_unknowns(self.model(self.values(np.array(X))), self.itinerary, np.array([X]))
+        )
+        lin = self.model(np.asarray(values, dtype=np.float64))
+        check_orbits(lin, orbit.itinerary)
+        motion = motion_of(lin, many_orbits([orbit]))
+        self.m, self.free, self.states = len(orbit.itinerary.sides), len(family.free), motion.unknowns.shape[1]
+        self.grazes = sum(condition.kind == GRAZE for condition in conditions)
+        time = float(motion.span[0]) if orbit.itinerary.is_cycle else 1.0 / float(lin.omega[0])
+        (size,), (guards,) = motion.scale()
+        size, root = FOLLOWS * math.sqrt(len(size)) * size, math.sqrt(max(1, self.m))
+        times = np.repeat([root * time, time], [self.m, self.grazes])
+        self.scale = np.concatenate([size, times, self.width])
+        self.unit = np.concatenate([size, root * guards])
+        self.totals = [2.0 * condition.kappa for condition in conditions]
+        self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
+
+    def model(self, values: Array) -> OrbitMachines:
+        """The oscillator at parameters (free,), as the only one of a record of many."""
+        return self._model(*values.tolist())
+
+    def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
+        """The unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
+        motion = motion_of(self.model(values), many_orbits([orbit]))
+        return np.concatenate([motion.unknowns[0], contacts, values])
+
+    def contacts(self, X: Array) -> Array:
+        """The contact times (..., G) of unknowns (..., N)."""
+        return X[..., self.states : self.states + self.grazes]
+
+    def values(self, X: Array) -> Array:
+        """The parameters (..., free) of unknowns (..., N)."""
+        return X[..., X.shape[-1] - self.free :]
+
+    def motion(self, X: Array) -> OrbitMotion:
+        """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
+        return self._motion(*X.tolist())
+
+    def orbit(self, X: Array) -> Orbit:
+        """The orbit of unknowns (N,)."""
+        return self.motion(X).orbits.at_rows(0)
+
+    def residual(self, X: Array, _: Rows | None = None) -> Array:
+        """All equations (1, equations) at unknowns (1, N), exact."""
+        return self._all(X, self.motion(X[0]))
+
+    def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
+        """All equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
+        N = X.shape[1]
+        columns = np.arange(0 if self.conditions else N - self.free, N)
+        steps = np.diag(DIFFERENCE * self.scale)[columns]
+        rows = np.concatenate([X, X + steps, X - steps])
+        # those with other parameters, and one for all with the same
+        places = 1 + np.concatenate([k * len(columns) - 1 - np.arange(self.free)[::-1] for k in (1, 2)])
+        lin = self.family.model(self.values(rows[np.append(0, places)]))
+        if len(columns) > self.free:
+            which = np.zeros(len(rows), dtype=np.int64)
+            which[places] = np.arange(1, 1 + len(places))
+            lin = lin.at_rows(which)
+        motion = motion_of_unknowns(lin, self.itinerary, rows)
+        base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
+        J = np.zeros((base.shape[1], N))
+        with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
+            J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
+        J[: self.states, : self.states] = motion.linearised()[0]
+        J[: self.states, self.states : N - self.free] = 0.0
+        return base, J[None]
+
+    def at(self, X: Array) -> "ExtendedSystem":
+        """The same equations, bordered with null vectors at X in the directions of the former ones, with the pair of a
+        condition at X.
+        """
+        renewed, motion = copy(self), self.motion(X)
+        renewed.borders, renewed.totals = list(self.borders), list(self.totals)
+        for i, condition in enumerate(self.conditions):
+            if condition.kind in (UNIT, MINUS_ONE):
+                U, _, Vt = np.linalg.svd(self._bordered_matrix(condition, motion)[0])
+                (a, b), left, right = self.borders[i], U[:, -1], Vt[-1]
+                renewed.borders[i] = left * np.sign(np.sum(a * left) or 1.0), right * np.sign(np.sum(b * right) or 1.0)
+            if condition.kind == PAIR:
+                total, _, _ = pair_near(multipliers(motion), np.array([self.totals[i]]))
+                renewed.totals[i] = float(total[0])
+        return renewed
+
+    def _all(self, X: Array, motion: OrbitMotion) -> Array:
+        """All equations (B, equations) at unknowns (B, N), which are these motions."""
+        contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
+        for i, condition in enumerate(self.conditions):
+            if condition.kind == GRAZE:
+                parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
+                graze += 1
+            elif condition.kind in (ONSET, ENDS, MEETS):
+                parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
+            elif condition.kind == SPEED:
+                parts.append(motion.turn.signals[:, 1, condition.impact, None])
+            elif condition.kind in (PAIR, ANGLE):
+                total, product, _ = pair_near(multipliers(motion), np.full(len(X), self.totals[i]))
+                parts.append((product - 1.0 if condition.kind == PAIR else total - 2.0 * condition.kappa)[:, None])
+            elif condition.kind == CUSP:
+                parts.append(self.curvature(motion)[:, None])
+            else:
+                parts.append(self._solved(i, motion)[:, -1:])
+        return np.concatenate(parts, axis=1)
+
+    def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
+        """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
+
+        J_z has no poles where an impact has no speed. Where a soft contact is hardly touched, J_z is nearly singular
+        for any multipliers, and DP is not; but DP of a cycle always has the multiplier 1, and J_1 has not.
+        """
+        z = 1.0 if condition.kind == UNIT else -1.0
+        if motion.plan.impacts or motion.itinerary.is_cycle:
+            return np.asarray(motion.linearised(z) * self.scale[: self.states] / self.unit[:, None])
+        size = self.scale[: motion.start.shape[1]]
+        return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
+
+    def critical(self, X: Array) -> Array:
+        """The direction (states,) of state and times, in units of the scale, in which a multiplier is that of the
+        first condition at unknowns X (N,)."""
+        return self._of_unknowns(self.motion(X), self.at(X).borders[0][1][None])[0]
+
+    def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
+        """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
+        if motion.plan.impacts or motion.itinerary.is_cycle:
+            return along
+        size = self.scale[: motion.start.shape[1]]
+        direction = motion.unknowns_along(along * size) / self.scale[: self.states]
+        return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+
+    def _solved(self, i: int, motion: OrbitMotion) -> Array:
+        """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
+        J = self._bordered_matrix(self.conditions[i], motion)
+        size = J.shape[1]
+        matrix = np.zeros((len(J), size + 1, size + 1))
+        matrix[:, :size, :size], matrix[:, :size, -1], matrix[:, -1, :size] = J, *self.borders[i]
+        right = np.zeros((len(J), size + 1, 1))
+        right[:, -1] = 1.0
+        return np.asarray(apply_stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
+
+    def curvature(self, motion: OrbitMotion) -> Array:
+        """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
+        fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
+        along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]
+        ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))
+        ahead, behind = (self._solved(fold, motion_of_unknowns(motion.lin, self.itinerary, end))[:, -1] for end in ends)
+        return np.asarray((ahead - behind) / (2.0 * CURVED))
+
+
+def solve(equations: ExtendedSystem, X: Array, row: Array | None = None) -> NewtonResult:
+    """Newton's method from X; ``row`` (N,) is a direction in which nothing changes, where one unknown is free.
+
+    It fails as ``newton``, and where there is no oscillator.
+    """
+    try:
+        forced = equations.motion(X).forced_sizes
+        sizes = np.pad(forced, [(0, 0), (0, len(X) - (row is not None) - forced.shape[1])])
+        solved = newton(
+            equations.residual, equations.with_jacobian, X[None], equations.scale[None], row, sizes=sizes
+        )  # fmt: skip
+    except NoOscillatorError:
+        return NewtonResult(X, np.zeros((0, 0)), 0, False)
+    return NewtonResult(solved.X[0], solved.jacobian[0], solved.steps, bool(solved.converged[0]))

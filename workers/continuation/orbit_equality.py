@@ -1,0 +1,118 @@
+"""Equality of two orbits: up to a shift by forcing periods, as mirror images, as a shorter orbit repeated."""
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from workers.continuation.itinerary import Itinerary, Orbit
+from workers.continuation.shooting import OrbitMotion
+from workers.model.oscillator import Array
+
+SAME_ORBIT = 1e-7
+"""Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
+
+
+def distance(one: Orbit, other: Orbit, omega: float) -> float:
+    """The largest difference between two orbits at the same parameters, of times in radians of the force and of speeds
+    relative to the fastest impact; over all phases and both mirror images the smallest. Infinite for other itineraries.
+
+    Cycles may begin at any time, and their times count in radians of their own turn. Mirror images are
+    compared for every machine: the image of an orbit is no orbit of a machine that is not symmetric.
+    """
+    a, b = one.itinerary, other.itinerary
+    if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
+        return np.inf
+    halves = np.pi * a.periods / omega
+    one, other = (
+        double_orbit(orbit, float(orbit.length) if a.is_cycle else halves) if a.symmetric else orbit
+        for orbit in (one, other)
+    )
+    if a.is_cycle:  # so that a turn is 2 pi
+        omega = 2.0 * np.pi / float(one.length)
+    sides, others = np.array(one.itinerary.sides), np.array(other.itinerary.sides)
+    whole = float(other.length) if a.is_cycle else 2.0 * np.pi * a.periods / omega
+    times, m = np.append(other.times, other.times + whole), len(sides)
+    best, longer = np.inf if m else 0.0, omega * abs(whole - float(one.length)) if a.is_cycle else 0.0
+    for mirror, turn in product((1, -1), range(m)):
+        if np.array_equal(mirror * np.roll(others, -turn), sides):
+            # whole forcing periods apart, an image half a period more
+            later = omega * (times[turn : turn + m] - one.times) - (0.0 if mirror > 0 else np.pi)
+            later -= np.mean(later) if a.is_cycle else 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
+            speeds = mirror * np.roll(other.speeds, -turn) - one.speeds
+            best = min(best, max(np.max(np.abs(later)), np.max(np.abs(speeds)) / np.max(np.abs(one.speeds)), longer))
+    return float(best)
+
+
+def is_same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME_ORBIT) -> bool:
+    """Whether two orbits at the same parameters are the same up to phase and mirror image."""
+    return distance(one, other, omega) < tolerance
+
+
+def double_orbit(orbit: Orbit, span: float) -> Orbit:
+    """Two turns of length ``span`` of an orbit as one: of a symmetric orbit the whole of it, of others it twice."""
+    times = np.append(orbit.times, orbit.times + span)
+    speeds = np.append(orbit.speeds, orbit.itinerary.sign * orbit.speeds)
+    return Orbit(orbit.itinerary.twice, times, speeds, 2.0 * orbit.length)
+
+
+@cache
+def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
+    """The events of an orbit from which on its events and modes are in the order of another itinerary.
+
+    Events of the second half of a symmetric orbit are counted on. None where events differ; 0 where there are none.
+    """
+    if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
+        return ()
+    whole, wanted = _sequence(one.twice if one.symmetric and one.sides else one), _sequence(other)
+    turned = ((k, whole[k:] + whole[:k]) for k in range(len(whole)))
+    return tuple(k for k, sequence in turned if sequence[: len(wanted)] == wanted)
+
+
+def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
+    sides = itinerary.sides or (0,)
+    return [(side, tuple(leg.code for leg in legs)) for side, legs in zip(sides, itinerary.chains, strict=True)]
+
+
+def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> Orbit:
+    """The same orbit, of turns of length ``span``, from one of its ``beginnings`` on, as one of that itinerary."""
+    turns, events = np.divmod(first + np.arange(len(orbit.times)), max(1, len(orbit.times)))
+    times = orbit.times[events] + turns * span
+    speeds = orbit.speeds[events] * np.where(turns % 2 == 0, 1.0, itinerary.sign)
+    return Orbit(itinerary, times - times[0] if itinerary.is_cycle else times, speeds, orbit.length)
+
+
+@cache
+def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
+    """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
+    sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
+    for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
+        k, length = m // parts, halves // parts
+        for sign in (1, -1):
+            fits = itinerary.is_cycle or length % 2 == (sign < 0)
+            if fits and sign**parts == itinerary.sign and itinerary.repeats(k, sign):
+                periods = length if sign < 0 else length // 2
+                shorter.append(Itinerary(sides[:k], periods, sign < 0, itinerary.legs[:k]))
+    return tuple(shorter)
+
+
+def difference(motion: OrbitMotion, to: Itinerary) -> Array:
+    """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
+    itinerary, t, v, _ = motion.orbits.at_rows(0)
+    k, span = len(to.sides), motion.span[0]
+    later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
+    speeds = np.concatenate([v[k:], itinerary.sign * v[:k]])
+    return np.concatenate([later * motion.lin.omega[0], (speeds - to.sign * v) / np.max(np.abs(v))])
+
+
+def is_minimal(motion: OrbitMotion) -> bool:
+    """Whether an orbit is no repetition of a shorter orbit that its itinerary allows."""
+    return all(np.max(np.abs(difference(motion, to))) > SAME_ORBIT for to in reductions(motion.itinerary))
+
+
+def reduce_orbit(orbit: Orbit, to: Itinerary) -> Orbit:
+    """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
+    k = len(to.sides)
+    length = orbit.length * k / len(orbit.times)
+    return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

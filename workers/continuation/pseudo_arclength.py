@@ -1,0 +1,176 @@
+"""Pseudo-arclength continuation: from one solution of an extended system with one unknown too many to the next."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.continuation.extended_system import ExtendedSystem, solve
+from workers.continuation.newton import NewtonResult
+from workers.continuation.orbit_equality import beginnings, begun_with
+from workers.model.oscillator import Array
+
+TARGET_ANGLE, MAX_ANGLE = 0.1, 0.35
+"""Angle in radians by which the tangent turns in a step: wanted, and at most."""
+
+FEW_STEPS = 3
+"""Newton steps up to which a step may grow."""
+
+MIN_STEP = 1e-6
+"""The shortest step, in units of the longest."""
+
+
+BESIDE, SAME = 0.1, 1e-6
+"""How far off a step, in its length, its curve may pass the start; and difference of solutions that are one, in units
+of the scale."""
+
+
+class PseudoArclength:
+    """A place on a curve of solutions: unknowns X, unit tangent in units of the scale, length of the next step.
+
+    ``advance`` goes one step on; ``back`` returns to where the last one began, so that a shorter one can be tried.
+    ``equations`` may be bordered anew between steps. ``start``: the equations and the unknowns where it may close.
+    """
+
+    def __init__(self, equations: ExtendedSystem, X: Array, longest: float, direction: Array) -> None:
+        self.equations, self.longest, self.length = equations, longest, 0.2 * longest
+        _, J = equations.with_jacobian(X[None])
+        self.X, self.tangent = X, tangent_at(equations, J[0], direction / equations.scale)
+        self.start = equations, X
+        self.former: tuple[Array, Array, float] | None = None
+        self.newton_steps = 0
+
+    def advance(self) -> bool:
+        """One step on, as long as the last one suggests, shorter where it does not converge or turns too much.
+
+        False where no step is possible, also where the parameter's window is so narrow that a step is rounding.
+        """
+        while self.length >= MIN_STEP * self.longest:
+            solved = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
+            self.newton_steps += solved.steps
+            if solved.converged:
+                tangent = tangent_at(self.equations, solved.jacobian, self.tangent)
+                angle = math.acos(min(1.0, float(tangent @ self.tangent)))
+                ahead = float((solved.X - self.X) / self.equations.scale @ self.tangent)
+                if angle < MAX_ANGLE and abs(ahead - self.length) < 0.5 * self.length:
+                    self.former = (self.X, self.tangent, self.length)
+                    self.X, self.tangent = solved.X, tangent
+                    grow = min(2.0, max(0.5, TARGET_ANGLE / max(angle, 1e-6)))
+                    grow = grow if solved.steps <= FEW_STEPS else min(grow, 0.7)
+                    self.length = min(self.length * grow, self.longest)
+                    return True
+            self.length *= 0.5
+        return False
+
+    def back(self) -> None:
+        """Return to where the last step began, to take one of half its length."""
+        assert self.former is not None
+        self.X, self.tangent, length = self.former
+        self.former = None
+        self.length = 0.5 * length
+
+    def closes(self) -> Array | None:
+        """The start as unknowns (N,) of these equations, if the last step passed it; None if not.
+
+        Its events may be whole periods later by now, or begin with another one of them: it is the same orbit.
+        """
+        assert self.former is not None
+        eq, here, (of, start) = self.equations, self.former[0], self.start
+        if here is start or np.max(np.abs(eq.values(here) - of.values(start)) / eq.width) > 1.5 * self.longest:
+            return None
+        step = ContinuationStep(eq, here, self.X)
+        chord = (self.X - here) / eq.scale
+        for there in _as_unknowns(of, start, eq, here):
+            share = float((there - here) / eq.scale @ chord) / float(chord @ chord)
+            if -BESIDE < share < 1.0 + BESIDE:
+                passed = step.solution(share)
+                if passed.converged and np.max(np.abs(passed.X - there) / eq.scale) < SAME:
+                    return there
+        return None
+
+    def _predicted(self) -> Array:
+        """The next solution as the tangent has it, or the cubic through the last two solutions and their tangents."""
+        eq = self.equations
+        if self.former is None:
+            return self.X + self.length * self.tangent * eq.scale
+        X0, T0, _ = self.former
+        chord = (self.X - X0) / eq.scale
+        h = float(np.linalg.norm(chord))
+        u = self.length / h
+        # p(u), u in steps from the last solution, with p(-1) = X0, p(0) = X and slopes h T0, h T there
+        a = h * (self.tangent + T0) - 2.0 * chord
+        b = a + h * self.tangent - chord
+        return self.X + (h * self.tangent * u + b * u**2 + a * u**3) * eq.scale
+
+
+def tangent_at(equations: ExtendedSystem, jacobian: Array, direction: Array) -> Array:
+    """The unit tangent of the solutions, in units of the scale, on the side of a direction in these units."""
+    tangent = np.linalg.qr((jacobian * equations.scale).T, mode="complete")[0][:, -1]
+    return np.asarray(tangent * np.copysign(1.0, tangent @ direction))
+
+
+def _as_unknowns(equations: ExtendedSystem, X: Array, other: ExtendedSystem, near: Array) -> Iterator[Array]:
+    """The solution X of equations as unknowns of other ones, near unknowns of these in time; from each event on from
+    which its events and modes are theirs."""
+    orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
+    lin, own, times = equations.model(values), other.itinerary, other.orbit(near).times
+    span, period = orbit.span(lin), 2.0 * math.pi / float(lin.omega[0])
+    whole = span * (2 if own.symmetric else 1)
+    for first in beginnings(orbit.itinerary, own):
+        there = begun_with(orbit, first, own, span)
+        later = 0.0
+        if own.is_cycle:  # times count from the first event
+            later = -float(orbit.times[first % len(times)] + first // len(times) * span)
+        elif len(times):
+            later = period * round(float(np.mean(times - there.times)) / period)
+            there = there._replace(times=there.times + later)
+        touched = contacts + later
+        touched = touched + whole * np.round((other.contacts(near) - touched) / whole)
+        unmoved = equations.itinerary == own and first == 0 and later == 0.0 and np.array_equal(touched, contacts)
+        yield X if unmoved else other.pack(there, touched, values)
+
+
+class ContinuationStep(NamedTuple):
+    """A step along the solutions of equations with one unknown too many, from unknowns ``here`` (N,) to ``there``."""
+
+    equations: ExtendedSystem
+    here: Array
+    there: Array
+
+    def guess(self, share: float) -> Array:
+        """The unknowns (N,) at this share of the chord."""
+        return self.here + share * (self.there - self.here)
+
+    def solution(self, share: float) -> NewtonResult:
+        """The solution at this share of the step, on the plane across it."""
+        eq = self.equations
+        chord = (self.there - self.here) / eq.scale
+        return solve(eq, self.guess(share), chord / eq.scale / np.linalg.norm(chord))
+
+    def at_value(self, index: int, value: float) -> NewtonResult:
+        """The solution at which parameter ``index`` has this value."""
+        eq, place = self.equations, len(self.here) - self.equations.free + index
+        guess = self.guess((value - self.here[place]) / (self.there[place] - self.here[place]))
+        guess[place] = value
+        return solve(eq, guess, np.eye(1, len(guess), place)[0] / eq.scale)
+
+    def share_of(self, X: Array) -> float | None:
+        """The share of the step at which a solution X of other equations lies, without contact times; None if far."""
+        eq = self.equations
+        here, there, place, scale = (
+            np.concatenate([field[: eq.states], field[len(field) - eq.free :]])
+            for field in (self.here, self.there, X, eq.scale)
+        )
+        chord, off = (there - here) / scale, (place - here) / scale
+        length = float(np.linalg.norm(chord))
+        share = float(off @ chord) / length**2
+        near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
+        return share if near else None
+
+    def is_near(self, guess: Array, values: Array, near: float = 0.0) -> bool:
+        """Whether parameters (free,) of a solution of other equations lie within the step's length, or ``near``, of a
+        guess."""
+        eq = self.equations
+        length = float(np.linalg.norm((self.there - self.here) / eq.scale))
+        return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, near, 1e-6))

@@ -1,0 +1,317 @@
+"""Periodic orbits as 2n + m equations of their states and the times of their m events, by single shooting.
+
+    sign z(t_0 + L) - z(t_0) = 0,  r_i(z(t_i^-), t_i) = its end
+
+Unknown are the physical state z = (x, v) just before the first event, counted from where the machine rests, and the
+times t_i of all; of a cycle without a force L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) = -z(t),
+only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times, which
+are no unknowns.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.continuation.itinerary import Itinerary, Leg, Orbit, mirror_sign
+from workers.continuation.legs import (
+    ACT,
+    END,
+    EVENT,
+    MODE,
+    NO_EVENT,
+    NOTHING,
+    PLAN,
+    REBOUNDS,
+    RESTS,
+    SIGNAL,
+    SLOWS,
+    between_events,
+    turns_of_modes,
+)
+from workers.model.block_decomposition import apply_stacked
+from workers.model.family import OrbitMachines
+from workers.model.hybrid_modes import OPEN, SIGNALS, HybridModes, ModeCode
+from workers.model.oscillator import Array
+
+Table = NDArray[Any]
+"""Real numbers, complex ones where z is."""
+
+LEAST = 1e-3
+"""The least size of a motion, as a share of what the force alone would move the masses by."""
+
+NO_RATE = 1e-9
+"""Rate of a signal, as a share of its size over one radian, that counts as 0."""
+
+PLANS = 256
+"""Plans that are kept: itineraries, one for all points of a branch, are few."""
+
+
+class TurnPlan(NamedTuple):
+    """What an itinerary alone decides of a turn.
+
+    legs     each with the event at its end, NO_EVENT for none; that before event 0 has no length
+    turning  events at which friction turns round, each with its signal and the mode in which it would stick
+    codes    the modes of the legs, and those in which friction that turns round would stick
+    table    the legs (L, PLAN) as ``turns_of_modes`` takes them; reached (m, PLAN): the legs that end at events
+    signs    (m,) factors on the rates of signals that give them the signs of the events' labels
+    impacts  whether all events are rebounds, with a flight from each to the next; slows whether friction begins to
+             stick at any
+    """
+
+    legs: tuple[tuple[Leg, int], ...]
+    turning: tuple[tuple[int, int, ModeCode], ...]
+    codes: tuple[ModeCode, ...]
+    table: NDArray[np.int64]
+    reached: NDArray[np.int64]
+    signs: NDArray[np.int64]
+    impacts: bool
+    slows: bool
+
+
+def plan_of(lin: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
+    """The plan of an itinerary of machines."""
+    return _plan_of(itinerary, tuple(lin.elements.soft[0].tolist()))
+
+
+@lru_cache(PLANS)
+def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
+    """The plan of an itinerary of machines, 1 for each of their contacts that is soft and 0 for others."""
+    m, chains = len(itinerary.sides), itinerary.chains
+    legs = [(leg, NO_EVENT) for leg in chains[0]]
+    if m:
+        last = chains[-1][-1] if itinerary.sign > 0 else chains[-1][-1].mirrored
+        legs = [(last, 0)]
+        for i, chain in enumerate(chains):
+            legs += [(leg, NO_EVENT) for leg in chain[:-1]] + [(chain[-1], i + 1 if i + 1 < m else NO_EVENT)]
+    turning = []
+    for (before, event), (after, _) in pairwise(legs):
+        f = after.signal - SIGNALS * len(after.code.contacts)
+        if event != NO_EVENT and f >= 0 and before.code.slips[f] == -after.code.slips[f] != 0:
+            slips = tuple(0 if e == f else slip for e, slip in enumerate(after.code.slips))
+            turning.append((event, after.signal, after.code._replace(slips=slips)))
+    codes = list(dict.fromkeys([leg.code for leg, _ in legs] + [stuck for _, _, stuck in turning]))
+    table = np.zeros((len(legs), PLAN), dtype=np.int64)
+    for k, (leg, event) in enumerate(legs):
+        table[k, MODE], table[k, EVENT] = codes.index(leg.code), event
+        if event != NO_EVENT:
+            after = legs[k + 1][0]
+            table[k, SIGNAL], table[k, END], table[k, ACT] = after.signal, after.side > 0, _act(leg.code, after, soft)
+    reached = table[table[:, EVENT] != NO_EVENT]
+    signs = np.sign(itinerary.sides).astype(np.int64) * (2 * reached[:, END] - 1)
+    impacts = len(legs) == max(m + 1, 1) and bool(np.all(reached[:, ACT] == REBOUNDS))
+    slows = bool(np.any(reached[:, ACT] == SLOWS))
+    return TurnPlan(tuple(legs), tuple(turning), tuple(codes), table, reached, signs, impacts, slows)
+
+
+def _act(before: ModeCode, after: Leg, soft: tuple[float, ...]) -> int:
+    c, f = after.signal // SIGNALS, after.signal - SIGNALS * len(before.contacts)
+    if f >= 0:
+        return SLOWS if before.slips[f] != 0 and after.code.slips[f] == 0 else NOTHING
+    if soft[c] or before.contacts[c] != OPEN:
+        return NOTHING
+    return REBOUNDS if after.code.contacts[c] == OPEN else RESTS
+
+
+class TurnResult(NamedTuple):
+    """What ``legs.turns_of_modes`` finds of N orbits: see there.
+
+    maps are DP, products of flows and saltations; of symmetric orbits D_G = -DP of half, whose square is DP.
+    """
+
+    signals: Array
+    states: Array
+    residuals: Array
+    tangents: Array
+    shifts: Array
+    maps: Array
+
+
+@dataclass(frozen=True)
+class OrbitMotion:
+    """N orbits of one itinerary with their machines: times (N, m) of events, states (N, 2n) before the first of them.
+
+    Without events the states are at time 0.
+    """
+
+    lin: OrbitMachines
+    itinerary: Itinerary
+    times: Array
+    start: Array
+
+    @property
+    def span(self) -> Array:
+        """The length (N,) of a turn."""
+        return self.itinerary.span(self.lin)
+
+    @property
+    def unknowns(self) -> Array:
+        """States, then times (N, 2n + m), see ``Orbit.unknown_times``."""
+        times = Orbit(self.itinerary, self.times, self.times, self.span).unknown_times
+        return np.concatenate([self.start, times], axis=1)
+
+    @cached_property
+    def plan(self) -> TurnPlan:
+        """The legs and events of a turn."""
+        return plan_of(self.lin, self.itinerary)
+
+    @property
+    def orbits(self) -> Orbit:
+        """The orbits as a record of many."""
+        speeds = self.plan.signs * self.turn.signals[:, 1]
+        return Orbit(self.itinerary, self.times, speeds, *[self.span][: self.itinerary.is_cycle])
+
+    @cached_property
+    def pieces(self) -> HybridModes:
+        """The modes of the orbit, with an axis for them after the first."""
+        made = [self.lin.mode(code) for code in self.plan.codes]
+        if len(made) == 1:
+            return HybridModes(*(field[:, None] for field in made[0]))
+        return HybridModes(*(np.stack(fields, axis=1) for fields in zip(*made, strict=True)))
+
+    @cached_property
+    def ends(self) -> Array:
+        """When each leg ends (N, L)."""
+        table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
+        times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
+        times[:, events] = self.times
+        times[:, -1] = (self.times[:, 0] if self.itinerary.sides else 0.0) + self.span
+        turns = None
+        for k in np.flatnonzero(~events[:-1]).tolist():
+            phase, before = self.plan.legs[k][0].code.phase, times[:, k - 1] if k else 0.0 * period
+            low, high = starts[:, phase], starts[:, phase + 1]
+            if turns is None or events[k - 1]:  # of the phase that the event is in, or next to
+                turns = np.round(before / period - 0.5 * (low + high))
+            times[:, k] = (high + turns) * period
+            turns = turns + (phase + 2 == starts.shape[1])
+        return times
+
+    @cached_property
+    def begins(self) -> Array:
+        """When each leg begins (N, L)."""
+        first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
+        return np.concatenate([first, self.ends[:, :-1]], axis=1)
+
+    @cached_property
+    def turn(self) -> TurnResult:
+        """One turn from the state just before the first event."""
+        own, plan, sign = self.lin, self.plan.table, float(self.itinerary.sign)
+        given = self.pieces, own.elements, plan, self.ends, own.tau, own.omega, sign, self.times, self.start
+        return TurnResult(*turns_of_modes(*given, self._least))
+
+    @property
+    def _least(self) -> Array:
+        """Rates (N, m) of signals of events that count as 0: the guard changes as it would in 1 / NO_RATE radians.
+
+        Friction that begins to stick so has f+ = R f-; of other events it is not asked.
+        """
+        if not self.plan.slows:
+            return np.zeros_like(self.times)
+        n, omega = self.start.shape[1] // 2, self.lin.omega[:, None]
+        x, v = (np.abs(part).max(axis=1, keepdims=True) for part in np.split(self.start, [n], axis=1))
+        size = np.maximum(np.maximum(x, v / omega), LEAST * self._pushed[:, None])
+        rows = self._rows
+        positions, velocities = rows[..., :n].sum(axis=2), rows[..., n:].sum(axis=2)
+        return np.ascontiguousarray(NO_RATE * omega * size * (positions + omega * velocities))
+
+    @property
+    def _rows(self) -> Array:
+        """The weights (N, m, 2n) of states in the signals of events, as moduli."""
+        modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
+        return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
+
+    @property
+    def forced_sizes(self) -> Array:
+        """The sizes (N, M) of the forced parts that are taken off states and guards and added again: they round.
+
+        Of light damping or a low frequency they are far larger than the motion.
+        """
+        own, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
+        blocks = np.abs(own.forced).sum(axis=(-2, -1)).reshape(*own.to_physical.shape[:-1], 1)
+        states = (np.abs(own.to_physical) @ blocks)[..., 0].max(axis=1)
+        return np.concatenate([states, np.abs(own.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
+
+    def linearised(self, z: complex = 1) -> Table:
+        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
+
+        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i the rate of the signal that reaches event i, just
+        before it, v_i of an impact,
+
+            det J_z = det(DP - z I) prod_i r'_i:
+
+        zero where z is a multiplier, and without poles. Of a cycle 1 is one: for z = 1 the length of a turn is unknown
+        in place of the time of the first event, and the others are those of the map of its section,
+        det J_1 = -det(P - I) prod_i r'_i.
+        """
+        jacobian: Table = self.turn.tangents - z * self.turn.shifts
+        if z == 1 and self.itinerary.is_cycle:
+            jacobian[:, :, self.start.shape[1]] = -self.turn.shifts[:, :, self.start.shape[1]]
+        return jacobian
+
+    def at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
+        """States (N, K, 2n) at times s (N, K); of a signal its value, rate, lower and upper end (4, N, K).
+
+        An event at such a time counts as past.
+        """
+        own, sign = self.lin, float(self.itinerary.sign)
+        mirror = 1.0 if sign > 0.0 else float(mirror_sign(signal, own.elements.soft.shape[1]))
+        given = self.pieces, self.plan.table, self.begins, self.turn.states, own.tau, own.omega, sign, self.span
+        states, signals = between_events(*given, signal, mirror, np.ascontiguousarray(s))
+        return states, signals
+
+    def touch(self, signal: int, side: int, s: Array) -> list[Array]:
+        """How far a signal is from an end (N, K) at times s (N, K), and its rate."""
+        _, (value, rate, low, high) = self.at(s, signal)
+        return [value - (high if side > 0 else low), rate]
+
+    def holding(self, event: int, signal: int, side: int) -> Array:
+        """How far the force (N,) that holds friction just after an event is from an end of its range; or would be."""
+        code = next((code for i, g, code in self.plan.turning if (i, g) == (event, signal)), None)
+        leg = next(k for k, (_, i) in enumerate(self.plan.legs) if i == event)
+        code = code or self.plan.legs[leg + 1][0].code
+        mode, phase = self.lin.mode(code), self.lin.tau + self.lin.omega * self.times[:, event]
+        orders, parts = np.arange(1.0, mode.direct.shape[2] + 1.0), mode.direct[:, signal]
+        waves = parts[..., 0] * np.sin(phase[:, None] * orders) + parts[..., 1] * np.cos(phase[:, None] * orders)
+        row, states = mode.rows[:, signal], self.turn.states[:, leg + 1]
+        value = np.vecdot(row[:, :-1], states) + row[:, -1] + waves.sum(axis=1)
+        return np.asarray(value - mode.ends[:, signal, 1 if side > 0 else 0])
+
+    def unknowns_along(self, change: Array) -> Array:
+        """How the unknowns (N, 2n + m) of orbits change with the state (N, 2n) at the time of the first event.
+
+        The state just before the event moves by f- with its time.
+        """
+        size, turn = change.shape[1], self.turn
+        before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]
+        Hz, Ht = tangents[..., :size], tangents[..., size:].copy()
+        Ht[..., :1] += Hz @ before
+        right = -Hz @ change[..., None]
+        delays = apply_stacked(np.linalg.solve, right.shape, Ht, right) if self.itinerary.sides else right
+        return np.concatenate([change[..., None] + before @ delays[:, :1], delays], axis=1)[..., 0]
+
+    @property
+    def lost(self) -> int:
+        """How many multipliers are zero: the most dimensions that a mode of the orbit lacks."""
+        return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
+
+    @cached_property
+    def _pushed(self) -> Array:
+        """How far (N,) the force alone would move free masses; 1 without a force."""
+        own = self.lin.machines
+        force = np.hypot(own.force_sin, own.force_cos).max(axis=(1, 2))
+        reach = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
+        return np.where(reach > 0.0, reach, 1.0)
+
+    def scale(self) -> tuple[Array, Array]:
+        """Scales that make unknowns comparable: of states (N, 2n) the largest displacement and the largest velocity of
+        any coordinate; of guards (N, m) the signals of such a state."""
+        states, n = np.abs(self.turn.states), self.start.shape[1] // 2
+        omega = self.lin.omega
+        size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)
+        size = np.maximum(size, LEAST * self._pushed)  # it may be at rest
+        sizes = np.repeat(np.stack([size, size * omega], axis=1), n, axis=1)
+        return sizes, np.vecdot(self._rows, sizes[:, None])

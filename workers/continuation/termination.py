@@ -1,0 +1,129 @@
+"""Events on a step at which orbits cease: grazes, lost events, onset and end of stick."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from workers.continuation.admissibility import CONTACT, LOST, ORDER, AdmissibilityFault, peak_of
+from workers.continuation.beyond_events import asks_multipliers, is_smooth
+from workers.continuation.event_removal import without_event
+from workers.continuation.events import (
+    CONTACT_LOST,
+    GRAZING,
+    IMPACT_LOST,
+    LocatedEvent,
+    event_of,
+    fault,
+    solution,
+    solve_on_step,
+)
+from workers.continuation.extended_system import ENDS, GRAZE, MEETS, ONSET, SPEED, Condition, conditions_on, time_shift
+from workers.continuation.legs import ACT, SLOWS
+from workers.continuation.pseudo_arclength import ContinuationStep
+from workers.continuation.shooting import OrbitMotion
+from workers.model.hybrid_modes import SIGNALS
+from workers.model.oscillator import Array
+
+HALVINGS = 14
+"""Halvings of a step that help to locate where an orbit ceases to be admissible."""
+
+NEARLY = 1e-3
+"""Share of the window within which a curve that goes no further ends, and of its size the rate of the event that it
+loses there: rates fall faster than distances, to rounding.
+"""
+
+
+def leaving(step: ContinuationStep, why: AdmissibilityFault) -> LocatedEvent | None:
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
+    low, high, X = 0.0, 1.0, step.there
+    for _ in range(HALVINGS):
+        event = _of_fault(step, X, why)
+        if event is not None:
+            return event
+        half = 0.5 * (low + high)
+        middle = step.solution(half)
+        if not middle.converged:
+            return None
+        seen = fault(step.equations, middle.X)
+        if seen is None:
+            low = half
+        else:
+            high, X, why = half, middle.X, seen
+    return None
+
+
+def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
+    """Where an orbit loses its slowest event, if next to ``here``: a corner of a branch. None where all are impacts, of
+    which the equations are smooth beyond that."""
+    motion = step.equations.motion(step.here)
+    if motion.plan.impacts:
+        return None
+    rates = np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]
+    slowest = int(np.argmin(rates))
+    near = NEARLY if step.equations.conditions and rates[slowest] < NEARLY else 0.0
+    return _of_loss(step, step.here, motion, AdmissibilityFault(LOST, slowest), near)
+
+
+def _of_fault(step: ContinuationStep, X: Array, why: AdmissibilityFault) -> LocatedEvent | None:
+    """The graze, the lost event or the change of stick that a fault at X comes from."""
+    own, motion = step.equations.conditions, step.equations.motion(X)
+    if why.reason == ORDER:
+        return None
+    if why.reason != CONTACT:
+        return (_of_loss if why.reason == LOST else _of_holding)(step, X, motion, why)
+    peak, graze = peak_of(motion, why), Condition(GRAZE, side=why.side, signal=why.signal)
+    return None if peak is None else solve_on_step(step, X, (*own, graze), (peak,))
+
+
+def _of_holding(step: ContinuationStep, X: Array, motion: OrbitMotion, why: AdmissibilityFault) -> LocatedEvent | None:
+    """The point at which the force that would hold friction at an event equals its static level; or at which any other
+    signal reaches its end at an event: the two exchange their order there.
+    """
+    if why.impact < 0:
+        return None
+    friction = why.signal - SIGNALS * motion.lin.elements.soft.shape[1]
+    after = next(leg for (_, event), (leg, _) in pairwise(motion.plan.legs) if event == why.impact)
+    turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.plan.turning)
+    sticks = friction >= 0 and after.code.slips[friction] == 0
+    kind = ONSET if turns else ENDS if sticks else MEETS
+    condition = Condition(kind, side=why.side, impact=why.impact, signal=why.signal)
+    return solve_on_step(step, X, (*step.equations.conditions, condition))
+
+
+def _of_loss(
+    step: ContinuationStep, X: Array, motion: OrbitMotion, why: AdmissibilityFault, near: float = 0.0
+) -> LocatedEvent | None:
+    """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
+    without it, on the step or ``near`` it.
+    """
+    eq = step.equations
+    if motion.plan.impacts or motion.plan.reached[why.impact, ACT] == SLOWS:
+        return solve_on_step(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
+    shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
+    if shorter is None:
+        return None
+    orbit, leg, time = shorter
+    own = conditions_on(orbit, eq.conditions, eq.orbit(X), float(motion.span[0]))
+    if own is None:
+        return None
+    conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
+    contacts = np.append(eq.contacts(X) + time_shift(orbit, eq.orbit(X), float(motion.span[0])), time)
+    if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
+        # of any number of periods it is the answer of one, which touches once in that
+        orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
+    solved = solution(eq, orbit, conditions, contacts, X)
+    before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
+    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
+    if (
+        solved is None
+        or not step.is_near(eq.values(step.guess(share)), solved[0].values(solved[1]), near)
+        or fault(*solved)
+    ):
+        return None
+    event = event_of(*solved)
+    if event.last == GRAZING:
+        lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
+        event = event._replace(last=lost, kind=event.kind if own else lost)
+    if asks_multipliers(eq) and not is_smooth(motion.lin.machines, event):
+        return None  # those of the orbit with the event are others
+    return LocatedEvent(share, event)

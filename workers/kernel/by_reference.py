@@ -1,0 +1,243 @@
+"""Records and arrays passed between kernels by address: one word, where an oscillator's arrays take 200.
+
+The lender keeps the memory of the arrays. Lent arrays are not reference-counted, see borrow.py, and live as long as the
+function that lent them: no function returns them.
+"""
+
+from typing import Any, TypeVar
+
+from numba import types
+from numba.core.cgutils import alloca_once_value, create_struct_proxy
+from numba.core.datamodel import models
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, register_model, type_callable
+
+from workers.kernel.borrow import many_type, many_value, row_of, row_type, row_value, without_counts
+from workers.model.oscillator import many_of
+
+__all__ = [
+    "as_many",
+    "by_reference",
+    "by_value",
+    "lent_as",
+    "make_reference",
+    "row_in",
+    "with_phase",
+    "without_mode_table",
+]
+
+Given = TypeVar("Given")
+
+
+def by_reference(given: Given) -> Given:
+    """The same record; in kernels passed by address, with the same fields."""
+    return given
+
+
+def row_in(record: Given, r: int) -> Given:
+    """row_of for a lent record: fields are looked up when used, which suits large records."""
+    return row_of(record, r)
+
+
+def as_many(record: Given) -> Given:
+    """A record of many with this row alone, at the same memory; in kernels lent.
+
+    Functions of rows of many, and functions called by symbol, accept it.
+    """
+    return many_of(record)
+
+
+def by_value(given: Given) -> Given:
+    """The same record or array; in kernels passed by value if it was lent."""
+    return given
+
+
+def with_phase(osc: Any, tau: Any) -> Any:
+    """An oscillator with another forcing phase at a section; in kernels lent."""
+    return osc._replace(tau=tau)
+
+
+def without_mode_table(oscillators: Any) -> Any:
+    """The same oscillators; in kernels lent and without the table of modes, their last field: rows are read faster."""
+    return oscillators
+
+
+class RecordRef(types.Type):
+    """The type of a record or array of this kind that is known by its address."""
+
+    def __init__(self, kind: types.Type) -> None:
+        self.kind: Any = kind
+        super().__init__(f"Lent({kind})")
+
+
+def lent_as(kind: Any) -> Any:
+    """The lent form of a type: records and arrays by address, numbers as they are."""
+    return RecordRef(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
+
+
+class RowRef(types.Type):
+    """The type of a row of a lent record of many of this kind, known by the record's address and the row number."""
+
+    def __init__(self, kind: types.Type) -> None:
+        self.kind: Any = kind
+        super().__init__(f"LentRow({kind})")
+
+
+@register_model(RecordRef)
+class _RecordRefModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, lent: RecordRef) -> None:
+        super().__init__(manager, lent, manager.lookup(lent.kind).get_value_type().as_pointer())
+
+
+@infer_getattr
+class _RecordRefAttributes(AttributeTemplate):
+    key = RecordRef
+
+    def generic_resolve(self, lent: RecordRef, name: str) -> Any:  # type: ignore[override]
+        fields = getattr(lent.kind, "fields", ())
+        if name not in fields:
+            return None
+        field = lent.kind[fields.index(name)]
+        return RecordRef(field) if isinstance(field, types.BaseTuple) else field
+
+
+@lower_getattr_generic(RecordRef)
+def _attribute(context: Any, builder: Any, lent: RecordRef, place: Any, name: str) -> Any:
+    index = lent.kind.fields.index(name)
+    at = builder.gep(place, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    field = lent.kind[index]
+    return at if isinstance(field, types.BaseTuple) else without_counts(context, builder, field, builder.load(at))
+
+
+@register_model(RowRef)
+class _RowRefModel(models.StructModel):
+    def __init__(self, manager: Any, row: RowRef) -> None:
+        super().__init__(manager, row, [("record", RecordRef(row.kind)), ("number", types.intp)])
+
+
+@infer_getattr
+class _RowRefAttributes(AttributeTemplate):
+    key = RowRef
+
+    def generic_resolve(self, row: RowRef, name: str) -> Any:  # type: ignore[override]
+        if name not in row.kind.fields:
+            return None
+        field = row.kind[row.kind.fields.index(name)]
+        return RowRef(field) if isinstance(field, types.BaseTuple) else row_type(field)
+
+
+@lower_getattr_generic(RowRef)
+def _row_attribute(context: Any, builder: Any, row: RowRef, value: Any, name: str) -> Any:
+    own = create_struct_proxy(row)(context, builder, value=value)
+    index = row.kind.fields.index(name)
+    at = builder.gep(own.record, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    field = row.kind[index]
+    if isinstance(field, types.BaseTuple):
+        return _row_at(context, builder, RowRef(field), at, own.number)
+    return row_value(context, builder, field, builder.load(at), own.number)
+
+
+def _row_at(context: Any, builder: Any, row: RowRef, record: Any, number: Any) -> Any:
+    """The value of a row of the lent record at this address."""
+    own = create_struct_proxy(row)(context, builder)
+    own.record, own.number = record, number
+    return own._getvalue()
+
+
+@type_callable(row_in)
+def _row_in_typed(context: Any) -> Any:
+    return lambda record, r: RowRef(record.kind) if isinstance(record, RecordRef) else None
+
+
+@lower_builtin(row_in, types.Any, types.Integer)
+def _row_in_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    number = context.cast(builder, arguments[1], signature.args[1], types.intp)
+    return _row_at(context, builder, signature.return_type, arguments[0], number)
+
+
+@type_callable(as_many)
+def _as_many_typed(context: Any) -> Any:
+    return lambda row: RecordRef(row.kind if isinstance(row, RowRef) else many_type(lent_as(row).kind))
+
+
+@lower_builtin(as_many, types.Any)
+def _as_many_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kind, value = signature.args[0], arguments[0]
+    if isinstance(kind, RowRef):
+        own = create_struct_proxy(kind)(context, builder, value=value)
+        record, kind = builder.load(own.record), kind.kind
+        value = row_value(context, builder, kind, record, own.number)
+        kind = row_type(kind)
+    else:
+        kind, value = lent_as(kind).kind, given_value(builder, kind, value)
+    return alloca_once_value(builder, many_value(context, builder, kind, value))
+
+
+@type_callable(by_reference)
+def _lend_typed(context: Any) -> Any:
+    return lambda kind: lent_as(kind)
+
+
+@lower_builtin(by_reference, types.Any)
+def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return make_reference(context, builder, signature.args[0], arguments[0])
+
+
+def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
+    """The value of a record or array of this type, lent or not."""
+    return builder.load(value) if isinstance(kind, RecordRef) else value
+
+
+def make_reference(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
+    """A value of this type in the form of ``lent_as``."""
+    return alloca_once_value(builder, value) if lent_as(kind) != kind else value
+
+
+@type_callable(row_of)
+def _row_typed(context: Any) -> Any:
+    return lambda record, r: RecordRef(row_type(lent_as(record).kind))
+
+
+@lower_builtin(row_of, types.Any, types.Integer)
+def _row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    record, r = given_value(builder, signature.args[0], arguments[0]), signature.args[1]
+    r = context.cast(builder, arguments[1], r, types.intp)
+    return alloca_once_value(builder, row_value(context, builder, lent_as(signature.args[0]).kind, record, r))
+
+
+@type_callable(without_mode_table)
+def _rigid_typed(context: Any) -> Any:
+    def typer(oscillators: types.Type) -> RecordRef:
+        kind = lent_as(oscillators).kind
+        return RecordRef(types.NamedTuple([*kind.types[:-1], types.none], kind.instance_class))
+
+    return typer
+
+
+@lower_builtin(without_mode_table, types.Any)
+def _rigid_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    place = make_reference(context, builder, signature.args[0], arguments[0])
+    return builder.bitcast(place, context.get_value_type(signature.return_type))
+
+
+@type_callable(with_phase)
+def _phase_typed(context: Any) -> Any:
+    return lambda osc, tau: lent_as(osc)
+
+
+@lower_builtin(with_phase, types.Any, types.Float)
+def _phase_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    osc = given_value(builder, signature.args[0], arguments[0])
+    place = signature.return_type.kind.fields.index("tau")
+    return alloca_once_value(builder, builder.insert_value(osc, arguments[1], place))
+
+
+@type_callable(by_value)
+def _whole_typed(context: Any) -> Any:
+    return lambda kind: kind.kind if isinstance(kind, RecordRef) else kind
+
+
+@lower_builtin(by_value, types.Any)
+def _whole_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    value = given_value(builder, signature.args[0], arguments[0])
+    return without_counts(context, builder, signature.return_type, value)

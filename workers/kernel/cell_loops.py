@@ -1,0 +1,148 @@
+"""Loops over cells between their stretches, each applying the kernels of one cell.
+
+``cells`` are the rows to process, of records of many.
+"""
+
+import math
+
+import numpy as np
+
+from workers.kernel.averages import standard_error
+from workers.kernel.borrow import borrow, row_of
+from workers.kernel.by_reference import by_reference, with_phase
+from workers.kernel.coordinates import leave_blocks, put_on_stop, start_at
+from workers.kernel.jit import kernel
+from workers.kernel.motion import FLIGHT, OVERDRAFT, RUNNING, STATUS, WORK, motion_alone, motion_with
+from workers.kernel.period import advance, propagate
+from workers.kernel.signal import derivative_bounds
+from workers.kernel.tangent import reset_frame
+from workers.model.oscillator import COLUMN, HEAD, NUMBER
+
+
+@kernel
+def energy_norm(blocks, h):
+    """sqrt(sum metric_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    total = 0.0
+    for j in range(len(blocks)):
+        total += blocks[j, COLUMN.metric] * h[j, 0] ** 2 + h[j, 1] ** 2
+    return math.sqrt(total)
+
+
+@kernel
+def scale_of(blocks, h):
+    """Energy norm that scales deviations of a motion at block state h (n, 2): that of h plus that of Y."""
+    swing = 0.0
+    for j in range(len(blocks)):
+        swing += blocks[j, COLUMN.metric] * blocks[j, COLUMN.swing0] ** 2 + blocks[j, COLUMN.swing1] ** 2
+    return energy_norm(blocks, h) + math.sqrt(swing)
+
+
+@kernel
+def start_motions(oscillators, motions, states, cells):
+    """Start motions at physical section states (N, 2n) with the contact of each state; their scales (N,)."""
+    oscillators, motions = by_reference(oscillators), by_reference(motions)
+    scales = np.zeros(len(states))
+    for r in cells:
+        osc, h = row_of(oscillators, r), motions.h[r]
+        motions.mode[r, 0] = start_at(osc, states[r], h)
+        scales[r] = scale_of(osc.gap.blocks, h)
+    return scales
+
+
+@kernel
+def clamp_to_stops(row, upper, lower, states):
+    """Move physical states (N, 2n) beyond a stop onto it, along the gap row (N, n), in place."""
+    n = row.shape[1]
+    for r in range(len(states)):
+        y, square = 0.0, 0.0
+        for i in range(n):
+            y += row[r, i] * states[r, i]
+            square += row[r, i] * row[r, i]
+        stop = min(max(y, lower[r]), upper[r])
+        if y != stop:
+            for i in range(n):
+                states[r, i] += row[r, i] / square * (stop - y)
+            put_on_stop(row[r], stop, states[r])
+
+
+@kernel
+def impact_free(oscillators, motions, cells):
+    """Mask of the cells that cannot impact from this section on: the bound of |y| stays inside both stops."""
+    gap, head, motions = by_reference(oscillators).gap, oscillators.head, by_reference(motions)
+    free = np.empty(len(cells), dtype=np.bool_)
+    for e in range(len(cells)):
+        r = cells[e]
+        reach = derivative_bounds(gap.blocks[r], gap.numbers[r], motions.h[r], np.inf)[0] * (1.0 + 1e-12)
+        inside = reach < head[r, HEAD.top] and -reach > head[r, HEAD.bottom]
+        free[e] = motions.mode[r, 0] == FLIGHT and inside
+    return free
+
+
+@kernel
+def reset_frames(blocks, motions, cells):
+    """Make the frames orthonormal and count their growth."""
+    motions = by_reference(motions)
+    for r in cells:
+        reset_frame(blocks[r], row_of(motions, r))
+
+
+@kernel
+def physical_states(oscillators, motions, cells):
+    """Physical section states of these cells."""
+    oscillators, motions = by_reference(oscillators), by_reference(motions)
+    states = np.zeros((len(cells), 2 * motions.h.shape[1]))
+    for e in range(len(cells)):
+        r = cells[e]
+        leave_blocks(row_of(oscillators, r), motions.h[r], motions.mode[r, 0], states[e])
+    return states
+
+
+@kernel
+def standard_errors(levels, cells):
+    """The standard errors of the averages of these cells."""
+    error = np.empty(len(cells))
+    for e in range(len(cells)):
+        error[e] = standard_error(levels[cells[e]])
+    return error
+
+
+@kernel
+def excursions(oscillators, h, mode, periods, allowance, cells):
+    """The least and greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
+
+    Computed for ``cells`` over ``periods`` (N,). NaN for other cells, and for motions that cannot be followed within
+    ``allowance`` (N,) evaluations.
+    """
+    ranges = np.full((len(periods), 2), np.nan)
+    oscillators, n = by_reference(oscillators), h.shape[1]
+    for r in cells:
+        osc = row_of(oscillators, r)
+        motion = motion_with(h[r], mode[r, 0], np.zeros((0, n, 2)), np.zeros(0), np.zeros((0, 0)), 0, True)
+        motion.tally[WORK] = allowance[r] - OVERDRAFT
+        for _ in range(periods[r]):
+            if motion.tally[STATUS] == RUNNING:
+                advance(osc, borrow(motion))
+        if motion.tally[STATUS] == RUNNING:
+            ranges[r, 0], ranges[r, 1] = motion.extremes[0], motion.extremes[1]
+    return ranges
+
+
+@kernel
+def states_within(oscillators, r, states, times):
+    """Physical states (S, K, 2n) of cell r at times (K,) within the period after each section state (S, 2n).
+
+    NaN if a motion cannot be followed.
+    """
+    reached = np.full((len(states), len(times), states.shape[1]), np.nan)
+    osc = row_of(by_reference(oscillators), r)
+    for i in range(len(states)):
+        h = np.zeros((states.shape[1] // 2, 2))
+        mode = start_at(osc, states[i], h)
+        for k in range(len(times)):
+            motion = motion_alone(h, mode)
+            propagate(osc, borrow(motion), times[k])
+            if motion.tally[STATUS] == RUNNING:
+                reached[i, k] = 0.0
+                then = with_phase(osc, osc.tau + osc.gap.numbers[NUMBER.omega] * times[k])
+                leave_blocks(then, motion.h, motion.mode[0], reached[i, k])
+    return reached

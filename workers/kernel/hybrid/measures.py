@@ -1,0 +1,338 @@
+"""Measures of a motion: means, squares and extremes of outputs, contacts, rest, and energy losses.
+
+The one loop of motion.py records the legs of each period. On a leg every output is a sum of exponentials and harmonics:
+integrals of the output and of its square are sums over Gauss points close enough to be exact to rounding. Extremes are
+at the ends or at turning points, which the certified search finds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference, row_in
+from workers.kernel.flow import flow
+from workers.kernel.hybrid.leg_record import LEG, LEG_STATE
+from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.hybrid.outputs import ACCELERATION, NODES, WEIGHTS, extremes, longest_panel, output_row
+from workers.kernel.hybrid.state import (
+    enter,
+    harmonics_at,
+    leave,
+    product,
+    read_number,
+    reset,
+    right_hand_side,
+    write_harmonics,
+)
+from workers.kernel.jit import kernel
+from workers.kernel.linalg import copy_into
+from workers.kernel.motion import NOTHING_COUNTED, OVERDRAFT, RECORDED, RUNNING, STATUS, WORK, spend
+from workers.model.hybrid_modes import OPEN, SIGNALS
+from workers.model.oscillator import Array
+
+EARLY = 0.3819660112501051
+"""Share of a period after a section, by the golden ratio, at which a state is compared with that half a turn later. At
+the section itself orbits may impact, as many closed forms do."""
+
+LEGS = 64
+"""Initial room for the legs of one period; it grows fourfold until all legs fit."""
+
+AROUND = 1e-9
+"""Share of a period after a section in which an event counts as at the section: once per turn of an orbit."""
+
+
+class MeasurePlan(NamedTuple):
+    """Quantities measured of N machines of n coordinates with P phases, C contacts and F frictions.
+
+    rows (N, M, n) of the outputs, orders (N, M) of the derivatives that they act on, peaks (N, M) 1 to measure
+    extremes; damping (N, P, n, n), pad (N, P, C, 3), rub (N, P, F, 3), law (N, C, 2, S, 3) and grip (N, F, S', 3): see
+    HybridMachines
+    """
+
+    rows: Array
+    orders: Array
+    peaks: Array
+    damping: Array
+    pad: Array
+    rub: Array
+    law: Array
+    grip: Array
+
+
+class MeasureTotals(NamedTuple):
+    """Measured values of N motions so far.
+
+    first, square (N, M)  integrals of each output and of its square; low, high (N, M) its extremes
+    hits     (N, C, 2)    contacts at the lower and at the upper stop; endless (N, C) 1 where they cannot be counted
+    touching (N, C)       time held by a rigid contact, or pushed by a soft one
+    stop     (N, C)       energy that the contact has taken
+    depth, force (N, C)   greatest depth and force of a soft contact
+    stuck    (N, F)       time that the friction sticks, rubbed (N, F) energy that it has taken
+    damped   (N, 1)       energy that the dampers have taken
+    halves   (N, 2, 2n)   states EARLY after the section, and half of all periods later, of an odd number of them
+    """
+
+    first: Array
+    square: Array
+    low: Array
+    high: Array
+    hits: Array
+    endless: Array
+    touching: Array
+    stop: Array
+    depth: Array
+    force: Array
+    stuck: Array
+    rubbed: Array
+    damped: Array
+    halves: Array
+
+
+@kernel
+def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally):
+    """Add the integrals over a flight of duration s in mode k from block state h (n, 2)."""
+    pieces, elements = table.pieces, table.elements
+    blocks, n = pieces.blocks[k, 0], len(h)
+    top = table.omega * pieces.waves.shape[2]
+    there, nothing, flat = h.copy(), np.empty((0, n, 2)), np.empty((0, 2 * n))
+    z, f, turn, since = np.empty(2 * n), np.empty(2 * n), np.empty((pieces.waves.shape[2], 2)), 0.0
+    accelerates = np.any(meter.orders == ACCELERATION)
+    while since < s and tally[STATUS] == RUNNING:
+        step = min(s - since, longest_panel(blocks, top, since))
+        spend(tally, len(NODES))
+        for g in range(len(NODES)):
+            at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
+            copy_into(there, h)
+            flow(blocks, at, there)
+            write_harmonics(phase + table.omega * at, turn)
+            leave(pieces, k, there, nothing, turn, z, flat)
+            if accelerates:
+                right_hand_side(pieces, k, z, turn, f)
+            for m in range(len(meter.rows)):
+                order = int(meter.orders[m])
+                y = product(meter.rows[m], f, n) if order == ACCELERATION else product(meter.rows[m], z, order * n)
+                reading.first[m] += weight * y
+                reading.square[m] += weight * y * y
+            for i in range(n):
+                for j in range(n):
+                    reading.damped[0] += weight * z[n + i] * meter.damping[where, i, j] * z[n + j]
+            for c in range(len(states)):
+                if states[c] % 2 != 0 and elements.soft[c] > 0.0:
+                    reading.stop[c] += weight * meter.pad[where, c, 1] * product(elements.row[c], z, n) ** 2
+            for e in range(len(slips)):
+                if slips[e] != 0:
+                    sliding = product(elements.slide[e], z, n) - elements.belt[e]
+                    slope = meter.rub[where, e, 2] + meter.grip[e, abs(slips[e]) - 1, 1]
+                    reading.rubbed[e] += weight * slope * sliding * sliding
+        since += step
+
+
+@kernel
+def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
+    """Subtract the end of a chatter, from block state h (n, 2), from the time of contact c and of sticking friction.
+
+    The mass flies in that time in mode ``before``, with another acceleration than in mode k. Integrated by Simpson's
+    rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which the rest begins.
+    """
+    n, along = len(h), elements.along
+    reading.touching[c] -= chatter
+    for e in range(len(slips)):
+        if slips[e] == 0 and along[e, c] != 0.0:
+            reading.stuck[e] -= chatter
+    z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
+    for node in range(3):
+        since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
+        flown, at = h.copy(), harmonics_at(phase + omega * since, pieces.waves.shape[2])
+        flow(pieces.blocks[k, 0], since, flown)
+        leave(pieces, k, flown, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
+        right_hand_side(pieces, before, z, at, flying)
+        right_hand_side(pieces, k, z, at, held)
+        for m in range(len(meter.rows)):
+            if meter.orders[m] == ACCELERATION:
+                there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
+                reading.first[m] += weight * (there - here)
+                reading.square[m] += weight * (there * there - here * here)
+        if node == 0:
+            reset(z, n, elements.row[c], elements.kick[c], -elements.R[c] * rate, 1.0)
+            right_hand_side(pieces, before, z, at, flying)
+        for m in range(len(meter.rows)):
+            if meter.orders[m] == ACCELERATION and meter.peaks[m] > 0.0:
+                there = product(meter.rows[m], flying, n)
+                reading.low[m], reading.high[m] = min(reading.low[m], there), max(reading.high[m], there)
+
+
+@kernel
+def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
+    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except its damper's."""
+    row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
+    n, pushes = len(row), state % 2 != 0
+    if pushes:
+        reading.touching[c] += s
+    if table.elements.soft[c] == 0.0:
+        return
+    law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[where, c, 1]
+    stiffness, preload = meter.pad[where, c, 0] + law[1], meter.pad[where, c, 2] + law[2]
+    full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
+    copy_into(full[:n], row)
+    low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)
+    reading.depth[c] = max(reading.depth[c], side * ((high if side > 0 else low) - stop))
+    if not pushes:
+        return
+    for i in range(n):
+        full[i], full[n + i] = side * stiffness * row[i], side * damping * row[i]
+    full[2 * n] = preload - side * stiffness * stop
+    reading.force[c] = max(reading.force[c], extremes(table.pieces, k, full, direct, h, phase, s, tally)[1])
+    before, after = side * (product(row, z, 0) - stop), side * (product(row, end, 0) - stop)
+    reading.stop[c] += (preload + 0.5 * stiffness * (after + before)) * (after - before)
+
+
+@kernel
+def read_impact(elements, reading, c, end, following, counts):
+    """Count an impact on contact c from state ``end`` (2n,) to state ``following``, and the energy that it takes."""
+    n = len(end) // 2
+    before, after = product(elements.row[c], end, n), product(elements.row[c], following, n)
+    reaches_upper = before > 0.0
+    if not counts or elements.counted[c] == 0.0:
+        return
+    if elements.soft[c] > 0.0:
+        reading.hits[c, 1 if reaches_upper else 0] += 1.0
+        return
+    reading.stop[c] += 0.5 * elements.weight[c] * (before * before - after * after)
+    if elements.R[c] > 0.0 and abs(after) < 0.5 * elements.R[c] * abs(before):
+        reading.endless[c] = 1.0  # the end of a chatter
+    else:
+        reading.hits[c, 1 if reaches_upper else 0] += 1.0
+
+
+@kernel
+def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
+    """Add the readings of a leg that ends with a signal, -1 for none; the next leg starts from ``following`` (2n,).
+
+    ``before`` is the mode of the previous leg. Events before the time ``begins`` do not count. marks (2,): times at
+    which to record the states of ``halves``, NaN for none in this period. If ``flies`` is false, only contacts are
+    counted.
+    """
+    pieces, elements = table.pieces, table.elements
+    n, z = len(following) // 2, leg[LEG_STATE : LEG_STATE + len(following)]
+    t, s, k = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode])
+    states = np.zeros(len(elements.row), dtype=np.int64)
+    slips = np.zeros(len(elements.slide), dtype=np.int64)
+    where = read_number(elements, table.codes[k], states, slips)
+    phase, harmonics = table.tau + table.omega * t, pieces.waves.shape[2]
+    h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
+    enter(pieces, k, z, flat, harmonics_at(phase, harmonics), h, nothing)
+    for m in range(2):
+        if t <= marks[m] <= t + s:
+            there = h.copy()
+            flow(pieces.blocks[k, 0], marks[m] - t, there)
+            turn = harmonics_at(table.tau + table.omega * marks[m], harmonics)
+            leave(pieces, k, there, nothing, turn, reading.halves[m], flat)
+    there = h.copy()
+    flow(pieces.blocks[k, 0], s, there)
+    leave(pieces, k, there, nothing, harmonics_at(phase + table.omega * s, harmonics), end, flat)
+    c = signal // SIGNALS
+    if signal >= 0 and c < len(states) and signal % SIGNALS == 0 and states[c] == OPEN:
+        read_impact(elements, reading, c, end, following, t + s > begins)
+    if not flies or s <= 0.0:
+        return
+    integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally)
+    if leg[LEG.chatter] != 0.0:
+        at, chatter = int(leg[LEG.signal]) // SIGNALS, min(leg[LEG.chatter], s)
+        rate = leg[LEG.rate]
+        read_chatter(
+            pieces, meter, reading, before, k, at, elements, states, slips, h, phase, table.omega, chatter, rate
+        )
+    for m in range(len(meter.rows)):
+        if meter.peaks[m] > 0.0:
+            row, direct = output_row(pieces, k, meter.rows[m], meter.orders[m])
+            low, high = extremes(pieces, k, row, direct, h, phase, s, tally)
+            reading.low[m], reading.high[m] = min(reading.low[m], low), max(reading.high[m], high)
+    for c in range(len(states)):
+        if states[c] != OPEN and elements.counted[c] > 0.0:
+            side = np.sign(states[c])
+            read_contact(table, meter, reading, k, where, c, side, abs(states[c]), z, end, h, phase, s, tally)
+    for e in range(len(slips)):
+        if slips[e] == 0:
+            reading.stuck[e] += s
+            continue
+        path = product(elements.slide[e], end, 0) - product(elements.slide[e], z, 0) - elements.belt[e] * s
+        reading.rubbed[e] += (meter.rub[where, e, 0] + meter.grip[e, abs(slips[e]) - 1, 2]) * abs(path)
+
+
+@kernel
+def record_period(table, z, code, tally, duration):
+    """(state, number of its mode, legs, contacts) of a motion from z (2n,) in the mode of code (1,) after ``duration``.
+
+    ``duration`` is at most a period. Legs and contacts are complete, as of through_modes; the tally changes in place.
+    If a mode is missing, there are no legs.
+    """
+    size, room = len(z), LEGS
+    flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
+    columns = LEG_STATE + size + table.pieces.ends.shape[1]
+    while True:
+        there, number, spent = z.copy(), code.copy(), tally.copy()
+        spent[RECORDED] = 0.0
+        hits, legs = np.empty((room, 3)), np.empty((room, columns))  # a contact ends a leg
+        through_modes(table, there, flat, number, line, square, spent, hits, legs, duration)
+        if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
+            break
+        room *= 4
+    copy_into(tally, spent)
+    count = 0
+    while tally[STATUS] == RUNNING and not math.isnan(legs[count, 0]):
+        count += 1
+    return there, number, legs[:count], hits[: int(tally[RECORDED]) if tally[STATUS] == RUNNING else 0]
+
+
+@kernel
+def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
+    """Add legs up to the state ``end`` (2n,); see read_leg."""
+    before = np.int64(-1)  # typed: a literal would compile the callees once more
+    for i in range(len(legs)):
+        last = i + 1 == len(legs)
+        signal = -1 if last else int(legs[i + 1, LEG.signal])
+        following = end if last else legs[i + 1, LEG_STATE : LEG_STATE + len(end)]
+        read_leg(table, meter, reading, before, legs[i], signal, following, begins, marks, flies, tally)
+        before = np.int64(legs[i, LEG.mode])
+
+
+@kernel
+def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and add its legs.
+
+    In place; see read_leg. If a mode is missing, the motion stays put and nothing is added.
+    """
+    there, number, legs, _ = record_period(table, z, code, tally, duration)
+    if tally[STATUS] != RUNNING:
+        return
+    read_legs(table, meter, reading, legs, there, begins, marks, flies, tally)
+    copy_into(z, there)
+    code[0] = number[0]
+
+
+@kernel
+def read_motions(oscillators, meters, readings, states, codes, done, periods, closes, allowance, cells):
+    """Advance motions by their remaining periods and add their readings to ``readings``; returns the status of each.
+
+    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
+    (N,): 1 if these are one turn of an orbit, where an impact at the section counts once. allowance (N,): evaluations
+    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
+    """
+    status = np.full(len(states), RUNNING)
+    for r in cells:
+        table = row_in(by_reference(oscillators), r).table
+        meter, reading = row_of(meters, r), row_of(readings, r)
+        period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
+        tally, marks = NOTHING_COUNTED.copy(), np.empty(2)
+        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies, begins = done[r] < periods[r], AROUND * period if turn and done[r] == 0 else -1.0
+            marks[0] = EARLY * period if done[r] == 0 else np.nan
+            marks[1] = (EARLY + 0.5) * period if done[r] == periods[r] // 2 else np.nan
+            tally[WORK] = allowance[r] - OVERDRAFT
+            duration = period if flies else AROUND * period
+            read_period(table, meter, reading, states[r], codes[r], tally, duration, begins, marks, flies)
+            allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
+            done[r] += 1 if status[r] == RUNNING else 0
+    return status

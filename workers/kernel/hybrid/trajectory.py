@@ -1,0 +1,470 @@
+"""A motion of a hybrid machine between its events: the start of a period and of a leg, and the end of a leg."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from workers.kernel.by_reference import by_value, row_in
+from workers.kernel.chatter import UNKNOWN, chatter_end, fastest_rate, hop, with_estimate
+from workers.kernel.contact import REBOUND, REST
+from workers.kernel.crossing import TINY
+from workers.kernel.elementary import log
+from workers.kernel.external import FLOATS, INTEGERS, external
+from workers.kernel.flow import flow, flow_block, flow_vectors
+from workers.kernel.hybrid.events import (
+    ENDLESS,
+    MISSING,
+    RESONATES,
+    follow_jumps,
+    friction_event,
+    impact,
+    release,
+    soft_event,
+    strikes_while_held,
+)
+from workers.kernel.hybrid.leg_record import write_leg
+from workers.kernel.hybrid.neutral import record_slips, remove_held_motion
+from workers.kernel.hybrid.state import (
+    enter,
+    guard_rate,
+    leave,
+    read_number,
+    reset,
+    right_hand_side,
+    row_product,
+    write_harmonics,
+)
+from workers.kernel.jit import inline_always, inlined, kernel, named_constants
+from workers.kernel.motion import (
+    CONTRACTION,
+    ENDLESS_EVENTS,
+    LOSS,
+    LOST,
+    MAX_SPEED,
+    MIN_SPEED,
+    MODE_MISSING,
+    NO_MODE,
+    RESONANT_MODE,
+    RUNNING,
+    SIMULTANEOUS,
+    STATUS,
+    STUCK,
+    TABLES,
+    TALLIES,
+    count_contact,
+    record_type,
+    write_down_rest,
+)
+from workers.kernel.tangent import (
+    MAX_SPREAD,
+    drop_dependent,
+    graded_flow,
+    orthonormalise,
+    spread_rate,
+)
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS
+from workers.model.oscillator import Array
+
+AT_SECTION = 1e-13
+"""Share of a period around a section within which an event counts as at the section and past it. Otherwise rounding
+would decide, from turn to turn, the mode of an orbit that changes its mode there."""
+
+
+class TrajectoryTimes(NamedTuple):
+    """Numbers of a trip.
+
+    time, phase   since the section, and of the force, where the leg begins
+    until         end of the phase of the machine, or of the trip
+    horizon       longest time in which to seek the leg's first event
+    rate          of the signal that the leg begins with
+    end1 ... end3 the last estimates of a chatter's end, see chatter.chatter_end
+    chatter       remaining time of hops, if the leg begins at the end of a chatter
+    hop           speed of the rebound at the start of the leg in a chatter, else 0
+    """
+
+    time: int
+    phase: int
+    until: int
+    horizon: int
+    rate: int
+    end1: int
+    end2: int
+    end3: int
+    chatter: int
+    hop: int
+
+
+class TrajectoryIndices(NamedTuple):
+    """Whole numbers of a trip.
+
+    mode, number  slot of the mode in the table, or why there is none, see events.mode_of; its number
+    where         the phase of the machine
+    hit, side     signal whose event begins the leg, -1 for none, and the end of its range
+    legs          legs so far
+    """
+
+    mode: int
+    number: int
+    where: int
+    hit: int
+    side: int
+    legs: int
+
+
+CLOCKS, PLACES = len(TrajectoryTimes._fields), len(TrajectoryIndices._fields)
+CLOCK, PLACE = (
+    TrajectoryTimes(*range(len(TrajectoryTimes._fields))),
+    TrajectoryIndices(*range(len(TrajectoryIndices._fields))),
+)
+named_constants(TrajectoryTimes, TrajectoryIndices)
+
+
+class HybridTrajectory(NamedTuple):
+    """A motion of n coordinates on its way from a section, with m tangent vectors; G signals.
+
+    clock, place              see TripClock and TripPlace
+    h (n, 2), V (m, n, 2)     at the start of the leg, in the blocks of its mode
+    flow (n, 6)               of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
+    z (2n,), W (m, 2n)        at an event, physical
+    turn (H, 2)               of the force there, see state.turned
+    before, after (2n,)       rates of z there
+    slopes (m,)               time by which each vector is early there
+    states (C,), slips (F,)   of contacts and of friction
+    begun (G,)                start of each signal, see events.py
+    growth (m,), triangle     see tangent.orthonormalise; empty for vectors that stay as they are
+    tally (TALLIES,)          see motion.Motion
+    """
+
+    clock: Array
+    place: NDArray[np.int64]
+    h: Array
+    V: Array
+    flow: Array
+    z: Array
+    W: Array
+    turn: Array
+    before: Array
+    after: Array
+    slopes: Array
+    states: NDArray[np.int64]
+    slips: NDArray[np.int64]
+    begun: NDArray[np.int64]
+    growth: Array
+    triangle: Array
+    tally: Array
+
+
+TRIPS = record_type(
+    HybridTrajectory, 2, INTEGERS[2], 3, 4, 3, 2, 3, 3, 2, 2, 2, INTEGERS[2], INTEGERS[2], INTEGERS[2], 2, 3, 2
+)
+"""The type of a record of many trips in kernels."""
+
+
+@inline_always
+def make_trajectories(table, N, n, m, framed, square):
+    """Trips (N, ...) of n coordinates with m tangent vectors, for machines like the one of ``table``; see Trip.
+
+    ``framed`` and ``square`` say whether they have growth and triangle.
+    """
+    C, F, G = table.elements.row.shape[0], table.elements.slide.shape[0], table.pieces.ends.shape[1]
+    size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
+    return HybridTrajectory(
+        np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
+        np.empty((N, n, 6)),
+        np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
+        np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
+        np.zeros((N, C), dtype=np.int64), np.zeros((N, F), dtype=np.int64), np.zeros((N, G), dtype=np.int64),
+        np.zeros((N, m if framed else 0)), np.zeros((N, r, r)), np.zeros((N, TALLIES)),
+    )  # fmt: skip
+
+
+@inline_always
+def stop_at(table, tally, k, number):
+    """Set the status of a motion without a next mode, see events.mode_of."""
+    if k == MISSING:
+        tally[STATUS] = MODE_MISSING
+        table.missing[0] = number
+    else:
+        tally[STATUS] = ENDLESS_EVENTS if k == ENDLESS else RESONANT_MODE if k == RESONATES else NO_MODE
+
+
+@inlined
+def fly(pieces, k, s, trip, drifts, flown):
+    """Advance the block state and tangent vectors by s in mode k; ``flown`` says that trip.flow holds this flow.
+
+    The frame is made orthonormal before the flight: directions removed by an event are detected before the flight turns
+    rounding into directions, and multipliers are known to rounding.
+    """
+    blocks, h, V, growth, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.flow
+    if growth.shape[0] > 0:
+        lost = trip.tally[LOST] - drifts
+        rank = 2 * h.shape[0] - int(lost)
+        if lost > 0.0:
+            drop_dependent(blocks, V, rank)
+        orthonormalise(blocks, V, growth, trip.triangle, rank)
+        if s * spread_rate(blocks) > MAX_SPREAD:
+            flow(blocks, s, h)
+            graded_flow(blocks, s, V, growth, trip.triangle, rank)
+            return
+    for j in range(h.shape[0]):
+        if flown:
+            f11, f12, f21, f22 = flows[j, 0], flows[j, 1], flows[j, 2], flows[j, 3]
+            h[j, 0], h[j, 1] = flows[j, 4], flows[j, 5]
+        else:
+            f11, f12, f21, f22 = flow_block(blocks[j], s, h[j])
+        flow_vectors(V, j, f11, f12, f21, f22)
+
+
+@inline_always
+def count_rest(elements, states, lost, s, chatter, tally):
+    """Count a flight of duration s in a mode with lost dimensions as rest, except the end of a chatter in it."""
+    held = 0.0
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            held += 1.0
+    if held > 0.0:
+        tally[MIN_SPEED] = 0.0
+    if lost > 0.0:
+        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # a rest counts, however short
+
+
+@inline_always
+def keep_held(elements, states, slips, z):
+    """Remove rounding from held and sticking coordinates."""
+    n = len(z) // 2
+    for c in range(len(states)):
+        if abs(states[c]) == ON and elements.soft[c] == 0.0:
+            row, kick, stop = elements.row[c], elements.kick[c], elements.stops[c, 1 if states[c] > 0 else 0]
+            reset(z, 0, row, kick, stop, 1.0)
+            reset(z, n, row, kick, 0.0, 1.0)
+    for e in range(len(slips)):
+        if slips[e] == 0:
+            reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
+
+
+@kernel
+def follow(table, trip):
+    """Find the next mode of the motion, see events.follow_jumps."""
+    place = trip.place
+    k, number = follow_jumps(
+        table, trip.states, trip.slips, place[PLACE.where], trip.z, trip.turn, trip.begun
+    )  # fmt: skip
+    place[PLACE.mode], place[PLACE.number] = k, number
+
+
+@kernel
+def begin_trajectory(table, trip, number):
+    """Begin a trip at a section, from its physical state and tangent vectors, in the mode of this number."""
+    clock, place = trip.clock, trip.place
+    read_number(table.elements, number, trip.states, trip.slips)
+    trip.begun[:] = 0
+    clock[:] = 0.0
+    clock[CLOCK.phase] = table.tau
+    write_harmonics(table.tau, trip.turn)
+    clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
+    place[:] = 0
+    place[PLACE.hit] = -1
+    keep_held(table.elements, trip.states, trip.slips, trip.z)
+    follow(table, trip)
+
+
+@inlined
+def begin_leg(table, trip, duration):
+    """Begin a leg of a trip of this duration; sets the horizon for its first event.
+
+    tally[STATUS] tells a trip that cannot continue.
+    """
+    clock, place, tally = trip.clock, trip.place, trip.tally
+    k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
+    if k < 0:
+        stop_at(table, tally, k, place[PLACE.number])
+    if tally[STATUS] != RUNNING:
+        return 0.0
+    lost = table.pieces.lost[k]
+    tally[LOST] = max(tally[LOST], lost + table.drifts)
+    until = min(duration, period, table.elements.starts[place[PLACE.where] + 1] * period)
+    clock[CLOCK.until] = until
+    enter(table.pieces, k, trip.z, trip.W, trip.turn, trip.h, trip.V)
+    if t == 0.0:
+        remove_held_motion(table.elements, trip.states, lost, trip.V)
+    record_slips(trip.slips, tally)
+    return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
+
+
+@kernel
+def end_hop(table, trip, end, s):
+    """(duration, speed at its end) of a hop in a chatter, found to last s; see chatter.hop."""
+    clock, pieces, k, g = trip.clock, table.pieces, trip.place[PLACE.mode], trip.place[PLACE.hit]
+    blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
+    fastest = fastest_rate(blocks, waves, table.omega)
+    return hop(blocks, waves, table.omega, trip.h, clock[CLOCK.phase], end, clock[CLOCK.hop], s, fastest)
+
+
+@kernel
+def record_leg(trip, legs, s):
+    """Note a leg of duration s, see notes.note."""
+    clock, place = trip.clock, trip.place
+    write_leg(
+        legs[place[PLACE.legs]], clock[CLOCK.time], place[PLACE.hit], place[PLACE.side], clock[CLOCK.rate],
+        place[PLACE.number], place[PLACE.mode], s, clock[CLOCK.chatter], trip.z, trip.begun,
+    )  # fmt: skip
+    place[PLACE.legs] += 1
+
+
+@inlined
+def leave_leg(table, trip, s, reached, end, duration, legs, flown):
+    """End a leg after s, with signal ``reached`` at this end of its range, -1 for none; see motion.through_modes.
+
+    Returns whether the trip is over. The event itself follows, see strike_soft. flown: trip.flow is the flow over s.
+    """
+    clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
+    k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
+    last = until >= min(duration, 2.0 * math.pi / table.omega)
+    searched, again, speed = s, w > 0.0 and reached == place[PLACE.hit] and end == place[PLACE.side], 0.0
+    if again:
+        s, speed = end_hop(table, trip, end, s)
+    else:
+        clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
+    s = min(s, until - t)
+    if place[PLACE.legs] < legs.shape[0]:
+        record_leg(trip, legs, s)
+    fly(pieces, k, s, trip, table.drifts, flown and s == searched)
+    tally[CONTRACTION] -= pieces.trace[k] * s
+    count_rest(table.elements, trip.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
+    if s > 0.0:
+        trip.begun[:] = 0
+    t = until if reached < 0 else min(t + s, until)
+    phase = table.tau + table.omega * t
+    clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
+    place[PLACE.hit], place[PLACE.side] = reached, end
+    write_harmonics(phase, trip.turn)
+    leave(pieces, k, h, trip.V, trip.turn, trip.z, trip.W)
+    if reached < 0:
+        clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
+        return last
+    right_hand_side(pieces, k, trip.z, trip.turn, trip.before)
+    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, trip.turn)
+    rate = end * max(rate, TINY)
+    clock[CLOCK.rate] = rate
+    row = pieces.rows[k, reached]
+    for e in range(len(trip.W)):
+        trip.slopes[e] = row_product(row, trip.W[e]) / rate
+    return False
+
+
+@inlined
+def is_soft(table, reached):
+    """Whether a signal belongs to a soft contact."""
+    c = reached // SIGNALS
+    return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
+
+
+@inlined
+def strike_soft(table, trip, hits):
+    """Pass the event of a soft contact, see events.soft_event, and count it."""
+    clock, place = trip.clock, trip.place
+    g, side = place[PLACE.hit], place[PLACE.side]
+    c = g // SIGNALS
+    if trip.states[c] == OPEN and table.elements.counted[c] > 0.0:
+        count_contact(trip.tally, hits, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
+    soft_event(g, c, side, trip.states, trip.begun)
+    clock[CLOCK.hop] = 0.0
+
+
+@inline_always
+def strike_hard(table, trip, hits):
+    """Pass the event of friction or of a rigid contact; returns whether the next mode is still to be found."""
+    elements, clock, place = table.elements, trip.clock, trip.place
+    g, side, C = place[PLACE.hit], place[PLACE.side], len(trip.states)
+    c = g // SIGNALS
+    if c >= C:
+        clock[CLOCK.hop] = 0.0
+        k, number = friction_event(
+            table, g, g - SIGNALS * C, side, trip.states, trip.slips, place[PLACE.where], trip.z, trip.before, trip.W,
+            trip.turn, trip.begun,
+        )  # fmt: skip
+        if k < 0:
+            place[PLACE.mode], place[PLACE.number] = k, number
+            return False
+    elif strikes_while_held(elements, c, trip.states):
+        trip.tally[STATUS] = SIMULTANEOUS
+        return False
+    elif trip.states[c] != OPEN:
+        release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, np.int64(3))
+        clock[CLOCK.hop] = 0.0
+    else:
+        strike_stop(table, trip, g, c, side, hits)
+    return True
+
+
+@inline_always
+def strike_stop(table, trip, g, c, side, hits):
+    """Pass an impact on a rigid contact: its counts, and the remaining time of a chatter."""
+    clock, tally, t, rate = trip.clock, trip.tally, trip.clock[CLOCK.time], trip.clock[CLOCK.rate]
+    R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
+    following, left = impact(
+        table, trip.place[PLACE.mode], g, c, side, rate, trip.h, trip.states, trip.slips, trip.place[PLACE.where],
+        trip.z, trip.before, trip.W, clock[CLOCK.phase], trip.turn, trip.begun,
+    )  # fmt: skip
+    clock[CLOCK.hop] = 0.0
+    ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + left)
+    clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = ends
+    if following != REBOUND:
+        tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
+    if following == REST:  # the impacts at the end of a chatter cannot be counted
+        tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
+        tally[LOSS] += energy
+        clock[CLOCK.chatter] = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
+        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), clock[CLOCK.chatter])
+        return
+    count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
+    tally[LOSS] += (1.0 - R * R) * energy
+    tally[CONTRACTION] += 2.0 * log(max(R, TINY))
+    clock[CLOCK.hop] = R * abs(rate) if left > 0.0 else 0.0
+
+
+@kernel
+def carry(table, trip, mode):
+    """Carry tangent vectors from ``mode`` through the passed event by its saltation matrix."""
+    place, pieces = trip.place, table.pieces
+    f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
+    if k < 0:
+        return
+    right_hand_side(pieces, k, trip.z, trip.turn, after)
+    for i in range(len(after)):
+        after[i] -= f[i]
+        for e in range(len(trip.W)):
+            trip.W[e, i] += after[i] * trip.slopes[e]
+    if g >= SIGNALS * len(trip.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
+        change = row_product(pieces.rows[mode, g], after) / trip.clock[CLOCK.rate]
+        if change != 0.0:
+            trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+
+
+@external(
+    TABLES, types.int64, TRIPS, types.int64, types.float64, types.int64, types.int64, types.float64, FLOATS[2],
+    FLOATS[2], types.boolean, result=types.boolean, modes=True,
+)  # fmt: skip
+def finish_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, flown):
+    """End the leg of machine r on this trip after s and pass the event at its end, if any: see leave_leg.
+
+    Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
+    """
+    table, trip, hits, legs = row_in(tables, r), row_in(trips, slot), by_value(hits), by_value(legs)
+    mode, follows = trip.place[PLACE.mode], True
+    over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
+    if reached < 0:
+        follows = not over
+        trip.place[PLACE.where] += int(follows)
+    elif is_soft(table, reached):
+        strike_soft(table, trip, hits)
+    else:
+        follows = strike_hard(table, trip, hits)
+    if follows:
+        follow(table, trip)
+    if reached >= 0 and trip.tally[STATUS] == RUNNING:
+        carry(table, trip, mode)
+    return over

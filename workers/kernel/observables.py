@@ -1,0 +1,264 @@
+"""Observables of motions of machines with modes: impacts, turning points, section values and losses, one by one.
+
+Nothing is sampled: impacts are events of the one loop of hybrid/motion.py. Turning points of an output are zeros of its
+rate, which the certified search finds, or impacts that reverse it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.borrow import row_of
+from workers.kernel.by_reference import by_reference, row_in
+from workers.kernel.excursion import next_turn, velocity_of
+from workers.kernel.hybrid.leg_record import LEG, LEG_STATE
+from workers.kernel.hybrid.measures import AROUND, MeasureTotals, read_legs, record_period
+from workers.kernel.hybrid.outputs import LEVEL, mode_with, output_row
+from workers.kernel.hybrid.state import enter, harmonics_at, product, read_number
+from workers.kernel.jit import kernel, named_constants
+from workers.kernel.linalg import copy_into
+from workers.kernel.motion import MARCH_GAVE_UP, NOTHING_COUNTED, OVERDRAFT, RUNNING, STATUS, WORK, spend
+from workers.kernel.signal import derivative_bounds, evaluate
+from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
+from workers.model.oscillator import NUMBER, Array, Rows
+
+AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
+    KINDS.index(kind) for kind in (SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS)
+)
+"""Kinds of observables as numbers."""
+
+ROUNDING = 1e-12
+"""Share of an output's terms by which it must rise or fall between two turning points for them to count."""
+
+
+class ObservableSelection(NamedTuple):
+    """Observables of machines: kind (M,), contact (M,), -1 for all, and side (M,)."""
+
+    kinds: Rows
+    contacts: Rows
+    sides: Rows
+
+
+class ObservedValues(NamedTuple):
+    """Values observed of N motions so far.
+
+    values (N, M, K)  the first K of each observable, in the order of time
+    counts (N, M)     number of values; endless (N, M) 1 if a chatter has added infinitely many
+    course (N, M, 5)  recent course of each output, see OutputCourse
+    """
+
+    values: Array
+    counts: Rows
+    endless: Rows
+    course: Array
+
+
+class OutputHistory(NamedTuple):
+    """The recent course of an output, as columns.
+
+    heading   1 while rising, -1 while falling; value: the last value
+    size      the greatest sum of its terms, and of its possible change on a leg
+    turn, at  the last turning point, confirmed by the next one: 1 for a maximum, -1 for a minimum, 0 for none or one
+              too early to count; and its value
+    """
+
+    heading: int
+    value: int
+    size: int
+    turn: int
+    at: int
+
+
+COURSE = OutputHistory(*range(5))
+named_constants(OutputHistory)
+
+
+@kernel
+def put(seen, m, value):
+    """Add a value of observable m."""
+    if seen.counts[m] < seen.values.shape[1]:
+        seen.values[m, seen.counts[m]] = value
+    seen.counts[m] += 1
+
+
+@kernel
+def put_turn(seen, m, highest):
+    """Add the confirmed turning point if observable m wants this kind."""
+    course = seen.course[m]
+    if course[COURSE.turn] == (1.0 if highest else -1.0):
+        put(seen, m, course[COURSE.at])
+    course[COURSE.turn] = 0.0
+
+
+@kernel
+def head(seen, m, highest, direction, y, counts):
+    """Continue an output in this direction from y. A turn of rounding size does not count."""
+    course = seen.course[m]
+    if course[COURSE.heading] * direction < 0.0:
+        near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
+        if course[COURSE.turn] * course[COURSE.heading] < 0.0 and near:
+            course[COURSE.turn] = 0.0
+        else:
+            put_turn(seen, m, highest)
+            course[COURSE.turn], course[COURSE.at] = course[COURSE.heading] if counts else 0.0, y
+    if direction != 0.0:
+        course[COURSE.heading] = direction
+
+
+@kernel
+def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
+    """Record the turns of an output in a flight of s in mode k from h (n, 2), which begins at time ``start``.
+
+    Turns up to the time ``begins`` do not count.
+    """
+    full, direct = output_row(pieces, k, row, order)
+    mode, offset = mode_with(pieces, k, full, direct)
+    velocity, drift = velocity_of(mode)
+    blocks, waves, omega, course = mode.blocks, mode.waves, mode.numbers[NUMBER.omega], seen.course[m]
+    y, v, a, jerk, size = evaluate(blocks, waves, omega, h, 0.0, phase, offset)
+    before, rate = course[COURSE.value], abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
+    reach = min(rate, abs(v) + abs(a) * s) * s  # a load alone has no bound
+    course[COURSE.size] = max(course[COURSE.size], size + reach)
+    if abs(y - before) > ROUNDING * course[COURSE.size]:  # an impact makes velocities jump
+        head(seen, m, highest, np.sign(y - before), before, start > begins)
+    if rate * s > LEVEL * size:
+        there, scratch, t, begun = h.copy(), np.empty(h.shape), 0.0, 0
+        rises = v > 0.0 or (v == 0.0 and (a > 0.0 or (a == 0.0 and jerk > 0.0)))
+        while tally[STATUS] == RUNNING:
+            head(seen, m, highest, 1.0 if rises else -1.0, y, start + t > begins)
+            at = phase + omega * t
+            step, side, evaluations = next_turn(velocity, drift, there, at, not rises, begun, s - t, scratch)
+            spend(tally, evaluations)
+            t += step
+            if side == 2:
+                tally[STATUS] = MARCH_GAVE_UP
+            if side == 0:
+                break
+            y, rises, begun = evaluate(blocks, waves, omega, there, 0.0, phase + omega * t, offset)[0], not rises, side
+    course[COURSE.value] = evaluate(blocks, waves, omega, h, s, phase, offset)[0]
+
+
+@kernel
+def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
+    """Record the turns of outputs on a leg of a period that begins at the time ``since``, and their section values."""
+    pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
+    t, harmonics = leg[LEG.start], table.pieces.waves.shape[2]
+    h, nothing, flat = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty((0, size))
+    phase = table.tau + table.omega * t
+    enter(pieces, k, leg[LEG_STATE : LEG_STATE + size], flat, harmonics_at(phase, harmonics), h, nothing)
+    for m in range(len(wanted.kinds)):
+        kind, row, order = wanted.kinds[m], meter.rows[m], meter.orders[m]
+        if kind == AT_SECTION and t == 0.0 and flies and leg[LEG.signal] < 0.0:
+            full, direct = output_row(pieces, k, row, order)
+            mode, offset = mode_with(pieces, k, full, direct)
+            put(seen, m, evaluate(mode.blocks, mode.waves, table.omega, h, 0.0, phase, offset)[0])
+        if kind in (HIGHEST, LOWEST) and s > 0.0:
+            see_output(pieces, k, row, order, seen, m, kind == HIGHEST, h, since + t, phase, s, begins, tally)
+
+
+@kernel
+def see_impact(table, wanted, seen, hit, since, begins):
+    """Record an impact (3,) of a period that begins at the time ``since``, see motion.through_modes.
+
+    Speed 0 marks the start of a rest, with infinitely many impacts before it if the contact bounces.
+    """
+    t, which, speed = hit[0], hit[1], hit[2]
+    c, side = int(abs(which)) - 1, np.sign(which)
+    if since + t <= begins:
+        return
+    for m in range(len(wanted.kinds)):
+        kind, contact, meant = wanted.kinds[m], wanted.contacts[m], wanted.sides[m]
+        if kind not in (PHASE, SPEED) or (contact >= 0 and contact != c) or meant * side < 0.0:
+            continue
+        if speed == 0.0:
+            seen.endless[m] = max(seen.endless[m], 1 if table.elements.R[c] > 0.0 else 0)
+        else:
+            put(seen, m, (table.tau + table.omega * t) % (2.0 * math.pi) if kind == PHASE else speed)
+
+
+@kernel
+def stored(table, meter, z, number):
+    """Energy in pushing soft contacts at a physical section state in the mode of this number."""
+    elements, total = table.elements, 0.0
+    states = np.zeros(len(elements.row), dtype=np.int64)
+    read_number(elements, number, states, np.zeros(len(elements.slide), dtype=np.int64))
+    for c in range(len(states)):
+        if states[c] % 2 != 0 and elements.soft[c] > 0.0 and elements.counted[c] > 0.0:
+            stop = elements.stops[c, 1 if states[c] > 0 else 0]
+            depth = np.sign(states[c]) * (product(elements.row[c], z, 0) - stop)
+            total += (meter.pad[0, c, 2] + 0.5 * meter.pad[0, c, 0] * depth) * depth
+            law = meter.law[c, 1 if states[c] > 0 else 0]
+            for j in range((abs(states[c]) + 1) // 2):
+                end = depth if j == (abs(states[c]) - 1) // 2 else law[j + 1, 0]
+                total += (law[j, 2] + 0.5 * law[j, 1] * (end + law[j, 0])) * (end - law[j, 0])
+    return total
+
+
+@kernel
+def loss_in(table, meter, legs, end, tally):
+    """Energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
+    n, C, F, M = len(end) // 2, meter.pad.shape[1], meter.rub.shape[1], len(meter.orders)
+    reading = MeasureTotals(
+        np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
+        np.zeros(C), np.zeros(C), np.zeros(F), np.zeros(F), np.zeros(1), np.zeros((2, 2 * n)),
+    )  # fmt: skip
+    read_legs(table, meter, reading, legs, end, -1.0, np.full(2, np.nan), True, tally)
+    return np.sum(reading.stop) + np.sum(reading.rubbed) + reading.damped[0]
+
+
+@kernel
+def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begins, flies):
+    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and observe it.
+
+    In place; see see_outputs. If a mode is missing, the motion stays put and nothing is recorded.
+    """
+    there, number, legs, hits = record_period(table, z, code, tally, duration)
+    if tally[STATUS] != RUNNING:
+        return
+    for i in range(len(legs)):
+        see_outputs(table, meter, wanted, seen, legs[i], since, begins, flies, tally)
+    for i in range(len(hits)):
+        see_impact(table, wanted, seen, hits[i], since, begins)
+    if flies and np.any(wanted.kinds == LOSS):
+        kept = stored(table, meter, there, number[0]) - stored(table, meter, z, code[0])
+        lost = loss_in(table, meter, legs, there, tally) - kept
+        for m in range(len(wanted.kinds)):
+            if wanted.kinds[m] == LOSS:
+                put(seen, m, lost)
+    copy_into(z, there)
+    code[0] = number[0]
+
+
+@kernel
+def observe_motions(oscillators, meters, wanted, seen, starts, states, codes, done, periods, closes, allowance, cells):
+    """Advance motions by their remaining periods and record observables; returns the status of each.
+
+    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
+    (N,): 1 if these are one turn of an orbit, where events at the section count once. allowance (N,): evaluations
+    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
+
+    A negative number of periods ``done`` is a turn before the one that counts: it shows whether outputs rise or fall
+    where they rest at the section. Then the motion begins again from ``starts``, states (N, 2n) and codes (N, 1).
+    """
+    status = np.full(len(states), RUNNING)
+    for r in cells:
+        table = row_in(by_reference(oscillators), r).table
+        meter, own = row_of(meters, r), row_of(seen, r)
+        period, turn, tally = 2.0 * math.pi / table.omega, closes[r] > 0, NOTHING_COUNTED.copy()
+        begins = AROUND * period if turn else -1.0
+        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies = done[r] < periods[r]
+            if done[r] == 0:
+                copy_into(states[r], starts[0][r])
+                codes[r, 0] = starts[1][r, 0]
+                own.course[:, COURSE.value] = np.nan
+            tally[WORK] = allowance[r] - OVERDRAFT
+            duration, since, counts = period if flies else AROUND * period, done[r] * period, flies and done[r] >= 0
+            see_period(table, meter, wanted, own, states[r], codes[r], tally, since, duration, begins, counts)
+            allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
+            done[r] += 1 if status[r] == RUNNING else 0
+        for m in range(len(wanted.kinds)):
+            if status[r] == RUNNING and wanted.kinds[m] in (HIGHEST, LOWEST):
+                put_turn(own, m, wanted.kinds[m] == HIGHEST)
+    return status

@@ -1,0 +1,279 @@
+"""Checks of a definition at the defaults of its parameters: impossible machines are refused early."""
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from itertools import chain
+
+import numpy as np
+
+from workers.model.block_decomposition import undamped_modes
+from workers.model.definition import Definition
+from workers.model.elements import ALWAYS, PAD, RUB, Changes, Contact, Friction, Spring
+from workers.model.entries import DefinitionError
+from workers.model.expression import Expression
+from workers.model.free_flight import UNSEEN
+from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
+from workers.model.laws import SEGMENTS, segments_of
+from workers.model.oscillator import Array
+from workers.model.parameter import Parameter
+
+OF_EXPRESSION = ", within above 0 and the range around 0"
+
+ROUNDING = 1e-12
+"""Relative size of an eigenvalue up to which it counts as zero."""
+
+
+def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
+    """DefinitionError in one line unless the defaults make a valid machine.
+
+    M is invertible; phases begin in order within the period. Contacts: 0 <= R <= 1, no negative stiffness, damping or
+    preload, the lower stop below the upper one. Friction: 0 <= kinetic <= static. Rows are nonzero, independent if they
+    can be held together, and moved in the direction of a force along them. Contacts see every free motion, K x = 0,
+    except that of a coordinate that may drift, which nothing ties down.
+    """
+    defaults = {p.name: np.array([p.default]) for p in parameters}
+    for where, element, tables in definition.laws(defaults):
+        _check_law(where, element, tables[0])
+    many = definition.hybrid(defaults)
+    machine = HybridMachines(*(field[0] for field in many))
+    matrices = {"system.mass": machine.mass}
+    for key in ("damping", "stiffness"):
+        matrices |= {_entry_in(definition, p, key): matrix for p, matrix in enumerate(getattr(machine, key))}
+    C = len(definition.contacts)
+    rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row[:C])}
+    rows |= {f"system.springs[{s}].row": row for s, row in enumerate(machine.row[C:])}
+    rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.slide)}
+    constants = dict(_constants(definition, machine))
+    for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
+        if not np.isfinite(entries).all():
+            raise DefinitionError(f"{where}: found {_shown(entries)} at the defaults, must be finite numbers")
+    _check_measures(definition, definition.outputs(defaults))
+    _check_mass(machine.mass)
+    for where, number in constants.items():
+        _check_constant(where, float(number))
+    _check_static(definition, machine)
+    _check_stops(definition, machine)
+    _check_starts(machine.starts)
+    for where, row in rows.items():
+        if not row.any():
+            made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
+            raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
+    _check_independent(list(rows), held_rows(many))
+    _check_independent(list(rows)[len(machine.row) :], many.slide)
+    _check_yields(rows, many)
+    for where in (name for name in matrices if name.endswith("stiffness")):
+        _check_free_motions(definition, machine, where, matrices[where])
+
+
+def _contact(definition: Definition, c: int) -> str:
+    return "system" if definition.short else f"system.contacts[{c}]"
+
+
+def _entry_in(definition: Definition, p: int, key: str) -> str:
+    """The entry that counts in a phase: its own, or that of the whole machine."""
+    own = definition.phases and getattr(definition.phases[p], key) is not None
+    return f"system.phases[{p}].{key}" if own else f"system.{key}"
+
+
+def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+    """Load and force of each phase, by their entries."""
+    for p, load in enumerate(machine.load):
+        yield _entry_in(definition, p, "load"), load
+        where = _entry_in(definition, p, "force")
+        for part in (machine.force_sin[p], machine.force_cos[p]):
+            orders = (Fraction(k + 1, definition.turns) for k in range(len(part)))
+            yield from ((f"{where} of order {order}", row) for order, row in zip(orders, part, strict=True))
+
+
+def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
+    """The constants of contacts and friction by their entries, also in each phase."""
+    for c, contact in enumerate(definition.contacts):
+        if contact.rigid:
+            yield f"{_contact(definition, c)}.restitution", machine.R[c]
+    for p, phase in enumerate(definition.phases or ALWAYS):
+        for c, contact in enumerate(definition.contacts):
+            for key, number in () if contact.rigid else zip(PAD, machine.pad[p, c], strict=True):
+                yield _constant_in(phase.contacts, p, "contacts", contact.name, key, _contact(definition, c)), number
+        for f, friction in enumerate(definition.friction):
+            for key, number in zip(RUB, machine.rub[p, f], strict=True):
+                yield _constant_in(phase.friction, p, "friction", friction.name, key, f"system.friction[{f}]"), number
+    for f, belt in enumerate(machine.belt):
+        yield f"system.friction[{f}].belt", belt
+
+
+def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, whole: str) -> str:
+    changed = key in dict(dict(changes).get(name, ()))
+    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{whole}.{key}"
+
+
+def _check_constant(where: str, number: float) -> None:
+    key = where.rpartition(".")[2]
+    if key == "restitution" and not 0.0 <= number <= 1.0:
+        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 to 1")
+    if key in (*PAD, "kinetic") and number < 0.0:
+        raise DefinitionError(f"{where}: found {number:g} at the defaults, must be 0 or more")
+
+
+def _check_static(definition: Definition, machine: HybridMachines) -> None:
+    for p, phase in enumerate(definition.phases or ALWAYS):
+        for f, friction in enumerate(definition.friction):
+            kinetic, static, _ = machine.rub[p, f]
+            if static < kinetic:
+                where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
+                levels = f"found {static:g}, kinetic {kinetic:g} at the defaults"
+                raise DefinitionError(f"{where}: {levels}, must not be below kinetic")
+
+
+def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
+    """table (V, 2): the vertices of an element's law."""
+    if not np.isfinite(table).all():
+        given = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
+        raise DefinitionError(
+            f"{where}: found {given} at the defaults, must be finite numbers" + OF_EXPRESSION * (given[0] == "n")
+        )
+    if (n := segments_of(element, table)) > SEGMENTS:
+        assert element.within is not None
+        enough = 1.1 * (len(table) - 1) ** 2 / SEGMENTS**2  # the number of segments falls as the root of the bound
+        right = (
+            "a larger within" if element.within.constant is None else f"within = {enough * element.within.constant:.2g}"
+        )
+        raise DefinitionError(
+            f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; {right} would do"
+        )
+    (x, F), argument = table.T, {Contact: "depth", Friction: "|v|", Spring: "y"}[type(element)]
+    for i in range(len(x) - 1):
+        if not x[i] < x[i + 1]:
+            raise DefinitionError(
+                f"{where}: found {argument} {x[i + 1]:g} after {x[i]:g} at the defaults, must increase"
+            )
+        if isinstance(element, Contact) and F[i + 1] < F[i]:
+            raise DefinitionError(
+                f"{where}: falls from {F[i]:g} to {F[i + 1]:g} at the defaults where depth grows to {x[i + 1]:g}; a "
+                "contact's must not fall; a spring's may, [[system.springs]]"
+            )
+    if isinstance(element, Spring):
+        return
+    if x[0] != 0.0:
+        raise DefinitionError(f"{where}: begins at {argument} {x[0]:g} at the defaults, must begin at 0")
+    if not np.all(F >= 0.0):
+        raise DefinitionError(f"{where}: found force {np.min(F):g} at the defaults, must be 0 or more")
+    if F[-1] < F[-2]:
+        raise DefinitionError(
+            f"{where}: falls for ever from {argument} {x[-2]:g} on at the defaults; give a last row with the same force"
+        )
+
+
+def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array]) -> None:
+    (rows,), _, (weights,) = outputs
+    for (name, measure), row, weight in zip(definition.measures, rows, weights, strict=True):
+        for key, numbers in ((measure.kind, row), ("weight", weight)):
+            if getattr(measure, key) is not None and not np.isfinite(numbers).all():
+                raise DefinitionError(
+                    f"system.measures.{name}.{key}: found {_shown(numbers)} at the defaults, must be finite numbers"
+                )
+        if definition.drift and measure.displacement and row[definition.coordinates.index(definition.drift)] != 0.0:
+            raise DefinitionError(
+                f"system.measures.{name}.displacement: sees {definition.drift}, which drifts; its advance is progress"
+            )
+        if not row.any():
+            raise DefinitionError(
+                f"system.measures.{name}.{measure.kind}: found zeros only; give the row that makes what is measured"
+            )
+
+
+def _check_stops(definition: Definition, machine: HybridMachines) -> None:
+    for c, (lower, upper) in enumerate(machine.stops[: len(definition.contacts)]):
+        if not lower < upper:
+            raise DefinitionError(
+                f"{_contact(definition, c)}.upper: found {upper:g}, lower {lower:g} at the defaults, "
+                "must be above lower; stops are positions of the gap coordinate"
+            )
+
+
+def _check_starts(starts: Array) -> None:
+    for p in range(1, len(starts) - 1):
+        if not starts[p - 1] < starts[p] < 1.0:
+            raise DefinitionError(
+                f"system.phases[{p}].start: found {starts[p]:g} after {starts[p - 1]:g} at the defaults, "
+                "must rise and stay below 1; it is a share of the forcing period"
+            )
+
+
+def _check_independent(named: list[str], held: Array) -> None:
+    """held (1, R, n): rows of rigid contacts and friction, zeros for other elements."""
+    for k, where in enumerate(named):
+        if dependent(held[:, : k + 1])[0]:
+            raise DefinitionError(
+                f"{where}: found {_shown(held[0, k])} at the defaults, depends on rows of rigid contacts and friction "
+                "before it; must be independent, or friction on the row of a contact or a multiple of it"
+            )
+
+
+def _check_mass(mass: Array) -> None:
+    size = np.abs(mass).max(axis=1, keepdims=True)
+    values = np.linalg.svd(mass / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    if not values[-1] > ROUNDING * values[0]:
+        raise DefinitionError(f"system.mass: found {_shown(mass)} at the defaults, is singular; must have an inverse")
+
+
+def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
+    if yields(many)[0]:
+        return
+    for where, row in rows.items():
+        along = float(row @ np.linalg.solve(many.mass[0], row))
+        if not along > 0.0:
+            raise DefinitionError(
+                f"{where}: found {_shown(row)} at the defaults, g.M^-1 g = {along:g}; must be above 0, so that a force "
+                "along the row moves it that way"
+            )
+    raise DefinitionError(
+        f"system.mass: found {_shown(many.mass[0])} at the defaults, with rows of rigid contacts and friction G; "
+        "the principal minors of G M^-1 G' must be above 0, so that a force along a row moves it that way while others "
+        "are held"
+    )
+
+
+def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
+    """Contacts and drift see each free motion: two motions seen by one gap combine to one that leaves y unchanged."""
+    with np.errstate(all="ignore"):
+        free, over_mass = _free_motions(machine.mass, stiffness)
+    if not np.isfinite(over_mass).all():
+        raise DefinitionError(
+            f"system.mass: found {_shown(machine.mass)} at the defaults, with stiffness {_shown(stiffness)}, "
+            "must be large enough that stiffness over mass is within double precision"
+        )
+    rows = machine.row
+    if definition.drift:
+        i = definition.coordinates.index(definition.drift)
+        for what, entries in ((where, stiffness[i]), ("the gap row of a contact", rows[:, i])):
+            if entries.any():
+                raise DefinitionError(
+                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
+                )
+        rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
+    rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might overflow
+    most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each row
+    seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
+    if free.shape[1] and np.linalg.matrix_rank(seen, tol=UNSEEN) < free.shape[1]:
+        others = "" if definition.short else ", or let one coordinate drift: drift = NAME"
+        raise DefinitionError(
+            f"{where}: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
+            f"relative displacement as the coordinate{others}"
+        )
+
+
+def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Null space of K, in columns, and M^-1 K or, for symmetric matrices, the undamped modes."""
+    even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
+    squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
+    if even and np.isfinite(modes).all():
+        return modes[:, np.abs(squares) <= ROUNDING * max(float(np.max(np.abs(squares))), 1e-300)], modes
+    over_mass: Array = np.asarray(np.linalg.solve(mass, stiffness), np.float64)
+    if not np.isfinite(over_mass).all():
+        return over_mass, over_mass
+    _, values, turned = np.linalg.svd(over_mass)
+    return np.asarray(turned[values <= ROUNDING * max(float(values[0]), 1e-300)].T, np.float64), over_mass
+
+
+def _shown(entries: Array) -> str:
+    return str(np.asarray(entries).tolist())

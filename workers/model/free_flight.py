@@ -1,0 +1,354 @@
+"""The motion between impacts: blocks, forced response, rest position, and the gap coordinate as their signal.
+
+An oscillator does not depend on the others, to the bit.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from workers.model.block_decomposition import BlockDecomposition, apply_stacked, split
+from workers.model.memoize import memoize_arrays
+from workers.model.oscillator import (
+    COLUMN,
+    LARGEST_ANGLE,
+    OF_FLOW,
+    OF_GUARD,
+    Array,
+    GuardedFlow,
+    Mask,
+    SingleContactMachines,
+    make_blocks,
+    rates_of,
+)
+from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
+
+UNSEEN = 1e-9
+"""Share of a rigid mode or of a growing motion in the gap coordinate, relative to its largest possible one, below which
+the gap does not see it."""
+
+OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
+"""Fields of machines that decide their structure and their loading."""
+
+RESONANT = 1e-8
+"""Share of its terms below which the dynamic stiffness of an oscillation at the forcing frequency counts as resonance:
+the forced response is so large that motion growing for thousands of periods seems to close beside it."""
+
+ULPS = 8.0
+"""Relative errors of a machine's entries, in units in the last place: the rounding of a few operations."""
+
+
+class BlockFlow(NamedTuple):
+    """Flow of N machines, decided by mass, damping and stiffness, and the row of the guard.
+
+    modes; inverse_mass (N, n, n); blocks (N, n, columns), see Block, without a load, with the metric of elastic blocks.
+    """
+
+    modes: BlockDecomposition
+    inverse_mass: Array
+    blocks: Array
+
+
+class BlockLoading(NamedTuple):
+    """Effect of force and load on the blocks of N machines, for any forcing frequency.
+
+    waves (N, H, n, 2): complex amplitudes of e^(i k phi) in (h, h')'; load (N, n), rest (N, n, 2), see
+    oscillator.Block.
+    """
+
+    waves: Any
+    load: Array
+    rest: Array
+
+
+class FlightStructure(NamedTuple):
+    """Free flight of N machines, as far as matrices, force and load decide it.
+
+    flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; unheld (N,): see grows_unseen.
+    """
+
+    flow: BlockFlow
+    loading: BlockLoading
+    accelerance: Array
+    inverse_gap_mass: Array
+    unheld: Mask
+
+    def gap(self, blocks: Array) -> Array:
+        """y (N,) at these coordinates of blocks (N, n, 2)."""
+        return np.asarray(np.sum(self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1] * blocks, axis=(1, 2)))
+
+
+class RestState(NamedTuple):
+    """Rest of N machines.
+
+    The loading, with rest positions midway between the stops for balanced machines; the stops as seen from there; and
+    a mask of machines with a rigid mode that the gap does not see.
+    """
+
+    loading: BlockLoading
+    b_upper: Array
+    b_lower: Array
+    unseen: Mask
+
+
+def structure_of(machines: SingleContactMachines) -> FlightStructure:
+    """The structure of machines: the guard is the gap coordinate, the kick M^-1 g / (g.M^-1 g) on the velocities."""
+    return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
+
+
+@memoize_arrays
+def _structure_of(
+    mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
+) -> FlightStructure:
+    """The structure of machines with these fields OF_STRUCTURE."""
+    accelerance = apply_stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
+    inverse_gap_mass = np.vecdot(gap_row, accelerance)
+    none = np.zeros_like(gap_row)
+    row = np.concatenate([gap_row, none], axis=1)
+    kick = np.concatenate([none, accelerance / inverse_gap_mass[:, None]], axis=1)
+    flow = flow_of(mass, damping, stiffness, row, kick)
+    unheld = grows_unseen(flow.blocks, flow.modes.to_physical, row[:, None])
+    loading = loading_of(flow, force_sin + 1j * force_cos, load)
+    return FlightStructure(flow, loading, accelerance, inverse_gap_mass, unheld)
+
+
+def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
+    """Machines (N,) in which the blocks (N, n, columns) have a growing motion invisible to rows (N, R, 2n) on (x, x').
+
+    The motion is h = e^(r s), h' = r h in one block; a row sees it if the sum of its terms is not small beside the sum
+    of their moduli.
+    """
+    N, n = blocks.shape[:2]
+    rates = rates_of(blocks)
+    unseen = np.zeros(N, dtype=np.bool_)
+    (some,) = np.nonzero(np.any(rates.real > 0.0, axis=(1, 2)))
+    if len(some):
+        terms = rows[some, :, :, None] * to_physical[some, None]
+        shares, sizes = (of.reshape(len(some), rows.shape[1], n, 2, 1) for of in (terms.sum(2), np.abs(terms).sum(2)))
+        rate = rates[some, None]
+        seen = np.abs(shares[..., 0, :] + rate * shares[..., 1, :])
+        most = sizes[..., 0, :] + np.abs(rate) * sizes[..., 1, :]
+        missed = np.all(seen <= UNSEEN * most, axis=1)
+        unseen[some] = np.any(missed & (rates[some].real > 0.0), axis=(1, 2))
+    return unseen
+
+
+def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> BlockFlow:
+    """The flow of matrices (N, n, n) with a guard's row and a kick (N, 2n) of displacements and velocities."""
+    modes, shape = split(mass, damping, stiffness), (*mass.shape[:2], 2)
+    c = times(row, modes.to_physical).reshape(shape)
+    k = (modes.to_blocks @ kick[..., None])[..., 0].reshape(shape)
+    c1 = derivative(c, modes)
+    k1 = np.stack([k[..., 1], -modes.lam * k[..., 0] - 2.0 * modes.eta * k[..., 1]], axis=-1)
+    blocks = make_blocks(modes.eta, modes.lam)
+    blocks[..., OF_FLOW:OF_GUARD] = np.concatenate([c, c1, k, k1, derivative(c1, modes)], axis=-1)
+    return BlockFlow(modes, apply_stacked(np.linalg.inv, mass.shape, mass), blocks)
+
+
+def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
+    """Loading of blocks by force (N, H, n) and load (N, n).
+
+    Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
+    """
+    modes, (N, n) = flow.modes, load.shape
+    into = modes.to_blocks[:, :, n:] @ flow.inverse_mass  # (N, 2n, n)
+    waves = (into[:, None] @ force[..., None])[..., 0].reshape(N, force.shape[1], n, 2)
+    steady = (into @ load[..., None])[..., 0].reshape(N, n, 2)
+    rigid = modes.lam == 0.0
+    l0, l1 = steady[..., 0], steady[..., 1]
+    p = l1 + 2.0 * modes.eta * l0
+    at_rest = np.where(rigid, 0.0, p / np.where(rigid, 1.0, modes.lam)) + 0.0  # avoids -0.0
+    return BlockLoading(waves, np.where(rigid, p, 0.0), np.stack([at_rest, -l0], axis=-1))
+
+
+def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 0.0) -> tuple[GuardedFlow, Mask]:
+    """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
+
+    The guard is c . blocks plus complex amplitudes of e^(i k phi), direct (N, H).
+    """
+    N, H, n = loading.waves.shape[:3]
+    w = omega[:, None] * np.arange(1.0, H + 1.0)
+    forced, resonant = _response(flow.modes, loading.waves, w)
+    blocks, lam = flow.blocks.copy(), flow.modes.lam
+    rigid = (lam == 0.0) & (blocks[..., COLUMN.slow] >= 0.0)
+    blocks[..., COLUMN.metric] = np.where(rigid, omega[:, None] ** 2, blocks[..., COLUMN.metric])
+    blocks[..., COLUMN.load] = loading.load
+    swing = np.sum(np.hypot(forced[..., 0], forced[..., 1]), axis=-1)
+    still = ~np.any(swing > 0.0, axis=(1, 2))[:, None, None]
+    fallen = np.abs(loading.load)[..., None] / np.stack([omega**2, omega], axis=-1)[:, None]
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(still, fallen, swing)
+    blocks[..., COLUMN.rest0 :] = loading.rest
+    row = blocks[..., COLUMN.c0 : COLUMN.c1 + 1].reshape(N, 1, 2 * n)
+    parts = (row @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, H, 2)
+    waves = np.empty((N, H, 2))
+    waves[..., 0], waves[..., 1] = direct.real + parts[..., 0], direct.imag + parts[..., 1]
+    return GuardedFlow(blocks, waves, sizes_of(waves, w), forced), resonant
+
+
+def sizes_of(waves: Array, w: Array) -> Array:
+    """The columns of Numbers (..., 5) of forced parts (..., H, 2) at frequencies w (..., H), multiples of the first."""
+    sizes = np.hypot(waves[..., 0], waves[..., 1])
+    numbers = np.empty((*sizes.shape[:-1], 5))
+    numbers[..., 0] = w[..., 0]
+    numbers[..., 1:] = np.stack([sizes, sizes * w**2, sizes * w**3, sizes * w**4], axis=-2).sum(axis=-1)
+    return numbers
+
+
+def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
+    """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2) of frequencies (N, H); resonance (N,).
+
+    Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w), and i w Z - l0 of the velocity.
+    """
+    w, eta, lam = frequencies[:, :, None], modes.eta[:, None], modes.lam[:, None]
+    l0, l1 = waves[..., 0], waves[..., 1]
+    push = l1 + (2.0 * eta + 1j * w) * l0
+    re, im = lam - w**2, 2.0 * eta * w
+    size = np.maximum(np.abs(re), np.abs(im))
+    unit = np.where(size > 0.0, size, 1.0)
+    re, im = re / unit, im / unit
+    square = re * re + im * im
+    resonant = (push != 0.0) & (size * np.sqrt(square) < RESONANT * (np.abs(lam) + w**2))
+    Z = np.where(push != 0.0, push / (square * unit), 0.0) * (re - 1j * im)
+    rate = 1j * w * Z - l0
+    response = np.empty((len(w), lam.shape[2], 2, w.shape[1]), dtype=np.complex128)
+    response[:, :, 0], response[:, :, 1] = Z.swapaxes(1, 2), rate.swapaxes(1, 2)
+    return response.view(np.float64).reshape(*response.shape, 2), np.any(resonant, axis=(1, 2))
+
+
+def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
+    """The reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines."""
+    return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid}
+
+
+def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) -> tuple[GuardedFlow, dict[int, Mask]]:
+    """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
+    modes = structure.flow.modes
+    gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
+    too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
+    rigid = at_rest.unseen | (modes.rigid > 1)
+    return gap, too_long | against(modes, resonant, rigid) | {UNSTABLE: structure.unheld}
+
+
+def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
+    """Machines (N,) with a block (N, n) that turns too far in a forcing period for doubles to keep its phase."""
+    turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
+    return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
+
+
+def phase_of(tau: Array) -> Array:
+    """The forcing phase at a section, between -pi and pi."""
+    phase = np.fmod(tau, 2.0 * np.pi)
+    return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
+
+
+def centred(structure: FlightStructure, machines: SingleContactMachines) -> RestState:
+    """The loading of machines of this structure, with balanced machines at rest midway between their stops.
+
+    The position of a rigid mode is counted from midway between the stops, or from the only stop.
+    """
+    upper, lower, modes, loading = machines.upper, machines.lower, structure.flow.modes, structure.loading
+    rigid, even, unseen = modes.lam == 0.0, balanced(machines), np.zeros(len(upper), dtype=np.bool_)
+    middle = np.where(np.isfinite(upper) & np.isfinite(lower), 0.5 * (upper + lower), np.where(
+        np.isfinite(upper), upper, np.where(np.isfinite(lower), lower, 0.0)))  # fmt: skip
+    rest = loading.rest.copy()
+    y0 = structure.gap(rest)
+    if np.any(rigid):  # skipped for others, whose bits it would change
+        moving = np.any(rigid, axis=1)
+        share = np.sum(np.where(rigid, structure.flow.blocks[..., COLUMN.c0], 0.0), axis=1)
+        unseen = moving & (np.abs(share) < UNSEEN * np.sqrt(structure.inverse_gap_mass))
+        move = np.where(moving & ~unseen, (middle - y0) / np.where(share != 0.0, share, 1.0), 0.0)
+        rest[..., 0] = np.where(rigid, rest[..., 0] + move[:, None], rest[..., 0])
+        y0 = structure.gap(rest)
+    rounding = np.where(even, middle - y0, 0.0)
+    if np.any(rounding != 0.0):
+        d = structure.accelerance / structure.inverse_gap_mass[:, None] * rounding[:, None]
+        centred = rest + (modes.to_blocks[:, :, : d.shape[1]] @ d[..., None])[..., 0].reshape(rest.shape)
+        rest = np.where((rounding != 0.0)[:, None, None], centred, rest)
+        y0 = structure.gap(rest)
+    load = np.where(even[:, None], 0.0, loading.load)
+    half = 0.5 * (upper - lower)
+    b_upper, b_lower = np.where(even, half, upper - y0), np.where(even, half, y0 - lower)
+    return RestState(loading._replace(rest=rest, load=load), b_upper, b_lower, unseen)
+
+
+def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
+    """The load (N, n) of machines that no rest balances, as it drives a rigid mode.
+
+    And the constant velocities (N, n) of the damped motion under it from which the blocks of flight are counted.
+    """
+    n, modes = machines.gap_row.shape[1], structure.flow.modes
+    drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
+    mass, damping = (np.ascontiguousarray(of.swapaxes(1, 2)) for of in (machines.mass, machines.damping))
+    return times(drift[:, n:], mass) + times(drift[:, :n], damping), drift[:, :n]
+
+
+def balanced(machines: SingleContactMachines) -> Mask:
+    """Whether y rests midway between both stops, or anywhere, to rounding: needed for symmetric motion.
+
+    Then no force f is needed to hold y in the middle m, K x + f g = load and g . x = m: |f| is at most its change by
+    ULPS of each entry. With K v + s g = 0 and g . v = 1 that change is |v| . (|load| + |K| |x|) + |s| (|g| . |x| +
+    |upper| + |lower|).
+    """
+    stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
+    middle = 0.5 * (machines.upper + machines.lower)
+    balances = np.isnan(middle) | (~np.any(load != 0.0, axis=1) & (middle == 0.0))  # NaN: both are infinite
+    rows = np.flatnonzero(~balances & np.isfinite(middle))
+    if not rows.size:
+        return balances
+    K, g, n = stiffness[rows], row[rows], row.shape[1]
+    size = np.max(np.abs(K), axis=(1, 2), initial=0.0)
+    size = np.where(size > 0.0, size, 1.0)[:, None]  # scales the border to the size of the matrix
+    matrix, right = np.zeros((len(rows), n + 1, n + 1)), np.zeros((len(rows), n + 1, 2))
+    matrix[:, :n, :n] = K
+    matrix[:, :n, n] = matrix[:, n, :n] = size * g
+    right[:, :n, 0], right[:, n, 0], right[:, n, 1] = load[rows], middle[rows] * size[:, 0], size[:, 0]
+    both = apply_stacked(np.linalg.solve, right.shape, matrix, right)
+    x, v = np.abs(both[:, :n, 0]), np.abs(both[:, :n, 1])
+    f, s = np.abs(size * both[:, n]).T
+    ends = np.abs(machines.upper[rows]) + np.abs(machines.lower[rows])
+    change = np.vecdot(v, np.abs(load[rows]) + (np.abs(K) @ x[..., None])[..., 0]) + s * (
+        np.vecdot(np.abs(g), x) + ends
+    )
+    balances[rows] = f <= ULPS * np.finfo(np.float64).eps * change
+    return balances
+
+
+def finite(record: Any) -> Mask:
+    """Mask of the records that hold finite numbers only."""
+    arrays = arrays_in(record)
+    if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
+        return np.ones(len(arrays[0]), dtype=np.bool_)
+    return np.asarray(np.isfinite(numbers_of(record)).all(axis=1))
+
+
+def numbers_of(record: Any) -> Array:
+    """All numbers of N records, one row (N, .) each."""
+    rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
+    return np.concatenate(rows, axis=1)
+
+
+def arrays_in(record: Any) -> list[Array]:
+    """The arrays of a record and of the records in it."""
+    arrays = list[Array]()
+    for field in record:
+        if isinstance(field, tuple):
+            arrays += arrays_in(field)
+        elif field is not None:
+            arrays.append(field)
+    return arrays
+
+
+def derivative(row: Array, modes: BlockDecomposition) -> Array:
+    """derivative_of in these modes."""
+    return derivative_of(row, modes.eta, modes.lam)
+
+
+def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
+    """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
+    return np.stack([-lam * row[..., 1], row[..., 0] - 2.0 * eta * row[..., 1]], axis=-1)
+
+
+def times(row: Array, matrix: Array) -> Array:
+    """row @ matrix, for N of each."""
+    return np.asarray((row[:, None, :] @ matrix)[:, 0])

@@ -1,0 +1,291 @@
+"""Machines with modes in the form for kernels: their elements, and a table of the modes built.
+
+A mode, see hybrid_modes.py, is built when a motion first reaches it.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.model.block_decomposition import FREE as RIGID
+from workers.model.block_decomposition import apply_stacked, interleaved, symmetric, undamped_modes
+from workers.model.free_flight import finite, grows_unseen, phase_of, turns_too_far
+from workers.model.hybrid_machines import (
+    HybridMachines,
+    about_centre,
+    along_contacts,
+    definite,
+    hybrid_faults,
+    is_mirror_symmetric,
+)
+from workers.model.hybrid_modes import OF_PIECES, OPEN, HybridModes, ModeCode, build_modes, code_of, null_space
+from workers.model.oscillator import (
+    COLUMN,
+    NUMBER,
+    Array,
+    GuardedFlow,
+    Mask,
+    Oscillator,
+    OscillatorScalars,
+    Rows,
+    at_rows,
+    empty,
+    growth_of,
+    make_blocks,
+    rates_of,
+)
+from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
+
+
+class ContactElements(NamedTuple):
+    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived ones.
+
+    kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as
+    kick, of each friction's row; even (N, P, F): 1 if static = kinetic; along (N, F, C): the factor a if a friction's
+    row is a times a contact's, else 0. depths (N, C, 2, S) and speeds (N, F, S'): starts of the segments of laws,
+    infinite for none.
+    """
+
+    row: Array
+    kick: Array
+    weight: Array
+    stops: Array
+    R: Array
+    soft: Array
+    slide: Array
+    brake: Array
+    belt: Array
+    even: Array
+    along: Array
+    starts: Array
+    counted: Array
+    depths: Array
+    speeds: Array
+
+
+def elements_of(machines: HybridMachines) -> ContactElements:
+    """The elements of machines."""
+    inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
+
+    def along(rows: Array) -> Array:
+        pulled = (inverse_mass[:, None] @ rows[..., None])[..., 0]
+        return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
+
+    weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
+    even = np.ascontiguousarray((machines.rub[..., 0] == machines.rub[..., 1]).astype(np.float64))
+    return ContactElements(
+        machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
+        machines.slide, along(machines.slide), machines.belt, even, along_contacts(machines), machines.starts,
+        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.law, machines.grip)),
+    )  # fmt: skip
+
+
+class ModeTable(NamedTuple):
+    """The modes of N machines built so far, at most K of each.
+
+    codes (N, K): numbers of the modes, see Code, -1 for free slots; wrong (N, K): fault of the mode, see pieces_of;
+    missing (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau: phase
+    at a section, see free.phase_of. drifts (N,): 1 if a coordinate may drift, else 0. Kernels do not see machines.
+    """
+
+    codes: NDArray[np.int64]
+    wrong: NDArray[np.int64]
+    missing: NDArray[np.int64]
+    pieces: HybridModes
+    elements: ContactElements
+    omega: Array
+    tau: Array
+    drifts: Array
+    machines: HybridMachines
+
+    def without_modes(self, N: int) -> "ModeTable":
+        """The table of N machines with one rigid contact."""
+        return no_table(N)
+
+    def build_missing(self, rows: Rows) -> Rows:
+        """Build the missing mode of each of these machines; returns the rows for which it has been built.
+
+        Machines with a full table stay without it.
+        """
+        rows = rows[self.missing[rows, 0] >= 0]
+        if not len(rows):
+            return rows
+        number, used = self.missing[rows, 0], np.sum(self.codes[rows] >= 0, axis=1)
+        rows, number, used = (field[used < self.codes.shape[1]] for field in (rows, number, used))
+        for needed in np.unique(number).tolist():
+            some, place = rows[number == needed], used[number == needed]
+            code = code_of(needed, *self.machines.sizes[1:], *self.machines.segments)
+            pieces, wrong = build_modes(at_rows(self.machines, some), code)
+            self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = needed, wrong, -1
+            for field, new in zip(self.pieces, pieces, strict=True):
+                field[some, place] = new
+        return rows
+
+
+_OF_ELEMENTS = ContactElements._make([3, 3, 2, 3, 2, 2, 3, 3, 2, 3, 3, 2, 2, 4, 3])
+_AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
+"""Numbers of axes of the fields of a table for many machines."""
+
+
+@lru_cache(maxsize=64)
+def no_table(N: int) -> ModeTable:
+    """The table of N machines with one rigid contact: no mode. Nothing is written to it."""
+    table: ModeTable = empty(_AXES, N)
+    codes = np.zeros((N, 0), dtype=np.int64)
+    return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
+
+
+MODE_TABLE_SIZE = 64
+"""Most modes in the table of a machine, plus two for each segment of its laws."""
+
+
+@np.errstate(all="ignore")
+def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
+    """Machines with modes in the form for kernels, no mode built yet, and the reason against each, or NO_REASON."""
+    (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
+    mass, stiffness = _measuring(machines.mass), _measuring(machines.stiffness[:, 0])
+    mass = np.where(definite(mass)[:, None, None], mass, np.eye(n))
+    lam, modes = _section_modes(mass, stiffness, machines.drifting)
+    lam = np.where(np.abs(lam) <= RIGID * np.max(np.abs(lam), axis=1, initial=0.0)[:, None], 0.0, np.abs(lam))
+    turned = np.ascontiguousarray(modes.swapaxes(1, 2))
+    metric = np.where(lam == 0.0, machines.omega[:, None] ** 2, lam)
+    to_blocks = interleaved(turned @ mass)
+    to_physical = np.ascontiguousarray(interleaved(turned).swapaxes(1, 2))
+    if machines.drifting >= 0:
+        _count_from_drift(to_blocks, to_physical, machines.drifting, machines.omega)
+        metric[:, -1] = 1.0
+    still, wrong = build_modes(machines, ModeCode(0, (OPEN,) * C, (1,) * F))
+    others = [build_modes(machines, ModeCode(p, (OPEN,) * C, (1,) * F))[0] for p in range(1, P)]
+    flows = [pieces.blocks[:, 0] for pieces in (still, *others)]
+    growth = np.max([growth_of(flow) for flow in flows], axis=0)
+    shares = np.diff(machines.starts, axis=1)
+    eta = np.sum(shares * np.stack([_slowest(flow, growth, machines.drifting) for flow in flows], axis=1), axis=1)
+    trace = np.sum(shares * np.stack([pieces.trace for pieces in (still, *others)], axis=1), axis=1)
+    blocks = make_blocks(np.repeat(eta[:, None], n, axis=1), lam)
+    blocks[..., COLUMN.metric] = metric
+    too_far = [turns_too_far(flow[..., COLUMN.d], flow[..., COLUMN.w], machines.omega) for flow in flows]
+    size = np.sum(np.hypot(still.forced[..., 0], still.forced[..., 1]), axis=-1).reshape(N, 2 * n, 1)
+    swing = (np.abs(to_blocks) @ (np.abs(still.to_physical) @ size)).reshape(N, n, 2)
+    elements = elements_of(machines)
+    forced = np.any(swing > 0.0, axis=(1, 2))[:, None, None]
+    known = forced & (wrong == 0)[:, None, None] & np.isfinite(swing)
+    swing = np.where(known, swing, _unforced_swing(machines, lam, modes, elements.weight))
+    blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(np.isfinite(swing), swing, 0.0)
+    # The effect of a soft contact, not yet included, is zero if its force depends on its depth alone.
+    keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
+    none, endless, shown = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
+    head = OscillatorScalars(
+        top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
+        time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
+        upper=machines.stops[:, 0, 1] if shown else endless, lower=machines.stops[:, 0, 0] if shown else -endless,
+        gap_mass=np.where(keeps, 1.0, np.nan), trace=trace, growth=growth,
+    )  # fmt: skip
+    numbers = np.zeros((N, len(NUMBER)))
+    numbers[:, NUMBER.omega] = machines.omega
+    pushes = np.any(np.isfinite(elements.depths) & np.isfinite(machines.stops)[..., None], axis=0)  # (C, 2, S)
+    sides = np.sum(pushes, axis=(1, 2)) * np.where(machines.by_force.any(axis=0), 2, 1)
+    slides = np.isfinite(elements.speeds).any(axis=0).sum(axis=1)
+    most = MODE_TABLE_SIZE + 2 * int(np.sum(sides) + np.sum(slides)) if machines.segments != (1, 1) else MODE_TABLE_SIZE
+    room = min(most, P * math.prod([*(1 + 2 * slides).tolist(), *(1 + sides).tolist()]))  # all modes, or ``most``
+    table = ModeTable(
+        np.full((N, room), -1), np.zeros((N, room), dtype=np.int64), np.full((N, 1), -1),
+        HybridModes(*(np.zeros((N, room, *field.shape[1:])) for field in still)),
+        elements, machines.omega, phase_of(machines.tau),
+        np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
+    )  # fmt: skip
+    row = machines.row[:, 0] if shown else np.tile(np.eye(1, n), (N, 1))
+    oscillators = Oscillator(
+        gap=GuardedFlow(blocks, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
+        to_physical=to_physical,
+        to_blocks=to_blocks,
+        gap_row=np.ascontiguousarray(row),
+        head=np.stack(head, axis=-1),
+        tau=table.tau,
+        held=empty(OF_PIECES, N),
+        table=table,
+    )
+    reasons = hybrid_faults(machines)
+    reasons[(reasons == NO_REASON) & np.any(too_far, axis=0)] = LONG_PERIOD
+    if P == 1:
+        reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
+    fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
+    fit &= np.all(elements.weight > 0.0, axis=1)  # else its inverse is infinite, and no contact would move anything
+    return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
+
+
+def is_symmetric(oscillators: Oscillator) -> Mask:
+    """Mask (N,) of machines that are their own mirror images half a period later."""
+    if oscillators.has_modes:
+        return is_mirror_symmetric(about_centre(oscillators.table.machines)[0])
+    return np.asarray(oscillators.symmetric > 0.0)
+
+
+def _measuring(matrices: Array) -> Array:
+    """Symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
+    even = symmetric(matrices)[:, None, None]
+    return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
+
+
+def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
+    """The decay rate (N,) of the slowest mode in blocks (N, n, columns), 0 where one has no damping.
+
+    The place of what drifts does not decay and is left out. In machines that grow, ``growth`` (N,) > 0, it is the least
+    rate of growth or decay; 0 if there is none.
+    """
+    rates = -rates_of(flow).real.reshape(len(flow), -1)
+    least = np.min(np.where(rates != 0.0, np.abs(rates), np.inf), axis=1, initial=np.inf)
+    decays = np.maximum(np.sort(rates, axis=1)[:, 1 if drifting >= 0 else 0], 0.0)
+    return np.where(growth > 0.0, np.where(np.isfinite(least), least, 0.0), decays)
+
+
+def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
+    """Machines with a growing motion, while nothing holds it, invisible to contacts and friction."""
+    row, slide = machines.row, machines.slide
+    rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
+                           np.pad(slide, ((0, 0), (0, 0), (slide.shape[2], 0)))], axis=1)  # fmt: skip
+    return grows_unseen(open_pieces.blocks[:, 0], open_pieces.to_physical, rows)
+
+
+def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
+    """Sizes (N, n, 2) of block states of machines without a force, for these undamped modes (N, n, n) in columns.
+
+    Displacement by loads and friction in a radian of the mode, or of the section if that is faster; without either,
+    displacement that takes a contact of this ``weight`` (N, C), see Elements, to its nearest stop.
+    """
+    rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
+    loads = np.max(np.abs(machines.load @ modes), axis=1)
+    static = np.max(machines.rub[..., 1], axis=1)
+    reach = (loads + np.sum(np.abs(machines.slide @ modes) * static[..., None], axis=1)) / rate**2
+    rooms = np.abs(machines.stops) * np.sqrt(weight)[..., None]
+    nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)
+    nearest = np.where(np.isfinite(nearest), nearest, 0.0)[:, None]
+    reach = np.where(np.any(reach > 0.0, axis=1)[:, None], reach, nearest)
+    swing = np.stack([reach, rate * reach], axis=-1)
+    if machines.drifting >= 0:  # the last block holds the drift velocity and the position, which is always reset
+        swing[:, -1, 0], swing[:, -1, 1] = swing[:, -1, 1].copy(), 0.0
+    return swing
+
+
+def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
+    """undamped_modes; the free motion of a drifting coordinate is the last one, orthogonal to all others."""
+    if drifting < 0:
+        return undamped_modes(mass, stiffness)
+    momentum = mass[:, drifting]  # of the velocities
+    null = null_space(momentum[:, None])
+    across = np.ascontiguousarray(null.swapaxes(1, 2))
+    lam, modes = undamped_modes(across @ mass @ null, across @ stiffness @ null)
+    free = np.zeros_like(mass[..., :1])
+    free[:, drifting, 0] = 1.0 / np.sqrt(momentum[:, drifting])
+    return np.pad(lam, ((0, 0), (0, 1))), np.concatenate([null @ modes, free], axis=2)
+
+
+def _count_from_drift(to_blocks: Array, to_physical: Array, drifting: int, omega: Array) -> None:
+    """Make omega times the drifting coordinate the last number of a state, in place; no other number depends on it."""
+    to_blocks[:, -2], to_blocks[:, -1] = to_blocks[:, -1].copy(), 0.0
+    to_blocks[:, -1, drifting] = omega
+    to_physical[:, :, -2], to_physical[:, :, -1] = to_physical[:, :, -1].copy(), 0.0
+    to_physical[:, drifting] = 0.0
+    to_physical[:, drifting, -1] = 1.0 / omega

@@ -1,0 +1,222 @@
+"""A TOML table converted to a definition and its parameters, with every fault in one line."""
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from workers.model.definition import Definition
+from workers.model.entries import (
+    DefinitionError,
+    check_name,
+    name_taken,
+    read_entries,
+    read_flag,
+    read_list,
+    read_names,
+    read_number,
+    read_table,
+    read_text,
+    read_words,
+)
+from workers.model.expression import Expression, Row
+from workers.model.measures import read_measures
+from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
+from workers.model.parse_elements import check_element_count, read_contacts, read_friction, read_phases, read_springs
+from workers.model.parse_force import is_unforced, read_force, with_means
+from workers.model.reserved_names import is_taken
+
+MAX_COORDINATES = 8
+"""Most coordinates of a system."""
+MANY = 64
+"""Most parameters and names in ``let`` of a system."""
+
+_GREEK = (
+    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
+    "sigma", "tau", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda", "Xi", "Sigma", "Phi", "Psi",
+    "Omega",
+)  # fmt: skip
+_read_end = partial(read_number, infinite=True)
+PARAMETER_KEYS: dict[str, Any] = {
+    "default": read_number, "low": _read_end, "high": _read_end, "low_open": read_flag, "high_open": read_flag,
+    "symbol": read_words, "unit": read_words, "meaning": read_words,
+}  # fmt: skip
+
+
+def read_parameters(
+    machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
+) -> tuple[Parameter, ...]:
+    """All parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and velocities.
+
+    Omega and tau of a force, and the initial values, need no entry: the table may change their default, range and
+    words. A single number is a default.
+    """
+    entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
+    for name in (OMEGA, TAU) if unforced else ():
+        if name in entries:
+            raise DefinitionError(
+                f"system.parameters.{name}: the machine has no force that it could be of; give force too"
+            )
+    if len(entries) > MANY:
+        raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
+    of_force = [
+        Parameter(OMEGA, r"\omega", "1", "forcing frequency", 1.0, low=0.0, low_open=True),
+        Parameter(TAU, r"\tau", "rad", "phase of the force at t = 0", 0.0),
+    ]
+    built_in = [
+        *([] if unforced else of_force),
+        *(Parameter(name, f"{symbol_of(name)}(0)", "1", "initial displacement", 0.0) for name in coordinates),
+        *(
+            Parameter(name, rf"\dot {symbol_of(of)}(0)", "1", "initial velocity", 0.0)
+            for name, of in zip(velocities, coordinates, strict=True)
+        ),
+    ]
+    for name in (*coordinates, *velocities):
+        for key in ("low", "high"):
+            if isinstance(entries.get(name), Mapping) and key in entries[name]:
+                where = f"system.parameters.{name}.{key}"
+                raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
+    known = {parameter.name: parameter for parameter in built_in}
+    own = [name for name in entries if name not in known]
+    parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
+    first = [] if unforced else [OMEGA]
+    return tuple(parameters[name] for name in (*first, *own, *list(known)[len(first) :]))
+
+
+def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:
+    where = f"system.parameters.{name}"
+    table = read_table(where, {"default": value} if isinstance(value, Real) else value, PARAMETER_KEYS)
+    check_name(where, name)
+    if base is None and "default" not in table:
+        raise DefinitionError(f"{where}: default missing; give a number")
+    read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
+    parameter = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
+    if not parameter.low <= parameter.high:
+        raise DefinitionError(f"{where}: low {parameter.low:g} must not be above high {parameter.high:g}")
+    if name == OMEGA and not (parameter.low > 0.0 or (parameter.low == 0.0 and parameter.low_open)):
+        raise DefinitionError(f"{where}.low: found {parameter.low:g}, must be 0 with low_open = true, or more")
+    if not parameter.admits(parameter.default):
+        raise DefinitionError(f"{where}.default: found {parameter.default:g}, must satisfy {parameter.range}")
+    return parameter
+
+
+def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the coordinates and velocities.
+
+    The default name of a velocity is v with the number at the end of its coordinate's name: v1 for x1, v for y.
+    """
+    coordinates = read_names("system.coordinates", table["coordinates"])
+    if not 1 <= len(coordinates) <= MAX_COORDINATES:
+        raise DefinitionError(f"system.coordinates: found {len(coordinates)}, must be 1 to {MAX_COORDINATES}")
+    if "velocities" in table:
+        velocities = read_names(
+            "system.velocities", read_list("system.velocities", table["velocities"], len(coordinates))
+        )
+    else:
+        velocities = tuple("v" + name[len(name.rstrip("0123456789")) :] for name in coordinates)
+    names = (*coordinates, *velocities)
+    for name in names:
+        if name in (OMEGA, TAU):
+            raise DefinitionError(f"system.coordinates: {name} is a parameter of the force; choose another name")
+        if names.count(name) > 1:
+            twice = f"{name} is there twice in {', '.join(names)}"
+            raise DefinitionError(f"system.coordinates: {twice}; give velocities = [...] too")
+    return coordinates, velocities
+
+
+def read_definition(
+    table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
+) -> Definition:
+    """The definition of a table [system] with these parameters, coordinates and velocities."""
+    n = len(coordinates)
+    # The initial state is not part of the machine.
+    known = [name for name in parameters if name not in (*coordinates, *velocities)]
+    let = _read_let(table.get("let", {}), known, parameters)
+    known = [*known, *(name for name, _ in let)]
+    contacts, friction = read_contacts(table, known, n), read_friction(table, known, n)
+    springs = read_springs(table, known, n)
+    check_element_count(contacts, friction, springs)
+    phases = read_phases(table, known, n, contacts, friction)
+    harmonics, means = read_force(table, known, n)
+
+    def loaded(where: str, row: Row) -> Row:
+        return with_means(where, row, means, known)
+
+    matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
+    return Definition(
+        coordinates=coordinates,
+        velocities=velocities,
+        mass=read_entries("system.mass", table["mass"], known, n, n),
+        damping=read_entries("system.damping", table.get("damping", matrix), known, n, n),
+        stiffness=read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
+        harmonics=harmonics,
+        load=loaded("system.load", read_entries("system.load", table.get("load", row), known, n)),
+        contacts=contacts,
+        let=let,
+        friction=friction,
+        phases=tuple(
+            replace(phase, load=loaded(f"system.phases[{p}].load", phase.load)) if phase.load else phase
+            for p, phase in enumerate(phases)
+        ),
+        drift=_read_drift(table.get("drift"), coordinates, is_unforced(table)),
+        measures=read_measures(table.get("measures", {}), known, n),
+        springs=springs,
+    )
+
+
+def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:
+    """The coordinate that may drift; an empty name for none."""
+    if value is None:
+        return ""
+    name = read_text("system.drift", value)
+    if name not in coordinates:
+        raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
+    if unforced:
+        raise DefinitionError(
+            "system.drift: what drifts is followed from one forcing period to the next; give force too"
+        )
+    return name
+
+
+def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
+    """Names for expressions, in the order of their use."""
+    table = read_table("system.let", value)
+    if len(table) > MANY:
+        raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
+    for name in table:
+        check_name(f"system.let.{name}", name)
+        if name in reserved:
+            raise DefinitionError(f"system.let.{name}: {name} is a parameter already; choose another name")
+    waiting = {name: read_entries(f"system.let.{name}", entry, [*known, *table]) for name, entry in table.items()}
+    ready: list[tuple[str, Expression]] = []
+    while waiting:
+        free = next((name for name, expression in waiting.items() if not expression.names & waiting.keys()), None)
+        if free is None:
+            chain = [next(iter(waiting))]
+            while chain.count(chain[-1]) < 2:
+                chain.append(min(waiting[chain[-1]].names & waiting.keys()))
+            circle = " uses ".join(chain[chain.index(chain[-1]) :])
+            raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
+        ready.append((free, waiting.pop(free)))
+    return tuple(ready)
+
+
+def symbol_of(name: str) -> str:
+    r"""A name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
+    base, underscore, rest = name.partition("_")
+    stem = base.rstrip("0123456789")
+    below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
+    sign = f"\\{stem}" if stem in _GREEK else stem if len(stem) == 1 else rf"\mathit{{{stem}}}"
+    return sign + (f"_{{{below}}}" if below else "")
+
+
+def check_not_reserved(definition: Definition, parameters: Iterable[Parameter]) -> None:
+    """DefinitionError at the first name that an atlas reserves."""
+    names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
+    names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
+    for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():
+        if is_taken(name):
+            raise name_taken(where, name)

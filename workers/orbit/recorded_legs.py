@@ -1,0 +1,124 @@
+"""The events of a motion over some periods from a section state, as recorded by its kernels."""
+
+from collections.abc import Iterator
+from itertools import count, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from workers.kernel.hybrid.leg_record import LEG, LEG_STATE
+from workers.kernel.hybrid.motion import through_modes
+from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_OF_A_TRIAL
+from workers.model.hybrid_modes import ON, OPEN, ModeCode, code_of
+from workers.model.mode_table import ContactElements, ModeTable
+from workers.model.oscillator import Array, Oscillator, Rows, take_one
+
+RECORD = 512
+"""Most events of one period that are recorded."""
+
+AT_REST = 1e-10
+"""Share of the largest displacement or velocity up to which a state counts as on a stop, or as not sliding."""
+
+
+class RecordedLeg(NamedTuple):
+    """The motion in one mode, and the event that begins it.
+
+    Its time after the first section; the signal that reaches an end of its range, and the end, -1 or 1: signal -1 and
+    end 0 where the phase changes or the motion begins; the rate of the signal; the mode and the beginning of its
+    signals.
+    """
+
+    time: float
+    signal: int
+    side: int
+    rate: float
+    code: ModeCode
+    begun: tuple[int, ...]
+
+
+def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[RecordedLeg]:
+    """Events of a single machine with modes, in a record of many, from a physical section state (2n,), its start first.
+
+    ValueError if it cannot be followed.
+    """
+    state = np.array(state, dtype=np.float64)
+    shown = mode_code_of_state(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
+    rows = islice(legs_of_periods(oscillators, state, shown), periods)
+    return [leg_from_row(oscillators, row) for row in np.concatenate(list(rows))]
+
+
+def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: Array | None = None) -> Iterator[Array]:
+    """The legs, see notes.LegRecord, of each period of a single oscillator, in a record of many.
+
+    Times are counted from the first section. The motion starts at a physical state (2n,) in the mode of this number.
+    Its evaluations are taken off the work that ``tally`` (TALLIES,) has left, if given.
+    ValueError if it cannot be followed, or no work is left.
+    """
+    table = take_one(oscillators, 0).table
+    for k in count():
+        if tally is not None and tally[WORK] < 0.0:
+            raise ValueError("the work allowed to this motion is spent")
+        rows, state, number, work = _one_period(oscillators, table, state, number)
+        if tally is not None:
+            tally[WORK] -= work
+        rows[:, LEG.start] += k * 2.0 * np.pi / oscillators.table.omega[0]
+        yield rows
+
+
+def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
+    """A leg in the form of Passed, for a single oscillator in a record of many."""
+    own = oscillators.table.machines
+    begun = tuple(map(int, row[LEG_STATE + own.dimension :]))
+    code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
+    return RecordedLeg(
+        float(row[LEG.start]), int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, begun
+    )
+
+
+def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
+    """The mode of a state of one machine, in its first phase; rest and sticking up to rounding count as such."""
+    n = len(z) // 2
+    x, v = z[:n], z[n:]
+    far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
+    contacts, slips = [], []
+    for c, (row, stops, soft) in enumerate(zip(own.row[0], own.stops[0], own.soft[0], strict=True)):
+        y, rate = float(row @ x), float(row @ v)
+        side = 1 if y > 0.5 * (max(stops[0], -1e300) + min(stops[1], 1e300)) else -1
+        depth = side * (y - stops[1 if side > 0 else 0])
+        on = depth > 0.0 if soft else abs(depth) <= far and abs(rate) <= fast
+        contacts.append(side * (ON + 2 * _segment(own.depths[0, c, 1 if side > 0 else 0], depth)) if on else OPEN)
+    for e, (row, belt) in enumerate(zip(own.slide[0], own.belt[0], strict=True)):
+        sliding = float(row @ v) - belt
+        slips.append(
+            int(np.sign(sliding)) * (1 + _segment(own.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
+        )
+    return ModeCode(0, tuple(contacts), tuple(slips))
+
+
+def _segment(starts: Array, at: float) -> int:
+    """The segment of a law at an argument, for segments that begin at ``starts`` (S,)."""
+    return max(0, int(np.sum(starts < at)) - 1)
+
+
+def _one_period(
+    oscillators: Oscillator, table: ModeTable, state: Array, number: int
+) -> tuple[Array, Array, int, float]:
+    """The legs of one period, state and mode after it, and the evaluations that it took; modes missing from the
+    ``table`` are built.
+    """
+    legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
+    W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
+
+    def followed(_: Rows) -> tuple[Array, Rows, Array]:
+        z, code, tally = state.copy(), np.array([number]), NOTHING_COUNTED.copy()
+        tally[WORK] = WORK_OF_A_TRIAL
+        through_modes(table, z, W, code, growth, triangle, tally, hits, legs, 2.0 * np.pi / table.omega)
+        return z, code, tally
+
+    z, code, tally = oscillators.with_modes(followed, np.zeros(1, dtype=np.int64))
+    known = legs[~np.isnan(legs[:, LEG.start])]
+    if len(known) == RECORD:
+        raise ValueError(f"found {RECORD} events or more in one period of the motion, followed are orbits with fewer")
+    if tally[STATUS] != RUNNING:
+        raise ValueError("the motion cannot be followed through one period of the force")
+    return known, z, int(code[0]), float(WORK_OF_A_TRIAL - tally[WORK])
