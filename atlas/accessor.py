@@ -179,7 +179,7 @@ class AtlasAccessor:
 
         See ``compare.Comparison``.
         """
-        return PlottableComparison.of(self._ds, select_dominant(other), window)
+        return PlottableComparison.from_atlases(self._ds, select_dominant(other), window)
 
     def branch(
         self,
@@ -200,7 +200,7 @@ class AtlasAccessor:
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
         observable = observed_of(seed, observe)
-        return PlottableBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
+        return PlottableBranches.from_tree(tree_from(seed, along, window, switch_branches, budget), observable)
 
     @accepts_options(ScaleOptions)
     def beside(

@@ -140,4 +140,4 @@ def branch(
 
     seed = seed_of_point(given_values(given, named), system, settings)
     observable = observed_of(seed, observe)
-    return PlottableBranches.of(tree_from(seed, along, window, switch_branches, budget), observable)
+    return PlottableBranches.from_tree(tree_from(seed, along, window, switch_branches, budget), observable)

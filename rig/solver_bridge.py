@@ -197,5 +197,5 @@ def warm_up() -> None:
     follow(built(mass), [0.0, 0.0])
     machines = with_modes(machines_of([mass]))
     motion = motion_of(machines, many_orbits([record_orbit(machines, np.array([2.0, 0.0]), 1)]))
-    motion.at(np.array([[0.0]]))
+    motion.states_at(np.array([[0.0]]))
     first_fault(motion)

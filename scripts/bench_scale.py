@@ -273,7 +273,7 @@ def _status(url: str, server: FakeObjectStore, whose: str, tiles: int) -> tuple[
     looks = []
     for settled in (True, False):
         counted = counted if settled else Counted(server)
-        found = census.take(settled=settled)
+        found = census.read(settled=settled)
         assert found.tiles_done == tiles
         looks.append(counted.columns())
     seconds, requests = (", ".join(column) for column in zip(*looks, strict=True))

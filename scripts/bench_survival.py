@@ -87,7 +87,7 @@ def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray
     cells = CellBatch(oscillators, reasons, starts, settings, found)
     course = AdaptiveSchedule(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
-        course.take()
+        course.run()
     return found
 
 

@@ -154,7 +154,7 @@ class Report:
         self._minutes: list[float] = []
         self._drop = patch("atlas.explore.persistent_tiles.drop_metatile", wraps=drop_metatile).start()
         plane = running.explorer.subject.plane
-        running.explorer.listen("soak", lambda of, key: self.counts.update([key] if of == plane else []))
+        running.explorer.subscribe("soak", lambda of, key: self.counts.update([key] if of == plane else []))
 
     @property
     def seconds(self) -> float:
@@ -170,7 +170,7 @@ class Report:
         server, scheduler, worker = memory
         tiles, sheets = explorer.tiles, explorer.tiles.keeper.sheets
         cached = f"{threading.active_count()} threads, tiles {tiles.memory.bytes / 2**20:.0f} MiB"
-        cached += f", {tiles.keeper.waiting} to keep"
+        cached += f", {tiles.keeper.n_queued} to keep"
         cached += "".join(f", {count} sheets {what}" for what, count in (sheets.counts if sheets else {}).items())
         print(
             f"{self.seconds:5.0f} s  {self.moves:4d} moves  {sum(self.counts.values()):6d} tiles  "
@@ -192,7 +192,7 @@ class Report:
             print(f", where it rises by {slope:.0f} MiB an hour")
         twice = [key for key, count in self.counts.items() if count > 1]
         dropped = {drop.args[2] for drop in self._drop.call_args_list}
-        again = [key for key in twice if MetatileKey.of(key).name not in dropped]
+        again = [key for key in twice if MetatileKey.from_tile(key).name not in dropped]
         failed = len(self._running.explorer.failures)
         print(f"sheets dropped for room: {len(dropped)}; their tiles solved again: {len(twice) - len(again)}")
         print(f"other tiles of the atlas's plane solved twice: {len(again)} of {len(self.counts)}; failed: {failed}")

@@ -37,7 +37,7 @@ def main() -> None:
             end = time.monotonic() + given.seconds
             tab.until(tab.image, 120.0)
             painters = [who for who in running.explorer.listeners if isinstance(who, PictureRenderer)]
-            while time.monotonic() < end and any(painter.busy for painter in painters):
+            while time.monotonic() < end and any(painter.is_busy for painter in painters):
                 tab.page.wait_for_timeout(1e3)
             left, top, width, height = tab.plot()
             x, y = left + CELL[0] * width, top + CELL[1] * height

@@ -43,7 +43,7 @@ def found_serially(plane: CurvePlane, settings: CurveSettings | None = None) -> 
         for name, task in tasks.items():
             found = run_task(task, search.orbits, parts.__getitem__, lambda part: curve_from_json(parts[part]["curve"]))
             parts[name] = json.loads(json.dumps(found))
-        search.take([parts[name] for name in tasks])
+        search.add_results([parts[name] for name in tasks])
     return finish_search(search)
 
 

@@ -153,4 +153,4 @@ def outcomes(
 ) -> Iterator[Any]:
     """The outcomes of jobs, the only ones of their run."""
     with open_dispatcher(client, labour, timing) as force:
-        yield from force.outcomes(jobs, tick)
+        yield from force.iter_outcomes(jobs, tick)

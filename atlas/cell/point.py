@@ -38,4 +38,4 @@ def point(
     results = {variable.name: arrays[variable.name].tolist() for variable in record.variables(settings)}
     words = in_words(results)
     del results[REASON.name]
-    return record.resolved() | {"parameters": parameters, "solve": asdict(settings)} | results | words
+    return record.to_resolved() | {"parameters": parameters, "solve": asdict(settings)} | results | words

@@ -98,15 +98,15 @@ class CellTrajectory:
         return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
 
     @property
-    def decided_by(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, Any]:
         """All that decides these numbers, as a spec without axes: the system, the parameters, the settings."""
         others = {"parameters": dict(self.parameters), "axes": [], "solve": asdict(self.settings)}
-        return identity(self.system.resolved()) | others
+        return identity(self.system.to_resolved()) | others
 
     @property
     def digest(self) -> str:
         """Digest of all that decides these numbers, made as a spec's."""
-        return digest_of(self.decided_by)
+        return digest_of(self.identity)
 
 
 def cell_orbit(

@@ -79,7 +79,7 @@ def _checked(
             on_level(level)
             complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
             # A chunk over unsound cells cannot be computed, whether or not the chunks between the two are stored.
-            over = {pyramid.levels.above(index) for index in unsound}
+            over = {pyramid.levels.parent_chunk(index) for index in unsound}
             if level == 1:
                 over = {pyramid.levels.chunk_over(tile) for tile in bad}
             indices = sorted(complete | shown)

@@ -17,7 +17,7 @@ def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Ind
     wrong = [
         index
         for index, row in counted.items()
-        if records.known[index] and not np.allclose(records.rows[index][counts], row[counts], rtol=1e-9, atol=0)
+        if records.known_mask[index] and not np.allclose(records.rows[index][counts], row[counts], rtol=1e-9, atol=0)
     ]
     return faults + [f"the record of tile {index} contradicts its cells" for index in wrong]
 

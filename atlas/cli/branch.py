@@ -111,14 +111,14 @@ def branch(
         validate_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
         check_writable(out)
     look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
-    PictureRequest.of(**look)  # before the branch is followed
+    PictureRequest.from_arguments(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:
         seed = _seed(show, store, given, point, select, system, options)
         observable = observed_of(seed, observe)
         if observable is not None:
             prepare_kernels(show, *kernels_for(seed.system, OBSERVED))
         show(Progress("following"))
-        branches = BranchTable.of(tree_from(seed, along, (low, high), switch_branches, budget), observable)
+        branches = BranchTable.from_tree(tree_from(seed, along, (low, high), switch_branches, budget), observable)
         if out is not None:
             _write(branches, out, look)
     message = {"file": str(out)} if out is not None else {}

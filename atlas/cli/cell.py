@@ -110,7 +110,7 @@ def portrait(
     check_path(out)
     check_cell_options(store)
     look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
-    PictureRequest.of(**look)  # before the cell is solved
+    PictureRequest.from_arguments(**look)  # before the cell is solved
     with input_errors(), reporter(sys.stderr) as show:
         if store is None:
             cell = CellSpec(*resolve_cell(given, system, options))

@@ -43,11 +43,13 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
     given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
     if out is not None:
         check_path(out)
-        PictureRequest.of(**look)
+        PictureRequest.from_arguments(**look)
     elif given:
         raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
     with input_errors():
-        compared = Comparison.of(select_dominant(open_atlas(store)), select_dominant(open_atlas(other)), window)
+        compared = Comparison.from_atlases(
+            select_dominant(open_atlas(store)), select_dominant(open_atlas(other)), window
+        )
         message = compared.as_dict()
         if out is not None:
             print_status("drawing")

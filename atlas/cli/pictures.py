@@ -119,7 +119,7 @@ def plot(
     if len(stores) > 1 and given:
         raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
     of_one: dict[str, Any] = {"overlay": overlay, "curves": curves, "names": names, "variable": variable, "log": log}
-    PictureRequest.of(kind, window, **of_one, observe=observe, **look)  # before stores are read
+    PictureRequest.from_arguments(kind, window, **of_one, observe=observe, **look)  # before stores are read
     with input_errors(), counted() as reads:
         atlases = [open_selection(store, select) for store in stores]
         other = None if against is None else open_selection(against, select)

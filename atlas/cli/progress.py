@@ -70,8 +70,8 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.stage)
         elif time.monotonic() - self._last >= self._interval:
             self._last = time.monotonic()
-            if progress.line != self._line:
-                self._line = progress.line
+            if progress.format_line != self._line:
+                self._line = progress.format_line
                 self._print(self._line)
         if progress.note:
             self._print(progress.note)
@@ -120,7 +120,7 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
             description=progress.stage,
             total=progress.cells if progress.cells_done else None,
             completed=progress.cells_done,
-            speed=progress.speed,
+            speed=progress.format_speed,
         )
         self._regimes.plain = progress.outcome
 

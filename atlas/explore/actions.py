@@ -30,8 +30,8 @@ MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 def picture_file(explorer: Explorer, chosen: ViewState, sight: Viewport, suffix: str, ends: Ends) -> tuple[str, str]:
     """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
     subject = explorer.subject
-    ds = explorer.known.seen(chosen.plane, sight, chosen.names).ds
-    look = replace(chosen, overlays=chosen.drawn(subject)).look(ends)
+    ds = explorer.known.visible_cells(chosen.plane, sight, chosen.names).ds
+    look = replace(chosen, overlays=chosen.visible_overlays(subject)).figure_options(ends)
     name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
         path = render(ds, Path(folder) / name, chosen.kind, **look)

@@ -57,7 +57,7 @@ class AttractorListing:
 
 def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | None:
     """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
-    if not subject.searched:
+    if not subject.can_search_attractors:
         return AttractorListing(trouble='all attractors are found by the method "adaptive" only')
     if subject.every is None or not cell.of_atlas:
         return None
@@ -95,16 +95,16 @@ class AttractorsPanel(Panel[CellResult]):
         self._motion = motion
         self.panel = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
 
-    def begin(self, cell: CellResult) -> None:
+    def start(self, cell: CellResult) -> None:
         """Look for the attractors of a cell in the store, and have them sought otherwise."""
         self.panel.text = ALL
-        self.work(lambda: partial(self._known, cell, stored_attractors(self._subject, cell)))
+        self.run_in_background(lambda: partial(self._known, cell, stored_attractors(self._subject, cell)))
 
     def clear(self) -> None:
         """Show none."""
         self.panel.text = ""
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         """Say why there are none."""
         self._show(AttractorListing(trouble=why))
 
@@ -127,7 +127,7 @@ class AttractorsPanel(Panel[CellResult]):
             return lambda: self._motion.portray(drawn) if drawn else None
 
         if len(kept.listed) > 1:
-            self.work(portraits)
+            self.run_in_background(portraits)
 
     def _show(self, kept: AttractorListing) -> None:
         self.panel.text = ALL + attractors_table(kept, self._subject)

@@ -26,13 +26,13 @@ class BackgroundTasks:
         self._lock, self.closed = threading.Lock(), False
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
-    def show(self, act: Show) -> None:
+    def call_in_document(self, act: Show) -> None:
         """Have something done in the thread of the document, for as long as there is one."""
         self._loop.add_callback(self._show, act)
 
-    def later(self, act: Callable[..., None]) -> Callable[..., None]:
+    def deferred_call(self, act: Callable[..., None]) -> Callable[..., None]:
         """A function for other threads that has something done in that of the document, with its arguments."""
-        return lambda *given: self.show(partial(act, *given))
+        return lambda *given: self.call_in_document(partial(act, *given))
 
     def _show(self, act: Show) -> None:
         # Bokeh empties a document some time before it says that its session has ended, both in this thread.
@@ -51,7 +51,7 @@ class BackgroundTasks:
             except BaseException as error:  # a mistake of ours must not leave the page without a word for good
                 logging.getLogger(__name__).exception("the page could not do something")
                 act = partial(refused, f"this could not be done: {why(error)}")
-            self.show(act)
+            self.call_in_document(act)
 
         with self._lock:
             if not self.closed:

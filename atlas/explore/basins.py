@@ -34,7 +34,7 @@ class BasinGrid:
     y: tuple[str, NDArray[np.float64]]
 
     @classmethod
-    def of_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "BasinGrid":
+    def from_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "BasinGrid":
         """The plane of the displacement that a stop limits, as far as initial states are sought there by default."""
         system, starts = subject.system, subject.starts
         oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})

@@ -46,16 +46,16 @@ class BasinsPanel(Panel[CellResult]):
         style_plain(self._plot)
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
-    def begin(self, cell: CellResult) -> None:
+    def start(self, cell: CellResult) -> None:
         """Offer the basins of a cell, where they can be found."""
         self.clear()
-        self._button.visible = self._subject.searched
+        self._button.visible = self._subject.can_search_attractors
 
     def clear(self) -> None:
         """Offer nothing."""
         self._button.visible = self._says.visible = self._plot.visible = False
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         """Say why there are no basins."""
         self._says.text = html.escape(f"basins: {why}")
 
@@ -66,7 +66,9 @@ class BasinsPanel(Panel[CellResult]):
         first = first_compile_notice(self._subject.system, ATTRACTORS)
         self._says.update(text=f"solving initial states{first}", visible=True)
         self._button.visible = False
-        self.work(lambda: partial(self._lay_out, cell, BasinGrid.of_cell(self._subject, cell.parameters)))
+        self.run_in_background(
+            lambda: partial(self._lay_out, cell, BasinGrid.from_cell(self._subject, cell.parameters))
+        )
 
     def _lay_out(self, cell: CellResult, grid: BasinGrid) -> None:
         """Have the initial states of a plane solved."""

@@ -47,12 +47,12 @@ class BranchDiagram:
     events: tuple[tuple[str, float, float], ...]
 
     @classmethod
-    def of(cls, table: BranchTable) -> "BranchDiagram":
+    def from_table(cls, table: BranchTable) -> "BranchDiagram":
         """All branches of a table, with their mirror images; of these the events are not marked."""
         events = []
         for branch in table.traced:
             gap = next(iter(table.gap_values(branch)))
-            for k, event in zip(branch.places, branch.run.events, strict=True):
+            for k, event in zip(branch.event_indices, branch.run.events, strict=True):
                 events += [(event.kind, float(branch.values[k]), float(value)) for value in gap[k]]
         return cls(tuple((stable, *line.T) for stable, line in table.lines()), tuple(events))
 
@@ -102,7 +102,7 @@ class FollowedBranch:
     @cached_property
     def events(self) -> list[BranchMarker]:
         """Its events, in order."""
-        events = zip(self.branch.places, self.branch.run.events, strict=True)
+        events = zip(self.branch.event_indices, self.branch.run.events, strict=True)
         return [BranchMarker(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 
     @cached_property
@@ -114,7 +114,7 @@ class FollowedBranch:
     def _all(self, value: float) -> dict[str, float]:
         return {**self.table.parameters, self.table.along: value}
 
-    def here(self, place: int, value: float) -> BranchPosition:
+    def position_at(self, place: int, value: float) -> BranchPosition:
         """The orbit of a point; or at a value between it and the next, by Newton's method where that finds one."""
         from workers.continuation import SolutionPoint
         from workers.continuation.equations import motion_of
@@ -122,7 +122,7 @@ class FollowedBranch:
         from workers.continuation.itinerary import many_orbits
 
         place = min(max(place, 0), len(self.values) - 1)
-        shares = [share for k, share in self.branch.passes(value) if k == place and 0.0 < share < 1.0]
+        shares = [share for k, share in self.branch.crossings(value) if k == place and 0.0 < share < 1.0]
         with suppress(ValueError):
             for share in shares:
                 orbit, at = self.branch.orbit_after(self._family, place, share, value), np.array([value])
@@ -132,12 +132,12 @@ class FollowedBranch:
         kind = next((mark.kind for mark in self.events if mark.place == place), "")
         return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
 
-    def passing(self, value: float, here: BranchPosition) -> int | None:
+    def find_point(self, value: float, here: BranchPosition) -> int | None:
         """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
-        passes = [(abs(k + share - here.place), k + int(share == 1.0)) for k, share in self.branch.passes(value)]
+        passes = [(abs(k + share - here.place), k + int(share == 1.0)) for k, share in self.branch.crossings(value)]
         return min(passes)[1] if passes else None
 
-    def beside(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
+    def neighbouring_events(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
         """The events next to an orbit of the branch before and after it, or where the branch ends; None where that is
         an end of the range.
         """
@@ -170,7 +170,7 @@ class FollowedBranch:
         events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn
         times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
         order = np.argsort(times, kind="stable")
-        states = motion_of(machine, many_orbits([orbit])).at(times[None, order])[0][0] + machine.rest
+        states = motion_of(machine, many_orbits([orbit])).states_at(times[None, order])[0][0] + machine.rest
         return motion_through(self.table.system.build(self._all(here.value)), states, order < periods * count, count)
 
 
@@ -199,7 +199,7 @@ def arrows(
     (_, x, y), across = cell, branch.table.along == subject.axes[0]
     low, high = chosen.x if across else chosen.y
     made = []
-    for mark in filter(None, branch.beside(here)):
+    for mark in filter(None, branch.neighbouring_events(here)):
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
         if begin != end:
             text = f"{mark.kind} {distance(mark, here)}"
@@ -221,7 +221,7 @@ def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, fl
 
     def read(branch: FollowedBranch) -> FollowedBranch:
         # The first motion loads the kernels: here, not in the page's thread.
-        branch.motion(branch.here(branch.own, branch.values[branch.own]))
+        branch.motion(branch.position_at(branch.own, branch.values[branch.own]))
         return branch
 
     (along, low, high), axes = part, dict(zip(subject.axes, subject.spec.axes, strict=False))
@@ -256,7 +256,7 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
         tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
     if np.ptp(tree.branches[0].values) == 0.0:
         raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
-    return FollowedBranch(BranchTable.of(tree), own)
+    return FollowedBranch(BranchTable.from_tree(tree), own)
 
 
 def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":
@@ -272,9 +272,9 @@ def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Ra
     run = part.run._replace(
         points=[point for branch, piece in pieces for point in branch.run.points[piece]],
         events=[
-            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k < first),
+            *(event for k, event in zip(whole.event_indices, whole.run.events, strict=True) if k < first),
             *part.run.events,
-            *(event for k, event in zip(whole.places, whole.run.events, strict=True) if k >= second),
+            *(event for k, event in zip(whole.event_indices, whole.run.events, strict=True) if k >= second),
         ],
         ends=(whole.run.ends[0] if first else part.run.ends[0], (whole if second < last else part).run.ends[1]),
     )

@@ -39,19 +39,19 @@ class CellLookup:
         self.tiles, self.subject = tiles, tiles.subject
         self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
 
-    def look(self, plane: PlaneParameters, sight: Viewport, names: Collection[str]) -> None:
+    def load_visible(self, plane: PlaneParameters, sight: Viewport, names: Collection[str]) -> None:
         """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
         hidden: set[TileKey] = set()
         for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
             tiles = sight.tiles(stage)
             shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
-            hidden = {above for above in {key.above for key in tiles} if all(b in shown for b in child_tiles(above))}
+            hidden = {above for above in {key.parent for key in tiles} if all(b in shown for b in child_tiles(above))}
 
-    def seen(self, plane: PlaneParameters, sight: Viewport, names: Iterable[str]) -> VisibleCells:
+    def visible_cells(self, plane: PlaneParameters, sight: Viewport, names: Iterable[str]) -> VisibleCells:
         """The cells in view as far as they are known."""
         wanted = list(names)
         base = self._base(sight, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
-        return compose_view(self.subject, plane, sight, self.tiles.shown(plane, sight), wanted, base)
+        return compose_view(self.subject, plane, sight, self.tiles.visible_tiles(plane, sight), wanted, base)
 
     def cell(self, plane: PlaneParameters, sight: Viewport, x: float, y: float) -> CellResult | None:
         """The finest cell that is known at a point in view; None where none is."""
@@ -79,7 +79,7 @@ class CellLookup:
         j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
         return self._at(sight.x.level, sight.y.level, j, i)
 
-    def solved(self, plane: PlaneParameters, x: float, y: float) -> CellResult:
+    def solve_cell(self, plane: PlaneParameters, x: float, y: float) -> CellResult:
         """The cell at exactly this point, solved here and now."""
         results = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, results, (0,), (x, y), (x, y))

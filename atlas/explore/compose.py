@@ -79,7 +79,7 @@ def dataset(
         name: ((up, across), values, variable_attributes(subject.variables[name], fixed))
         for name, values in canvas.items()
     }
-    resolved = spec.resolved()
+    resolved = spec.to_resolved()
     axes = [{"name": axis.name, "scale": axis.scale} for axis in spec.axes]
     solve = dict(vars(subject.settings))
     attrs = {
@@ -133,8 +133,8 @@ def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Viewport, key: TileKe
     if not canvas.keys() <= arrays.keys() or not sight.contains(key):
         return
     rows, columns = sight.place(key)
-    up = key.rows.holding(sight.y.level, sight.y.index[rows])
-    across = key.columns.holding(sight.x.level, sight.x.index[columns])
+    up = key.rows.position_of(sight.y.level, sight.y.index[rows])
+    across = key.columns.position_of(sight.x.level, sight.x.index[columns])
     for name, values in canvas.items():
         values[rows, columns] = arrays[name][np.ix_(up, across)]
     stages[rows, columns] = min(sight.stage(key), STAGES + 1)

@@ -50,7 +50,7 @@ class CutLine:
     observe: Observable | None = None
 
     @cached_property
-    def along(self) -> int:
+    def axis(self) -> int:
         """The axis, 0 across or 1 up, along which its diagrams are drawn: that of which it covers more."""
         x0, y0, x1, y1 = self.ends
         reach = []
@@ -62,12 +62,12 @@ class CutLine:
     @property
     def name(self) -> str:
         """The parameter of that axis."""
-        return self.subject.axes[self.along]
+        return self.subject.axes[self.axis]
 
     @property
     def level(self) -> bool:
         """Whether it runs along one axis, so that one parameter alone changes."""
-        return self.ends[1 - self.along] == self.ends[3 - self.along]
+        return self.ends[1 - self.axis] == self.ends[3 - self.axis]
 
     def points(self, index: NDArray[np.int64]) -> tuple[Array, Array]:
         """The values of both axes at points, (N,) each."""
@@ -78,7 +78,7 @@ class CutLine:
             values[-1][index == STEPS] = end
         return values[0], values[1]
 
-    def parts(self) -> list[tuple[int, ...]]:
+    def batches(self) -> list[tuple[int, ...]]:
         """The points in the order in which they are solved, in parts of TOGETHER or fewer."""
         parts, step, begin = [], COARSE, 0
         while step:
@@ -136,7 +136,7 @@ def follow_branches(sweep: "xr.Dataset") -> BranchDiagram:
     from atlas.orbits.branches.from_sweep import tree_through
     from atlas.orbits.branches.table import BranchTable
 
-    return BranchDiagram.of(BranchTable.of(tree_through([sweep], MAX_IMPACTS)))
+    return BranchDiagram.from_table(BranchTable.from_tree(tree_through([sweep], MAX_IMPACTS)))
 
 
 def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
@@ -150,7 +150,7 @@ def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
         x, y = line.subject.axes
         raise InputError(f"branches follow one parameter: cut along {x} or {y} alone")
     values = line.points(cells.index)
-    other = 1 - line.along
+    other = 1 - line.axis
     fixed = dict(line.plane.parameters) | {line.subject.axes[other]: float(values[other][0])}
     extra = {"state": (line.name, "component")}
     arrays = {
@@ -158,8 +158,8 @@ def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
         for name, array in cells.results.items()
         if array.ndim == 1 or name in extra
     }
-    coords: dict[str, Any] = {line.name: values[line.along]} | {name: ((), value) for name, value in fixed.items()}
-    sweep = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.resolved())})
+    coords: dict[str, Any] = {line.name: values[line.axis]} | {name: ((), value) for name, value in fixed.items()}
+    sweep = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.to_resolved())})
     return sweep.sortby(line.name)
 
 
@@ -173,13 +173,13 @@ def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
     """The largest exponent and its error along a line, by the parameter ``x``, as columns; empty without exponents."""
     if LARGEST.name not in cells.results:
         return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
-    x, largest, error = line.points(cells.index)[line.along], cells.results[LARGEST.name], cells.results[ERROR.name]
+    x, largest, error = line.points(cells.index)[line.axis], cells.results[LARGEST.name], cells.results[ERROR.name]
     return {"x": x, "largest": largest, "low": largest - error, "high": largest + error}
 
 
 def shown_points(line: CutLine, cells: CutCells) -> dict[str, NDArray[np.floating]]:
     """What is shown of cells along a line, gap coordinates or an observable, by the parameter ``x``, as columns."""
-    x, shown = line.points(cells.index)[line.along], cells.results["shown"]
+    x, shown = line.points(cells.index)[line.axis], cells.results["shown"]
     known = np.isfinite(shown)
     return {"x": np.broadcast_to(x[:, None], shown.shape)[known], "y": shown[known].astype(np.float32)}
 

@@ -102,14 +102,14 @@ class CutPanel(Panel[CutLine]):
     def show(self, state: PageState) -> None:
         """Show the diagrams along the line that is chosen, in the plane that is chosen."""
         chosen, observe = state.chosen, self._possible[str(self._shows.value)]
-        self.turn(None if chosen.cut is None else CutLine(self._subject, chosen.plane, chosen.cut, observe))
+        self.set_topic(None if chosen.cut is None else CutLine(self._subject, chosen.plane, chosen.cut, observe))
 
     def clear(self) -> None:
         """Show no line and no diagram."""
         self.panel.visible = False
         self._drawn.data = {"xs": [], "ys": []}
 
-    def begin(self, line: CutLine) -> None:
+    def start(self, line: CutLine) -> None:
         """Show a line and diagrams without cells, and have these solved."""
         x0, y0, x1, y1 = line.ends
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
@@ -117,8 +117,8 @@ class CutPanel(Panel[CutLine]):
         for source in self._sources.values():
             source.data = {name: [] for name in source.data}
         self._show_branches(None)
-        low, high = sorted((line.ends[line.along], line.ends[2 + line.along]))
-        self._along.data = {"along": [line.along]}
+        low, high = sorted((line.ends[line.axis], line.ends[2 + line.axis]))
+        self._along.data = {"along": [line.axis]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
         self._section.yaxis[0].axis_label = str(self._shows.value)
@@ -126,11 +126,11 @@ class CutPanel(Panel[CutLine]):
         self._follow.disabled, self._note = line.observe is not None, ""
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
-        self.submit([cut_computation(line, part) for part in line.parts()], partial(self._take, line))
+        self.submit([cut_computation(line, part) for part in line.batches()], partial(self._take, line))
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         """Say that some cells cannot be shown, and why."""
-        super().refuse(f"part of the cut: {why}")
+        super().show_error(f"part of the cut: {why}")
 
     def _take(self, line: CutLine, cells: CutCells) -> None:
         """Show more cells of the line."""
@@ -236,7 +236,7 @@ class CutPanel(Panel[CutLine]):
 
     def _label(self, line: CutLine, low: float, high: float) -> None:
         marks, system = ticks(line.subject, line.name, low, high), line.subject.system
-        axis, other = self._exponents.xaxis[0], line.subject.axes[1 - line.along]
+        axis, other = self._exponents.xaxis[0], line.subject.axes[1 - line.axis]
         formatter: Any = axis.formatter
         formatter.args = {"base": marks.base, "unit": marks.unit, "decimals": marks.decimals}
         axis.axis_label = marks.label if line.level else f"{marks.label}, {symbol_of(system, other)} along the cut"

@@ -100,16 +100,16 @@ class DetailsPanel(Panel[Point]):
             self._mark.data = data
         self._follow.show(chosen)
         if cell is not None and at and self._sight() is not None:
-            self.turn(cell)
+            self.set_topic(cell)
 
-    def begin(self, cell: Point) -> None:
+    def start(self, cell: Point) -> None:
         """Say that a cell is being solved."""
         self._clicked.text = f"{CLICKED}solving it"
         self._motion.clear()
-        self._attractors.turn(None)
-        self._basins.turn(None)
-        self._follow.offer(None)
-        self.work(partial(self._detail, cell, self.progress_callback()))
+        self._attractors.set_topic(None)
+        self._basins.set_topic(None)
+        self._follow.offer_cell(None)
+        self.run_in_background(partial(self._detail, cell, self.progress_callback()))
 
     def _choose_nearest(self, point: tuple[float, float]) -> Show:
         plane, sight = self._store.now.chosen.plane, self._sight()
@@ -121,7 +121,7 @@ class DetailsPanel(Panel[Point]):
         sight = self._sight()
         cell = None if sight is None else self._explorer.known.cell(plane, sight, *point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
-            cell = self._explorer.known.solved(plane, *point)
+            cell = self._explorer.known.solve_cell(plane, *point)
         soon(partial(self._show, cell, "drawing its portrait"))
         try:
             orbit = orbit_of(self._subject, cell)
@@ -138,6 +138,6 @@ class DetailsPanel(Panel[Point]):
         self._copy.visible = self._copy_all.visible = True
         self._copy_all.tags = [cell_text(cell)]
         self._portrait.text = drawn
-        self._attractors.turn(cell)
-        self._basins.turn(cell)
-        self._follow.offer(cell)
+        self._attractors.set_topic(cell)
+        self._basins.set_topic(cell)
+        self._follow.offer_cell(cell)

@@ -69,26 +69,26 @@ class Explorer:
         for keeper in (*self._ending, *(other.tiles.keeper for other in (*self._others.values(), self))):
             keeper.stop()
 
-    def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
+    def explorer_for_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
 
         InputError for axes that are no two parameters, and for a layer that the stack does not have.
         """
         if axes == self.subject.axes and layer in (None, self.subject.layer_value):
             return self
-        subject, layer = self.subject.turned(axes, layer), self.subject.layer_value if layer is None else layer
+        subject, layer = self.subject.with_axes(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
             explorer = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
             self._others[axes, layer] = explorer  # the last ones used come last
             idle = [key for key, other in self._others.items() if not other.listeners and key != (axes, layer)]
-            self._ending = [keeper for keeper in self._ending if not keeper.ended]
+            self._ending = [keeper for keeper in self._ending if not keeper.has_ended]
             for key in idle[: max(0, len(self._others) - MAX_OTHER_EXPLORERS)]:
                 gone = self._others.pop(key).tiles
                 gone.drop()  # its last tiles are written while the page goes on
                 self._ending.append(gone.keeper)
             return explorer
 
-    def listen(self, who: Hashable, hear: Callable[[PlaneParameters, TileKey], None] | None) -> None:
+    def subscribe(self, who: Hashable, hear: Callable[[PlaneParameters, TileKey], None] | None) -> None:
         """Call ``hear``, in another thread, with every tile that is solved; None for a page that is gone."""
         with self._lock:
             if hear is None:
@@ -96,7 +96,7 @@ class Explorer:
             else:
                 self._listeners[who] = hear
         if hear is None:
-            self.patches.want(who, ())
+            self.patches.request(who, ())
 
     @property
     def listeners(self) -> list[Hashable]:
@@ -104,7 +104,7 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def want(self, who: Hashable, plane: PlaneParameters, sight: Viewport, stages: range) -> int:
+    def request_tiles(self, who: Hashable, plane: PlaneParameters, sight: Viewport, stages: range) -> int:
         """Have the unknown tiles of a view solved, at these stages in this order, and return how many they are.
 
         A tile that failed is tried again by whoever looks at it AGAIN seconds later.
@@ -116,7 +116,7 @@ class Explorer:
             for key in sight.tiles(stage)
             if self.failures.get((plane, key), -math.inf) <= since and not self.tiles.has(plane, key)
         ]
-        self.patches.want(who, wanted)
+        self.patches.request(who, wanted)
         return len(wanted)
 
     def record_failure(self, plane: PlaneParameters, key: TileKey) -> None:
@@ -127,7 +127,7 @@ class Explorer:
             while len(self.failures) > MAX_FAILURES:
                 self.failures.pop(next(iter(self.failures)))
 
-    def take(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
+    def add_tile(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
         """Keep a solved tile, and tell the pages."""
         self.tiles.put(plane, key, arrays)
         self.failures.pop((plane, key), None)
@@ -145,12 +145,12 @@ class TileJob(ServiceJob):
     plane: PlaneParameters
     key: TileKey
 
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """Cells that are to be kept are solved no faster than they can be written."""
         tiles = self.explorer.tiles
-        return not (tiles.keeper.full and tiles.is_kept(self.plane))
+        return not (tiles.keeper.is_full and tiles.is_kept(self.plane))
 
-    def make(self) -> tuple[Task, Take] | None:
+    def build_task(self) -> tuple[Task, Take] | None:
         """The patch of the tile less the cells that the tile above has; its results and those cells make the tile."""
         tiles, subject = self.explorer.tiles, self.explorer.subject
         if tiles.full_tile(self.plane, self.key) is not None:
@@ -165,11 +165,11 @@ class TileJob(ServiceJob):
                 array[missing] = results[name]
                 if parent is not None:
                     array[::2, ::2] = parent[name]
-            self.explorer.take(self.plane, self.key, arrays)
+            self.explorer.add_tile(self.plane, self.key, arrays)
             return int(missing.sum())
 
         return (solve_patch, subject.patch(self.plane, self.key, missing)), take
 
-    def failed(self, why: str) -> None:
+    def on_failed(self, why: str) -> None:
         """See ``ServiceJob``."""
         self.explorer.record_failure(self.plane, self.key)

@@ -65,7 +65,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._arrows = ColumnDataSource({name: [] for name in _COLUMNS})
         self._over_plane(plane)
 
-    def offer(self, cell: CellResult | None) -> None:
+    def offer_cell(self, cell: CellResult | None) -> None:
         """Offer to follow the orbit of a cell where it has one."""
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
         self.panel.visible = there_is_one or self.about is not None
@@ -73,11 +73,11 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
     def show(self, chosen: ViewState) -> None:
         """Follow the chosen orbit, and show where it is."""
         follow, cell = chosen.follow, chosen.cell
-        self.turn(None if follow is None or cell is None else (cell, follow[:3]))
+        self.set_topic(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
             self._mark(chosen, cell, self._shown.branch, self._shown.move(follow))
 
-    def begin(self, about: tuple[Point, tuple[str, float, float]]) -> None:
+    def start(self, about: tuple[Point, tuple[str, float, float]]) -> None:
         """Have a branch found."""
         self.clear()
         cell, (along, low, high) = about
@@ -97,7 +97,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._marker.data = {name: [] for name in self._marker.data}
         self._arrows.data = {name: [] for name in _COLUMNS}
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         """End following, and say why."""
         self._store.choose(follow=None)
         self._say(why)
@@ -183,7 +183,7 @@ class _FollowControls:
         self.branch, self._subject, self._store = branch, explorer.subject, store
         self._symbol = symbol_of(self._subject.system, branch.table.along)
         self._at: FollowedOrbit | None = None
-        self._here = branch.here(branch.own, branch.values[branch.own])
+        self._here = branch.position_at(branch.own, branch.values[branch.own])
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         last = len(branch.values) - 1
         self._slider = Slider(
@@ -202,7 +202,7 @@ class _FollowControls:
             height=170, x_range=(low - margin, high + margin), y_axis_label="gap at t = kT", toolbar_location=None,
             tools="", min_border_left=58, **wide,
         )  # fmt: skip
-        BranchLines(diagram).show(BranchDiagram.of(branch.table))
+        BranchLines(diagram).show(BranchDiagram.from_table(branch.table))
         self._span = Span(location=self._here.value, dimension="height", line_color=INK)
         diagram.add_layout(self._span)
         self._points = ColumnDataSource({"branch_x": [], "branch_gap": []})
@@ -217,7 +217,7 @@ class _FollowControls:
         if follow == self._at:
             return self._here
         self._at = follow
-        self._here = here = self.branch.here(self.branch.own + follow.step, follow.value)
+        self._here = here = self.branch.position_at(self.branch.own + follow.step, follow.value)
         self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
         self._text.text = self._table()
         motion = self.branch.motion(here)
@@ -241,7 +241,7 @@ class _FollowControls:
         """Go to where the branch has a value that was typed, nearest along it."""
         if new == self._here.value:
             return
-        place = None if new is None else self.branch.passing(float(new), self._here)
+        place = None if new is None else self.branch.find_point(float(new), self._here)
         if place is not None:
             self._go(place, float(new))
             return
@@ -267,7 +267,7 @@ class _FollowControls:
             ("stability", f"changes here: {here.kind}" if here.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
-        for mark, side, end in zip(branch.beside(here), ("◄", "►"), (0, -1), strict=True):
+        for mark, side, end in zip(branch.neighbouring_events(here), ("◄", "►"), (0, -1), strict=True):
             text = f"none up to {number(branch.values[end])}, where the range ends"
             if mark is not None:
                 text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"

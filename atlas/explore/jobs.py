@@ -54,14 +54,14 @@ class ServiceState:
 class ServiceJob(Protocol):
     """Something that a worker does for those who want it; its methods are called from a thread of this service."""
 
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """Whether it may be sent now; others go first while it may not."""
         return True
 
-    def make(self) -> tuple[Task, Take] | None:
+    def build_task(self) -> tuple[Task, Take] | None:
         """The task that is sent, and the function for its result; None if that is known meanwhile."""
 
-    def failed(self, why: str) -> None:
+    def on_failed(self, why: str) -> None:
         """Take note that the job is given up, for bad input or after some tries, and the error that it raised."""
 
 
@@ -89,7 +89,7 @@ class ComputationJob(ServiceJob):
     take: Callable[[Any], None]
     refuse: Callable[[str], None]
 
-    def make(self) -> tuple[Task, Take]:
+    def build_task(self) -> tuple[Task, Take]:
         """See ``ServiceJob``."""
         return (self.question.function, self.question.value), self._take
 
@@ -97,7 +97,7 @@ class ComputationJob(ServiceJob):
         self.take(self.question.read(result))
         return self.question.cells
 
-    def failed(self, why: str) -> None:
+    def on_failed(self, why: str) -> None:
         """See ``ServiceJob``."""
         self.refuse(why)
 
@@ -140,7 +140,7 @@ class JobQueue(Iterator[ServiceJob]):
         self._turn: deque[Hashable] = deque()
         self._under_way: set[ServiceJob] = set()
 
-    def want(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool) -> None:
+    def request(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool) -> None:
         """See ``JobService.want``."""
         wanted = deque(jobs)
         with self._lock:
@@ -154,7 +154,7 @@ class JobQueue(Iterator[ServiceJob]):
                 if who in self._turn:
                     self._turn.remove(who)
 
-    def left(self, who: Hashable) -> int:
+    def n_remaining(self, who: Hashable) -> int:
         """See ``JobService.left``."""
         with self._lock:
             return len(self._jobs.get(who, ()))
@@ -171,17 +171,17 @@ class JobQueue(Iterator[ServiceJob]):
                 who = self._turn[0]
                 self._turn.rotate(-1)
                 for job in self._jobs.get(who, ()):
-                    if job not in self._under_way and job.ready():
+                    if job not in self._under_way and job.is_ready():
                         self._under_way.add(job)
                         return job
         raise StopIteration
 
-    def back(self, job: ServiceJob | None = None) -> None:
+    def release(self, job: ServiceJob | None = None) -> None:
         """Count a job, or all, as no longer under way."""
         with self._lock:
             self._under_way = self._under_way - {job} if job else set()
 
-    def end(self, job: ServiceJob) -> None:
+    def remove(self, job: ServiceJob) -> None:
         """Have nobody wait for a job any more."""
         with self._lock:
             self._under_way.discard(job)
@@ -204,14 +204,14 @@ class JobService:
             "atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again")
         )
 
-    def want(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool = False) -> None:
+    def request(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool = False) -> None:
         """Want these jobs from now on, in this order, with ``too`` before the earlier ones; none cancels all."""
-        self._wanted.want(who, jobs, too)
+        self._wanted.request(who, jobs, too)
         self._woken.set()
 
-    def left(self, who: Hashable) -> int:
+    def n_remaining(self, who: Hashable) -> int:
         """Jobs that somebody still waits for."""
-        return self._wanted.left(who)
+        return self._wanted.n_remaining(who)
 
     @property
     def state(self) -> ServiceState:
@@ -250,7 +250,9 @@ class JobService:
         try:
             while True:
                 self._woken.clear()
-                for outcome in force.outcomes(filter(None, map(self._made, self._wanted)), partial(self._look, force)):
+                for outcome in force.iter_outcomes(
+                    filter(None, map(self._made, self._wanted)), partial(self._look, force)
+                ):
                     self._take(outcome)
                 self._woken.wait(self._timing.tick)
         except RunError as error:
@@ -265,9 +267,9 @@ class JobService:
         if self._stopped.is_set():
             raise _StoppedError
         self._say(workers.trouble or ("" if workers.threads else "no worker: waiting for one"), workers.threads)
-        for sent in force.drop(lambda sent: self._sent[sent.index][0] not in self._wanted):
+        for sent in force.cancel_stale(lambda sent: self._sent[sent.index][0] not in self._wanted):
             job, _ = self._sent.pop(sent.index)
-            self._wanted.back(job)
+            self._wanted.release(job)
 
     def _say(self, trouble: str, workers: int = 0) -> None:
         with self._lock:
@@ -275,9 +277,9 @@ class JobService:
 
     def _made(self, job: ServiceJob) -> SubmittedJob | None:
         """A job as it is sent; None if it needs not be."""
-        made = self._tried(job, job.make)
+        made = self._tried(job, job.build_task)
         if made is None:
-            self._wanted.end(job)
+            self._wanted.remove(job)
             return None
         task, take = made
         sent = SubmittedJob((next(self._numbers),), task)
@@ -295,12 +297,12 @@ class JobService:
             cells = self._tried(job, partial(take, outcome.result)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
-        self._wanted.end(job)  # not before it is known: who asks meanwhile would have it solved again
+        self._wanted.remove(job)  # not before it is known: who asks meanwhile would have it solved again
 
     def _forget(self) -> None:
         """Count nothing as sent."""
         self._sent.clear()
-        self._wanted.back()
+        self._wanted.release()
 
     def _tried(self, job: ServiceJob, step: Callable[[], Any]) -> Any:
         """The result of a step of a job; None after an unexpected exception, which ends that job alone."""
@@ -316,10 +318,10 @@ class JobService:
     def _give_up(self, job: ServiceJob, reason: str) -> None:
         """Give a job up; an exception of its ``failed`` is logged."""
         try:
-            job.failed(reason)
+            job.on_failed(reason)
         except Exception:
             logging.getLogger(__name__).exception("the end of a job could not be reported")
-        self._wanted.end(job)
+        self._wanted.remove(job)
 
 
 class _StoppedError(Exception):

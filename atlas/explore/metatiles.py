@@ -45,7 +45,7 @@ class MetatileKey(NamedTuple):
     y: int
 
     @classmethod
-    def of(cls, key: TileKey) -> "MetatileKey":
+    def from_tile(cls, key: TileKey) -> "MetatileKey":
         """The sheet that a tile lies in."""
         return cls(key.level_x, key.level_y, key.x // METATILE_TILES, key.y // METATILE_TILES)
 
@@ -126,7 +126,7 @@ class MetatileCatalog:
                 self._absent.popitem(last=False)
             return None
 
-    def made(self, handle: AtlasStore, plane: PlaneParameters, key: MetatileKey, span: Span) -> Metatile:
+    def create(self, handle: AtlasStore, plane: PlaneParameters, key: MetatileKey, span: Span) -> Metatile:
         """A sheet that does not exist yet, made and open, by the handle of the store as its claim's holder has it.
 
         Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
@@ -165,7 +165,7 @@ class MetatileCatalog:
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
         """Whether a tile is kept, and the disk did not refuse to read its sheet a moment ago."""
         with self._lock:
-            sheet = self.find(plane, MetatileKey.of(key))
+            sheet = self.find(plane, MetatileKey.from_tile(key))
             return (
                 sheet is not None
                 and sheet.index(key) in sheet.done
@@ -177,15 +177,15 @@ class MetatileCatalog:
         wanted, read = dict[MetatileKey, list[TileKey]](), dict[TileKey, Arrays]()
         for key in keys:
             if self.has(plane, key):
-                wanted.setdefault(MetatileKey.of(key), []).append(key)
+                wanted.setdefault(MetatileKey.from_tile(key), []).append(key)
         for of, tiles in wanted.items():
             sheet = self.find(plane, of)
             if sheet is not None:
                 read |= self._read(sheet, tiles, names)
-                self.look(plane, of)
+                self.mark_viewed(plane, of)
         return read
 
-    def look(self, plane: PlaneParameters, key: MetatileKey) -> None:
+    def mark_viewed(self, plane: PlaneParameters, key: MetatileKey) -> None:
         """Note that a sheet is looked at."""
         with self._lock:
             self.seen[self.digest(plane), key.name] = time.time()
@@ -196,7 +196,7 @@ class MetatileCatalog:
             seen, self.seen = self.seen, {}
             return seen
 
-    def note(self, sheet: Metatile, index: tuple[int, int]) -> None:
+    def mark_written(self, sheet: Metatile, index: tuple[int, int]) -> None:
         """Note that a tile is written."""
         with self._lock:
             sheet.bad.discard(index)
@@ -254,7 +254,7 @@ class MetatileCatalog:
 
     def span_with(self, key: TileKey) -> Span | None:
         """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
-        span = self.span(MetatileKey.of(key))
+        span = self.span(MetatileKey.from_tile(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
     def _was_refused(self, error: Exception) -> bool:

@@ -96,7 +96,7 @@ class ExplorerPage:
         make_accessible(document)
         document.add_root(self._layout())
         document.add_periodic_callback(self._say_progress, 500)
-        store.listen(self._changed)
+        store.subscribe(self._changed)
 
     def close(self) -> None:
         """Free the threads of the page, and want nothing more."""
@@ -164,7 +164,9 @@ class ExplorerPage:
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, at the cell clicked or else the middle of the view."""
         subject, chosen = self._subject, self._store.now.chosen
-        turned = self._home.turned(axes or subject.axes, subject.layer_value if layer is None else layer).subject
+        turned = self._home.explorer_for_axes(
+            axes or subject.axes, subject.layer_value if layer is None else layer
+        ).subject
         values = subject.values(chosen.plane, *chosen.middle(subject))
         if layer is not None and turned.third is not None:
             values[turned.third.name] = layer
@@ -205,7 +207,7 @@ class ExplorerPage:
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
-        left = explorer.patches.left(self._pane.painter)
+        left = explorer.patches.n_remaining(self._pane.painter)
         text = progress(explorer.patches.state, left, [*self._notes(), explorer.tiles.keeper.trouble], now.shares)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'

@@ -36,7 +36,7 @@ class PageModel:
         self.now = state
         self._listeners: list[Callable[[PageState, PageState], None]] = []
 
-    def listen(self, listener: Callable[[PageState, PageState], None]) -> None:
+    def subscribe(self, listener: Callable[[PageState, PageState], None]) -> None:
         """Call a listener after every change."""
         self._listeners.append(listener)
 

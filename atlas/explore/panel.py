@@ -22,32 +22,32 @@ class Panel(Generic[A]):
         self.about: A | None = None
         self._turns = 0
 
-    def begin(self, about: A) -> None:
+    def start(self, about: A) -> None:
         """Show that nothing is known of a thing yet, and ask."""
         raise NotImplementedError
 
     def clear(self) -> None:
         """Show nothing."""
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         """Say why something is not found."""
         self._background.refuse(why)
 
-    def turn(self, about: A | None) -> None:
+    def set_topic(self, about: A | None) -> None:
         """Turn to another thing: earlier questions are dropped. Does nothing if it is the same."""
         if about == self.about:
             return
         self.about = about
         self._turns += 1
-        self._explorer.patches.want(self, ())
+        self._explorer.patches.request(self, ())
         if about is None:
             self.clear()
         else:
-            self.begin(about)
+            self.start(about)
 
     def close(self) -> None:
         """Want nothing more."""
-        self._explorer.patches.want(self, ())
+        self._explorer.patches.request(self, ())
 
     def submit(
         self,
@@ -56,21 +56,21 @@ class Panel(Generic[A]):
         refuse: Callable[[str], None] | None = None,
     ) -> None:
         """Ask the crew, before earlier questions: ``take`` shows an answer, ``refuse`` why there is none."""
-        answers = [self._background.later(self._current(act)) for act in (take, refuse or self.refuse)]
-        self._explorer.patches.want(self, [ComputationJob(question, *answers) for question in questions], too=True)
+        answers = [self._background.deferred_call(self._current(act)) for act in (take, refuse or self.show_error)]
+        self._explorer.patches.request(self, [ComputationJob(question, *answers) for question in questions], too=True)
 
-    def work(self, work: Callable[[], Show]) -> None:
+    def run_in_background(self, work: Callable[[], Show]) -> None:
         """Have something found in a thread of the page, and shown by what ``work`` returns."""
         turns, shown = self._turns, self._current(_do)
 
         def whole() -> Show:
             return partial(shown, work()) if turns == self._turns else lambda: None
 
-        self._background.run(whole, self._current(self.refuse))
+        self._background.run(whole, self._current(self.show_error))
 
     def progress_callback(self) -> Callable[[Show], None]:
         """A function that shows something during ``work``, in its thread; to be made before that begins."""
-        return self._background.later(self._current(_do))
+        return self._background.deferred_call(self._current(_do))
 
     def _current(self, act: Callable[..., None]) -> Callable[..., None]:
         """An act for the document's thread that does nothing once the panel is about something else."""

@@ -59,7 +59,7 @@ class PersistentTileCache:
         self._thread = restarting_thread("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))
 
     @property
-    def waiting(self) -> int:
+    def n_queued(self) -> int:
         """Tiles that wait to be written."""
         with self._lock:
             return len(self._waiting)
@@ -72,17 +72,17 @@ class PersistentTileCache:
             return "; ".join(filter(None, (self._trouble, lost, self.sheets.trouble if self.sheets else "")))
 
     @property
-    def full(self) -> bool:
+    def is_full(self) -> bool:
         """Whether as many tiles wait as may. Never while nothing can be written, as during a run."""
         with self._lock:
             return len(self._waiting) >= MAX_QUEUED and not self._trouble
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether it has ended."""
         return not self._thread.is_alive()
 
-    def offer(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
+    def enqueue(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
         """Keep a tile, soon."""
         with self._lock:
             if self.handle is None:
@@ -110,13 +110,13 @@ class PersistentTileCache:
         rest = [key for key in keys if key not in waiting]
         return waiting | (self.sheets.load(plane, rest, list(names)) if self.sheets is not None else {})
 
-    def end(self) -> None:
+    def request_stop(self) -> None:
         """Write what waits, and end, without waiting for that."""
         self._stopped.set()
 
     def stop(self) -> None:
         """Write what waits, and end."""
-        self.end()
+        self.request_stop()
         self._thread.join()
 
     def _say(self, trouble: str) -> None:
@@ -159,7 +159,7 @@ class PersistentTileCache:
             if not handle.place.exists(ROOT):  # to claim it would make a folder of its name
                 raise RunError(f"{handle.place} is gone")
             with hold_lease(notes, str(handle.place)) as claim:
-                handle = handle.at(claim.fence_backend(handle.place))
+                handle = handle.with_backend(claim.fence_backend(handle.place))
                 for at, arrays in batch:
                     self._keep(handle, *at, arrays)
                     with self._lock:
@@ -184,16 +184,16 @@ class PersistentTileCache:
 
     def _write(self, handle: AtlasStore, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
         assert self.sheets is not None
-        of = MetatileKey.of(key)
+        of = MetatileKey.from_tile(key)
         span = self.sheets.span_with(key)
         if span is None:
             return
-        sheet = self.sheets.find(plane, of) or self.sheets.made(handle, plane, of, span)
+        sheet = self.sheets.find(plane, of) or self.sheets.create(handle, plane, of, span)
         index = sheet.index(key)
         if index not in done_tiles(sheet.handle) or index in sheet.bad:
-            write_tile(sheet.handle.at(sheet.handle.place.with_fence(handle.place.fence)), index, arrays)
-        self.sheets.note(sheet, index)
-        self.sheets.look(plane, of)
+            write_tile(sheet.handle.with_backend(sheet.handle.place.with_fence(handle.place.fence)), index, arrays)
+        self.sheets.mark_written(sheet, index)
+        self.sheets.mark_viewed(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)
 
     def _trim(self, handle: AtlasStore) -> None:

@@ -56,8 +56,8 @@ class RenderedPicture:
 def warm_up(explorer: Explorer) -> None:
     """Make a picture once, so that the first page need not wait for all that this loads."""
     chosen = initial_view(explorer.subject)
-    sight = explorer.subject.sight(chosen.x, chosen.y, LIMITS_PICTURE_PIXELS)
-    seen = explorer.known.seen(chosen.plane, sight, chosen.names)
+    sight = explorer.subject.viewport(chosen.x, chosen.y, LIMITS_PICTURE_PIXELS)
+    seen = explorer.known.visible_cells(chosen.plane, sight, chosen.names)
     message(seen, explorer.subject, chosen, maps_of(seen, chosen, others=True), {}, LIMITS_PICTURE_PIXELS)
 
 
@@ -79,7 +79,7 @@ class PictureRenderer:
         self._found: tuple[PlaneParameters, Viewport] | None = None
         self.looked = 0
         self.sight: Viewport | None = None
-        explorer.listen(self, self._plan_repaint)
+        explorer.subscribe(self, self._plan_repaint)
         self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
 
     def show(self, chosen: ViewState, size: tuple[int, int], rests: bool = True) -> None:
@@ -95,9 +95,9 @@ class PictureRenderer:
                 self._changed.notify()
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether something that was asked for is not looked up, solved and drawn yet."""
-        return bool(self._plan) or self._at_work or self._explorer.patches.left(self) > 0
+        return bool(self._plan) or self._at_work or self._explorer.patches.n_remaining(self) > 0
 
     def ends(self, chosen: ViewState) -> Ends:
         """The ends of the scale of a map, those asked for first; None for one that it has not held yet."""
@@ -109,7 +109,7 @@ class PictureRenderer:
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._explorer.listen(self, None)
+        self._explorer.subscribe(self, None)
 
     def wait(self) -> None:
         """Wait until a painter that is closed has ended."""
@@ -164,7 +164,7 @@ class PictureRenderer:
                 self._say_no(f"the store cannot be read: {error.strerror or error}")
             finally:
                 self._at_work = False
-        self._explorer.listen(self, None)
+        self._explorer.subscribe(self, None)
 
     def _find(self, stages: range) -> None:
         """Look up the known cells of a view, show them, and have these stages of the others solved."""
@@ -173,14 +173,14 @@ class PictureRenderer:
             return
         (chosen, size), explorer = asked, self._explorer
         self.looked += 1
-        sight = explorer.subject.sight(chosen.x, chosen.y, size)
+        sight = explorer.subject.viewport(chosen.x, chosen.y, size)
         if (chosen.plane, sight) != self._found:
             self._view, self._found = next(self._views), (chosen.plane, sight)
         self.sight = sight
-        explorer.patches.want(self, ())
-        explorer.known.look(chosen.plane, sight, chosen.names)
+        explorer.patches.request(self, ())
+        explorer.known.load_visible(chosen.plane, sight, chosen.names)
         self._paint()
-        explorer.want(self, chosen.plane, sight, stages)
+        explorer.request_tiles(self, chosen.plane, sight, stages)
 
     def _paint(self) -> None:
         asked, sight = self._asked, self.sight
@@ -188,7 +188,7 @@ class PictureRenderer:
             return
         (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
         of = f"{id(self)}-{self._view}"
-        seen = replace(explorer.known.seen(chosen.plane, sight, chosen.names), of=of)
+        seen = replace(explorer.known.visible_cells(chosen.plane, sight, chosen.names), of=of)
         stages = seen.stages
         maps = maps_of(seen, chosen, others=not stages.any())
         self._hold(chosen, [made.name for made in maps])
@@ -211,8 +211,8 @@ class PictureRenderer:
         subject = self._explorer.subject
         if subject.ds is None or self._scales.keys() >= set(names):
             return
-        sight = subject.sight(subject.x.ends, subject.y.ends, LIMITS_PICTURE_PIXELS)
-        whole = self._explorer.known.seen(subject.plane, sight, chosen.names)
+        sight = subject.viewport(subject.x.ends, subject.y.ends, LIMITS_PICTURE_PIXELS)
+        whole = self._explorer.known.visible_cells(subject.plane, sight, chosen.names)
         if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
             made = [made for made in maps_of(whole, chosen, others=True) if made.name in names]
             self._scales = {made.name: ends for made in made if (ends := ends_of(made))} | self._scales

@@ -90,7 +90,7 @@ def message(
 
 def _plane(seen: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
     """The cells in view on the scales of the page, which are logarithmic in windows of any width."""
-    plane = Plane.of(seen.ds, names)
+    plane = Plane.from_dataset(seen.ds, names)
     return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
 
 
@@ -111,7 +111,7 @@ def _lines(
     view = MapView(KIND_TABLE["period"], seen.ds, _plane(seen, subject, names), PictureRequest(STANDARD))
     for name in chosen.overlays:
         drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
-        if name not in chosen.drawn(subject):
+        if name not in chosen.visible_overlays(subject):
             continue
         try:
             lines = lines_over(view, name, size)

@@ -61,7 +61,9 @@ class PlanePane:
         self.plot.add_layout(self._waiting)
         plane = row(self.plot, self._key, sizing_mode="stretch_both", stylesheets=[PLANE])
         self.panel = column(self._title, self._bar, plane, sizing_mode="stretch_both", stylesheets=[PANE])
-        self.painter = PictureRenderer(explorer, background.later(self._show), background.later(self._unpainted))
+        self.painter = PictureRenderer(
+            explorer, background.deferred_call(self._show), background.deferred_call(self._unpainted)
+        )
 
     def begin(self, document: Document, address: Div) -> None:
         """Have the browser draw the plane, once it has the document, and keep its look in the address."""

@@ -65,7 +65,7 @@ class PlaneParameters:
     parameters: tuple[tuple[str, float], ...]
 
     @classmethod
-    def of(cls, parameters: Mapping[str, float]) -> "PlaneParameters":
+    def from_parameters(cls, parameters: Mapping[str, float]) -> "PlaneParameters":
         """The plane of these parameters."""
         return cls(tuple(parameters.items()))
 
@@ -114,7 +114,7 @@ class Subject:
         return STARTS if self.attractors is None else self.attractors
 
     @property
-    def searched(self) -> bool:
+    def can_search_attractors(self) -> bool:
         """Whether attractors of its cells can be sought from many initial states."""
         return self.settings.method == "adaptive"
 
@@ -149,7 +149,7 @@ class Subject:
         """Where on the third axis of a stack it lies; None without one."""
         return None if self.third is None else self.third.values[self.layer]
 
-    def turned(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
+    def with_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
         """The same machine over other axes, through the middle of those it has now; or another layer of a stack.
 
         Over other axes nothing is stored. InputError for axes that are no two parameters, and for an unknown layer.
@@ -158,7 +158,7 @@ class Subject:
             if self.third is None or self.of_layer is None or layer not in self.third.values:
                 known = "none" if self.third is None else ", ".join(f"{v:g}" for v in self.third.values)
                 raise InputError(f"layer: found {layer:g}; possible: {known}")
-            return self.of_layer(layer).turned(axes)
+            return self.of_layer(layer).with_axes(axes)
         if axes == self.axes:
             return self
         check_names("axis", axes, [parameter.name for parameter in self.system.parameters])
@@ -175,7 +175,7 @@ class Subject:
     @cached_property
     def plane(self) -> PlaneParameters:
         """The plane of the spec itself."""
-        return PlaneParameters.of(self.spec.parameters)
+        return PlaneParameters.from_parameters(self.spec.parameters)
 
     @property
     def name(self) -> str:
@@ -193,7 +193,7 @@ class Subject:
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
         solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
-        return digest_of(identity(self.system.resolved()) | rest)
+        return digest_of(identity(self.system.to_resolved()) | rest)
 
     def plane_with(self, plane: PlaneParameters, name: str, value: float) -> PlaneParameters:
         """The plane with another value of a parameter; InputError for an unknown one, or a value out of its range."""
@@ -225,9 +225,9 @@ class Subject:
         """All parameters of a cell of a plane."""
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
-    def sight(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Viewport:
+    def viewport(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Viewport:
         """The cells in a window on this many pixels, at the deepest levels whose cells are not finer than pixels."""
-        return Viewport(CellRange.seen(self.x, *x, pixels[0]), CellRange.seen(self.y, *y, pixels[1]))
+        return Viewport(CellRange.from_window(self.x, *x, pixels[0]), CellRange.from_window(self.y, *y, pixels[1]))
 
     def points(self, x: CellRange, y: CellRange) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The values of both axes at cells, (N,) each."""

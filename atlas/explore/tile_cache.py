@@ -58,7 +58,7 @@ class MemoryTileCache:
             self._tiles.move_to_end(at)
             return self._tiles[at][0]
 
-    def of(self, whose: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
+    def tiles_of_plane(self, whose: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane."""
         with self._lock:
             tiles = self._tiles.items()
@@ -88,7 +88,7 @@ class TileCache:
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
         """Whether a tile need not be solved."""
         held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # of some the rest may be lost
-        known = held or self.outside(key) or self.keeper.has(plane, key)
+        known = held or self.is_out_of_range(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def get(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
@@ -107,22 +107,22 @@ class TileCache:
         kept = wanted and self.keeper.can_keep(key)
         self.memory.put(self, plane, key, arrays, only_here=wanted and not kept)
         if kept:
-            self.keeper.offer(plane, key, arrays)
+            self.keeper.enqueue(plane, key, arrays)
 
     def drop(self) -> None:
         """Forget all; what waits to be kept still is."""
-        self.keeper.end()
+        self.keeper.request_stop()
         self.memory.drop(self)
 
-    def of(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
+    def tiles_of_plane(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane that are in memory."""
-        return self.memory.of(self, plane)
+        return self.memory.tiles_of_plane(self, plane)
 
-    def shown(self, plane: PlaneParameters, sight: Viewport) -> list[tuple[TileKey, Arrays]]:
+    def visible_tiles(self, plane: PlaneParameters, sight: Viewport) -> list[tuple[TileKey, Arrays]]:
         """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
-        shown = [(key, arrays) for key, arrays in self.of(plane) if sight.contains(key)]
+        shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if sight.contains(key)]
         shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
-        return shown + [(key, self._invalid) for key in sight.tiles(0) if self.outside(key)]
+        return shown + [(key, self._invalid) for key in sight.tiles(0) if self.is_out_of_range(key)]
 
     def is_kept(self, plane: PlaneParameters) -> bool:
         """Whether tiles of this plane are kept as they are solved, where anything is."""
@@ -135,19 +135,19 @@ class TileCache:
             if on == (plane in self._kept_planes):
                 return
             self._kept_planes ^= {plane}
-        for key, arrays in self.of(plane) if on else ():
+        for key, arrays in self.tiles_of_plane(plane) if on else ():
             if arrays.keys() >= self.subject.variables.keys():
-                self.keeper.offer(plane, key, arrays)
+                self.keeper.enqueue(plane, key, arrays)
 
     def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
         """All variables of a tile; None where it is not known."""
-        if self.outside(key):
+        if self.is_out_of_range(key):
             return self._invalid
         return self.get(plane, [key], self.subject.variables).get(key)
 
     def parent(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
         """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
-        above = key.above
+        above = key.parent
         whole = self.full_tile(plane, above)
         if whole is not None:
             return {name: array[key.quarter] for name, array in whole.items()}
@@ -161,7 +161,7 @@ class TileCache:
             return atlas_cells(subject, names, rows, columns)
         return None
 
-    def outside(self, key: TileKey) -> bool:
+    def is_out_of_range(self, key: TileKey) -> bool:
         """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 

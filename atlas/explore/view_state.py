@@ -101,7 +101,7 @@ class ViewState:
         own = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
         return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
 
-    def drawn(self, subject: Subject) -> tuple[str, ...]:
+    def visible_overlays(self, subject: Subject) -> tuple[str, ...]:
         """The overlays that its plane has."""
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
 
@@ -119,7 +119,7 @@ class ViewState:
         there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
-    def look(self, ends: Ends = (None, None)) -> AtlasFigureOptions:
+    def figure_options(self, ends: Ends = (None, None)) -> AtlasFigureOptions:
         """How its picture looks with these ends of its scale, as options of ``render.figure``."""
         look: AtlasFigureOptions = {"vmin": ends[0], "vmax": ends[1]} if has_scale(self.kind) else {}
         look["overlay"] = self.overlays
@@ -197,7 +197,9 @@ def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]])
     axes = tuple(given["axes"].split(",")) if "axes" in given else explorer.subject.axes
     if len(axes) != 2:
         raise InputError(f"axes: found {given['axes']!r}, must be two parameters, ACROSS,UP")
-    return explorer.turned((axes[0], axes[1]), _number("layer", given["layer"]) if "layer" in given else None)
+    return explorer.explorer_for_axes(
+        (axes[0], axes[1]), _number("layer", given["layer"]) if "layer" in given else None
+    )
 
 
 def place_query(home: Subject, subject: Subject, chosen: ViewState) -> str:

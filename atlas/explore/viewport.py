@@ -25,7 +25,7 @@ class CellRange:
     count: int
 
     @classmethod
-    def seen(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "CellRange":
+    def from_window(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "CellRange":
         """The cells in a window on this many pixels, at the deepest level whose cells are not finer than pixels."""
         level = lattice.level(low, high, pixels)
         first = lattice.nearest(level, low)
@@ -53,7 +53,7 @@ class CellRange:
         begin, end = (step * number - step // 2 - self.first for number in (other.first, other.first + other.count))
         return slice(max(begin, 0), max(0, min(end, self.count)))
 
-    def holding(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
+    def position_of(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """The place, from 0 on, of its cell that contains a cell of a level as fine or finer."""
         shift = level - self.level
         return np.asarray(((index + (1 << shift) // 2) >> shift) - self.first)
@@ -73,7 +73,7 @@ class TileKey(NamedTuple):
     y: int
 
     @property
-    def above(self) -> "TileKey":
+    def parent(self) -> "TileKey":
         """The tile of the next coarser level that has every fourth cell of this one."""
         return TileKey(self.level_x - 1, self.level_y - 1, self.x // 2, self.y // 2)
 

@@ -30,13 +30,13 @@ class StoredOrbits:
         self.family: Family = family_of(rows.system, rows.fixed, rows.axes)
         self._known: dict[int, Orbit | None] = {}
 
-    def along(self, axis: int, values: Array) -> Family:
+    def family_along(self, axis: int, values: Array) -> Family:
         """The family over one axis, by its number, through a point (axes,)."""
         own = self.rows
         others = {name: float(value) for name, value in zip(own.axes, values, strict=True) if name != own.axes[axis]}
         return family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
 
-    def of(self, row: int) -> Orbit | None:
+    def orbit_of_row(self, row: int) -> Orbit | None:
         """The orbit of a row; None without a proven one, or where Newton's method finds none, such as for R = 0."""
         if row not in self._known:
             self.find([row])
@@ -70,14 +70,14 @@ class StoredOrbits:
         except ValueError:
             return None
 
-    def alike(self, rows: Rows) -> Iterator[tuple[Rows, list[Orbit]]]:
+    def group_by_itinerary(self, rows: Rows) -> Iterator[tuple[Rows, list[Orbit]]]:
         """The places of rows whose orbits have one itinerary, and these orbits; rows without an orbit are left out."""
         self.find(rows)
-        orbits = [self.of(int(row)) for row in rows]
+        orbits = [self.orbit_of_row(int(row)) for row in rows]
         for places in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
             yield places, [orbit for place in places if (orbit := orbits[place]) is not None]
 
-    def follow(
+    def continue_orbits(
         self, orbits: list[Orbit], here: Array, there: Array, steps: int = 1, attracting: bool = False
     ) -> OrbitBatch:
         """Orbits of one itinerary continued from parameters (N, axes) to others by Newton's method, in equal steps.

@@ -41,9 +41,9 @@ class OverviewBuilder:
 
     def __bool__(self) -> bool:
         """Whether a chunk is computable."""
-        return any(map(self.missing, self.levels))
+        return any(map(self.missing_chunks, self.levels))
 
-    def missing(self, level: int) -> list[Index]:
+    def missing_chunks(self, level: int) -> list[Index]:
         """The chunks of a level that are missing, but computable: everything below them exists."""
         levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
         below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
@@ -58,11 +58,11 @@ class OverviewBuilder:
         """
         made = 0
         for level in self.levels:
-            missing = self.missing(level)
+            missing = self.missing_chunks(level)
             for done, index in enumerate(missing):
                 report(done, len(missing))
                 try:
-                    self._pyramid.make(level, index)
+                    self._pyramid.build_chunk(level, index)
                 except (RunError, ChunkError):
                     raise
                 except (OSError, ValueError) as error:

@@ -20,7 +20,7 @@ def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
     """The coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
     spec, base, arrays = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):
-        if axis.name in spec.dims[: spec.kept]:
+        if axis.name in spec.dims[: spec.n_uncoarsened_dims]:
             arrays[axis.name] = base[axis.name]
             continue
         edges = edges_of(np.array(axis.values), axis.scale == "log")
@@ -42,12 +42,14 @@ def coarse_name(axis: str) -> str:
 
 def level_dims(spec: Spec) -> tuple[str, ...]:
     """The dimensions of a cell's variables in every level."""
-    return (*spec.dims[: spec.kept], *map(coarse_name, spec.dims[spec.kept :]))
+    return (*spec.dims[: spec.n_uncoarsened_dims], *map(coarse_name, spec.dims[spec.n_uncoarsened_dims :]))
 
 
 def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
     """The attribute of the group of all levels, level 0 first, by which viewers of pyramids find them."""
-    scales = [[1 if k < spec.kept else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)]
+    scales = [
+        [1 if k < spec.n_uncoarsened_dims else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)
+    ]
     paths = ["..", *map(str, range(1, levels + 1))]
     datasets = [{"path": path, "scale": scale} for path, scale in zip(paths, scales, strict=True)]
     return [{"name": "cells", "axes": list(spec.dims), "datasets": datasets}]

@@ -89,7 +89,7 @@ class OverviewLevels:
         """Whether the chunk of level 1 over a tile covers no other tile."""
         return bool(self.count) and list(self.children(1, self.chunk_over(tile))) == [tile]
 
-    def above(self, index: Index) -> Index:
+    def parent_chunk(self, index: Index) -> Index:
         """The chunk of the next level over a chunk of a level."""
         return tuple(i >> times for i, times in zip(index, self.halvings(1), strict=True))
 

@@ -74,7 +74,11 @@ class Pyramid:
         self.made = stored is not None
         shapes = stored or {"side": side, "least": least}
         self.levels = OverviewLevels(
-            handle.spec.shape, handle.tile, side=shapes["side"], least=shapes["least"], kept=handle.spec.kept
+            handle.spec.shape,
+            handle.tile,
+            side=shapes["side"],
+            least=shapes["least"],
+            kept=handle.spec.n_uncoarsened_dims,
         )
 
     @property
@@ -136,7 +140,7 @@ class Pyramid:
             top.attrs["complete"] = True
         self.made = True
 
-    def make(self, level: int, index: Index) -> None:
+    def build_chunk(self, level: int, index: Index) -> None:
         """Compute a chunk of a level from the previous one and write it, ``regime`` last; no tile below is pending."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
@@ -184,7 +188,7 @@ class Pyramid:
             return 0
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):
-            over = {self.levels.above(index) for index in over} | {index for n, index in wanted if n == level}
+            over = {self.levels.parent_chunk(index) for index in over} | {index for n, index in wanted if n == level}
             # Both marks: a kill during writing may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):

@@ -76,7 +76,7 @@ def _walk_part(part: StoreBlock, names: list[str], codes: Collection[int]) -> It
 
 def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:
     """The records of every tile of a store: the code of its only regime, _MIXED, or _NOTHING to read it for."""
-    known = part.records.known
+    known = part.records.known_mask
     counts = part.records.rows[..., CELLS]
     states = np.where(
         np.count_nonzero(counts, axis=-1) == 1, np.array([r.code for r in REGIMES])[counts.argmax(axis=-1)], _MIXED

@@ -58,7 +58,7 @@ class Comparison:
     weights: tuple[NDArray[np.float64], ...]
 
     @classmethod
-    def of(cls, one: "xr.Dataset", other: "xr.Dataset", window: Window | None = None) -> Self:
+    def from_atlases(cls, one: "xr.Dataset", other: "xr.Dataset", window: Window | None = None) -> Self:
         """The comparison of two atlases in a window; InputError, which says what differs, unless their cells agree.
 
         They have to be of one system and to have the same axes with the same values, to the bit. Fixed parameters,
@@ -81,7 +81,7 @@ class Comparison:
         read = [view(ds, names, pixels=pixels) for ds in (self.one, self.other)]
         if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
             read = [view(ds, names) for ds in (self.one, self.other)]
-        return [Plane.of(ds, names) for ds in read]
+        return [Plane.from_dataset(ds, names) for ds in read]
 
     @cached_property
     def difference(self) -> "xr.DataArray":
@@ -216,7 +216,7 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
     if systems[0] != systems[1]:
         raise InputError(f"the systems differ: {systems[0]} here, {systems[1]} there")
     here_and_there = [stored_system(ds.attrs) for ds in (one, other)]
-    definitions = [identity(system.resolved()) for system in here_and_there if system]
+    definitions = [identity(system.to_resolved()) for system in here_and_there if system]
     if len(definitions) == 2 and definitions[0] != definitions[1]:
         raise InputError(f"the systems differ: both are called {systems[0]}, but they are not defined alike")
     if columns(one) != columns(other):

@@ -30,7 +30,7 @@ class CoordinateInfo(NamedTuple):
     unit: str
 
     @classmethod
-    def of(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
+    def from_dataset(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
         """The meaning by the coordinate's attributes, or, where it lacks one, by the atlas's system."""
         system, own = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
@@ -77,7 +77,7 @@ def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
         log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # plain, as JSON wants it
-        axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, CoordinateInfo.of(ds, name)))
+        axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, CoordinateInfo.from_dataset(ds, name)))
     return ds, tuple(axes)
 
 
@@ -99,7 +99,7 @@ class Plane:
         return self.values[name]
 
     @classmethod
-    def of(cls, ds: "xr.Dataset", names: Sequence[str]) -> "Plane":
+    def from_dataset(cls, ds: "xr.Dataset", names: Sequence[str]) -> "Plane":
         """The plane of a dataset that is read."""
         ds, (x, y) = sort_axes(ds)
         return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
@@ -109,7 +109,7 @@ class Plane:
         """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
         return determined(self.regime)
 
-    def known(self, name: str) -> Array:
+    def known_values(self, name: str) -> Array:
         """The values of a variable where the class of motion is known, NaN elsewhere."""
         return np.where(self.determined_mask, self[name], np.nan)
 

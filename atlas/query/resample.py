@@ -145,7 +145,7 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
     for first in range(whole_rows.start // rows * rows, whole_rows.stop, rows):
         strip = slice(max(first, whole_rows.start), min(first + rows, whole_rows.stop))
         block = (*piece[:kept], strip, *piece[kept + 1 :])
-        cells = part.read(level, block, part.closed(names))
+        cells = part.read(level, block, part.required_variables(names))
         widths = [w[b] for w, b in zip(part.pyramid.widths[level], block, strict=True)]
         for dim, count in enumerate(more):
             for _ in range(count):

@@ -124,7 +124,7 @@ class StoreBlock:
         """Which tiles of the store are done, as an array over the tiles."""
         return self.records.done
 
-    def closed(self, names: Iterable[str]) -> list[str]:
+    def required_variables(self, names: Iterable[str]) -> list[str]:
         """All variables that coarsening these takes."""
         return required_variables(self.pyramid.variables, names)
 
@@ -195,7 +195,7 @@ class StoreBlock:
         """Variables of a piece of a level from the level before."""
         finer = self.pyramid.levels.finer(level, piece)
         widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
-        below = self.read(level - 1, finer, self.closed(names))
+        below = self.read(level - 1, finer, self.required_variables(names))
         return coarsen(below, widths, self.pyramid.levels.coarsened)
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:

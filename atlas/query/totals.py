@@ -57,7 +57,7 @@ class StoreTotals:
         """The rows of records, those of tiles that are not done made up, and the mask of the tiles that have one."""
         rows, pending = self.part.records.rows.copy(), ~self.part.done
         rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
-        return rows, self.part.records.known | pending
+        return rows, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
         """The part cut into pieces of whole cells of levels, as coarse as they fit."""

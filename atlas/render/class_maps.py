@@ -159,7 +159,7 @@ def attractors(view: MapView) -> MapLayers:
     A cell with undecided initial states may have more: its known attractors count.
     """
     most = max(COUNTS)
-    count = np.minimum(np.nan_to_num(view.plane.known("attractors")).round(), most)
+    count = np.minimum(np.nan_to_num(view.plane.known_values("attractors")).round(), most)
     names = {1: "1 attractor", most: f"{most} or more"}
     classes = [(count == n, color, names.get(n, f"{n} attractors")) for n, color in COUNTS.items()]
     return build_layers(view.plane.regime, classes, beside="")

@@ -78,7 +78,9 @@ def _boundaries(view: MapView, size: Size) -> OverlayLines:
 
 def _isolines(view: MapView, size: Size) -> OverlayLines:
     plane, kept, names = view.plane, list[Array](), list[dict[str, Any]]()
-    for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
+    for level, line in isolines(
+        plane.x.values, plane.y.values, plane.known_values(LARGEST.name), MaxNLocator(5).tick_values
+    ):
         placed = _placed(plane, line, size)
         dots, along = densify_line(placed)
         if along[-1] >= overlays.MIN_LINE_LENGTH:

@@ -66,7 +66,7 @@ def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
     needs = (variable,) if variable else kind.variables
     kind.require(seen, needs)
     wanted = PictureRequest(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
-    view = MapView(kind, ds, Plane.of(seen, needs), wanted)
+    view = MapView(kind, ds, Plane.from_dataset(seen, needs), wanted)
     return _coded(name, text_of(text.variable_label(ds, variable)) if variable else kind.meaning, view, needs)
 
 

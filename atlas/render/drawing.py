@@ -64,7 +64,7 @@ def figure(
     """
     if path is not None:
         check_path(path)
-    wanted = PictureRequest.of(kind, window, pixels, **options)
+    wanted = PictureRequest.from_arguments(kind, window, pixels, **options)
     drawn = _drawn(subject, wanted, [titles] if isinstance(titles, str) else names_in("titles", titles))
     if path is not None:
         save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)

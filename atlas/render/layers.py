@@ -64,7 +64,7 @@ class LegendEntry:
         ink = style.HATCH_INK.get(code, style.TEXTURE)
         return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
 
-    def drawn(self) -> Patch:
+    def to_artist(self) -> Patch:
         """The entry as a matplotlib artist."""
         if self.dark < 1.0:
             return style.GradientPatch(self.color, self.dark, self.label)

@@ -144,7 +144,7 @@ class FigureLayout:
             plots[0].set_title(title, loc="left", gid=TITLE)
         return drawn, plots
 
-    def head(self, drawn: Figure, title: str, **look: Any) -> None:
+    def add_title(self, drawn: Figure, title: str, **look: Any) -> None:
         """Add a title over all plots of a figure."""
         if self.title:
             size = mpl.rcParams["font.size"]
@@ -213,7 +213,7 @@ class FigureLayout:
             with self.context():
                 fit(drawn)
 
-    def settle(self, drawn: Figure) -> None:
+    def finalize(self, drawn: Figure) -> None:
         """Fit the texts and lay the figure out: its plots then have their final size."""
         self.wrap_texts(drawn)
         drawn.draw_without_rendering()

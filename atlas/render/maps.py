@@ -39,7 +39,7 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
         scalar_maps.draw_bars(drawn, [ax], layers.bars, page)
         page.legend(drawn, entries, beside=layers.beside)
         if layers.names and wanted.names:
-            page.settle(drawn)
+            page.finalize(drawn)
             name_regions(ax, view.plane, layers.names, [LABEL_SIZE * page.scale])
     return drawn
 
@@ -52,7 +52,7 @@ def read(kind: PictureKind, ds: xr.Dataset, wanted: PictureRequest) -> MapView:
     names = [*kind.variables] if wanted.variable is None else [wanted.variable]
     names += [LARGEST.name] if "isolines" in wanted.overlays else []
     kind.require(ds, names)
-    plane = Plane.of(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
+    plane = Plane.from_dataset(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
     return MapView(kind, ds, plane, wanted)
 
 
@@ -66,7 +66,9 @@ def lay(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> list[A
     for at, look in layers.points:
         ax.plot(*at.T, zorder=4, scalex=False, scaley=False, **style.mark(*look))
     entries: list[Artist] = [
-        (replace(entry, label=f"{entry.label},\nsingle cells enlarged") if entry.regime in enlarged else entry).drawn()
+        (
+            replace(entry, label=f"{entry.label},\nsingle cells enlarged") if entry.regime in enlarged else entry
+        ).to_artist()
         for entry in layers.entries
     ]
     if layers.point_entry is not None:

@@ -109,7 +109,9 @@ def _boundaries(ax: Axes, view: MapView) -> list[Artist]:
 
 def _isolines(ax: Axes, view: MapView) -> list[Artist]:
     plane, kept = view.plane, dict[float, list[Array]]()
-    for level, line in isolines(plane.x.values, plane.y.values, plane.known(LARGEST.name), MaxNLocator(5).tick_values):
+    for level, line in isolines(
+        plane.x.values, plane.y.values, plane.known_values(LARGEST.name), MaxNLocator(5).tick_values
+    ):
         _, along = densify_line(raster.in_points(ax, line, view.page.map_size))
         if along[-1] >= MIN_LINE_LENGTH:
             kept.setdefault(level, []).append(line)

@@ -29,7 +29,7 @@ class PlottedValues:
     observable: Observable | None = None
 
     @classmethod
-    def of(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
+    def resolve(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
         """The named observable, else section values, else the first observable held by all of these atlases, else None.
 
         InputError for an observable that one of them lacks.

@@ -39,7 +39,7 @@ class PortraitCoordinate(NamedTuple):
     rate: str
     stops: tuple[float, ...]
 
-    def of(self, states: Array) -> tuple[Array, Array]:
+    def project(self, states: Array) -> tuple[Array, Array]:
         """The displacement and the velocity (N,) in states (N, 2n)."""
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
@@ -67,7 +67,7 @@ def figure(orbit: CellTrajectory, page: FigureLayout = STANDARD, gap_plane: bool
         drawn = page.figure(height)
         drawn.set_layout_engine("constrained", hspace=pad, wspace=pad)
         title = f"{text.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
-        page.head(drawn, title, linespacing=1.4)
+        page.add_title(drawn, title, linespacing=1.4)
         rows, heights = _mosaic(page.has_side_legend, len(masses), len(planes), chatter is not None, many)
         plots: dict[str, Axes] = drawn.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
         for k, mass in enumerate(masses):
@@ -123,7 +123,7 @@ def _shown(orbit: CellTrajectory, row: Array) -> PortraitCoordinate:
 def _history(ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate) -> None:
     count = selection.periods(orbit)
     times, states = selection.path(orbit, count)
-    values, _ = shown.of(states)
+    values, _ = shown.project(states)
     ax.plot(times / orbit.unit, values, color=LINE, linewidth=0.9)
     for stop in shown.stops:
         ax.axhline(stop, **_STOP)
@@ -157,8 +157,8 @@ def _phase_plane(
     ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate, other: PortraitCoordinate | None = None
 ) -> None:
     """A displacement against its velocity, or two displacements against each other."""
-    across, rate = shown.of(orbit.states)
-    up = other.of(orbit.states)[0] if other else rate
+    across, rate = shown.project(orbit.states)
+    up = other.project(orbit.states)[0] if other else rate
     closed = bool(orbit.cell["period"])
     ax.plot(across, up, color=LINE, linewidth=0.9 if closed else 0.25, alpha=1.0 if closed else 0.75)
     for stop in shown.stops:
@@ -172,12 +172,12 @@ def _phase_plane(
 def _section(ax: Axes, orbit: CellTrajectory) -> None:
     """The gap coordinate and its velocity at the section."""
     shown = _shown(orbit, orbit.gap_row)
-    x, y = shown.of(orbit.section)
+    x, y = shown.project(orbit.section)
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # A single point has no extent: the orbit gives the scale.
-        for name, values in zip(("xlim", "ylim"), shown.of(orbit.states), strict=True):
+        for name, values in zip(("xlim", "ylim"), shown.project(orbit.states), strict=True):
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
             ax.set(**{name: (middle - reach, middle + reach)})

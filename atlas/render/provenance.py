@@ -95,4 +95,4 @@ def _of_one(subject: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:
         return Provenance(f"impact-atlas: {system}, axes {axes}", digest, solver, spec, software)
     along = getattr(subject, "along", None)
     what = "one cell" if along is None else f"branches along {along}"
-    return provenance_of_values(f"{subject.system.name}, {what}", subject.decided_by, subject.digest)
+    return provenance_of_values(f"{subject.system.name}, {what}", subject.identity, subject.digest)

@@ -45,7 +45,7 @@ def figure(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
         page.legend(drawn, entries, beside=title, handlelength=2.6)
         if not wanted.names:
             return drawn
-        page.settle(drawn)
+        page.finalize(drawn)
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))
         fine = plane.even(times)
         marked = [np.asarray(line.get_xydata()) for line in ax.lines if line.get_gid() == "corner"]

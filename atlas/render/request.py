@@ -48,7 +48,7 @@ class PictureRequest:
     observe: str | None = None
 
     @classmethod
-    def of(
+    def from_arguments(
         cls,
         kind: str | None = None,
         window: Window | None = None,

@@ -77,7 +77,7 @@ def exponent(view: MapView, norm: TwoSlopeNorm | None = None) -> MapLayers:
 
     ``norm``: a scale shared by several maps. Impact-free cells have exponents too, and a texture.
     """
-    regime, largest = view.plane.regime, view.plane.known(LARGEST.name)
+    regime, largest = view.plane.regime, view.plane.known_values(LARGEST.name)
     norm = norm or two_sided(view.page, *scale_ends(largest))
     layers = _scaled(view, ScalarLayer(EXPONENT, norm, largest, text.in_its_unit(view.ds, view.kind.scale.label)))
     quiet = (regime == NO_IMPACT) & ~np.isnan(largest)
@@ -108,7 +108,7 @@ def combined(view: MapView) -> MapLayers:
 
 def number(view: MapView) -> MapLayers:
     """A number of each cell of known class of motion, on the scale of its kind."""
-    return _numbers(view, view.plane.known(*view.kind.variables), view.kind.scale.label)
+    return _numbers(view, view.plane.known_values(*view.kind.variables), view.kind.scale.label)
 
 
 def cost(view: MapView) -> MapLayers:
@@ -135,7 +135,7 @@ def scalar(view: MapView) -> MapLayers:
     scale, plane = view.kind.scale, view.plane
     name = view.kind.variables[0] if view.kind.variables else str(view.wanted.variable)
     log, label = scale.log or view.wanted.log, scale.label or text.variable_label(view.ds, name)
-    regime, values = plane.regime, plane.known(name).astype(np.float64)
+    regime, values = plane.regime, plane.known_values(name).astype(np.float64)
     # Counts of an orbit exist only for orbits that do not rest, where impacts are infinitely many.
     meant = variable_of(view.ds, name)
     values[~np.isin(regime, list(meant.regimes)) | (meant.endless & (values < 0.0))] = np.nan
@@ -188,7 +188,7 @@ def error(view: MapView) -> MapLayers:
     Numerical for periodic or impact-free motion, a standard error for chaos, the difference of two windows for a torus:
     see the table of variables in docs/data.md. Given ends of the scale apply to the standard error.
     """
-    regime, known = view.plane.regime, view.plane.known(ERROR.name)
+    regime, known = view.plane.regime, view.plane.known_values(ERROR.name)
     # No error is below rounding, and a zero has no place on a logarithmic scale.
     known = np.where(known == 0.0, np.finfo(float).eps, np.maximum(known, np.finfo(float).tiny))
     known[~np.isfinite(known)] = np.nan

@@ -53,7 +53,7 @@ def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
     with counted() as reads, page.context():
         drawn, panels, own = _sheet(page, count, most=2)
         here, there = compared.planes(own.map_pixels)
-        page.head(drawn, _title(compared) + _coarseness(max(reads.block)))
+        page.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
         pending = (here.regime == PENDING) | (there.regime == PENDING)
         shown = [(there, "another regime", _changes(here, there, pending, compared.other))]
         if compared.has_exponents:
@@ -84,10 +84,10 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: PictureRequest, names: S
     with counted() as reads, page.context():
         drawn, panels, own = _sheet(page, len(shown), most=3)
         views = [maps.read(chosen, ds, PictureRequest(own)) for ds in shown]
-        page.head(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
+        page.add_title(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
         if chosen.name == "exponent":
-            known = np.concatenate([view.plane.known(LARGEST.name).ravel() for view in views])
+            known = np.concatenate([view.plane.known_values(LARGEST.name).ravel() for view in views])
             norm = scalar_maps.two_sided(page, *scale_ends(known))
             label = text.in_its_unit(shown[0], rf"$\lambda_1$ [{PER_PERIOD}]")
             bars = [ScalarLayer(scalar_maps.EXPONENT, norm, known, label)]

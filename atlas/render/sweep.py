@@ -75,7 +75,7 @@ def _of_one(
     ds: xr.Dataset, wanted: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
     """The plotted points of a sweep over a panel of its exponents, which has these entries in the legend."""
-    shown = PlottedValues.of(wanted.observe, ds)
+    shown = PlottedValues.resolve(wanted.observe, ds)
     panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
@@ -96,7 +96,7 @@ def figure_of_two(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     assert against is not None
     hysteresis.check_same_axis(ds, against)
     atlases = (ds, against)
-    shown = PlottedValues.of(wanted.observe, *atlases)
+    shown = PlottedValues.resolve(wanted.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
@@ -134,7 +134,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
-    shown = PlottedValues.of(wanted.observe, ds)
+    shown = PlottedValues.resolve(wanted.observe, ds)
     names = held([LARGEST.name], ds) if shown is None else [shown.name]
     panels = {name: _panel_of_attractors(name, known, shown) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
@@ -143,7 +143,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     if known is not None:
         label = read[0][LABEL.name].values
         entries, regime = (
-            [entry.drawn() for entry in class_maps.branch_entries(known, label, ink=True)],
+            [entry.to_artist() for entry in class_maps.branch_entries(known, label, ink=True)],
             regime[label < 0],
         )
     entries += regime_legend(regime, read[0])
@@ -206,7 +206,7 @@ def stack(
         from atlas.orbits.branches.from_sweep import tree_through  # imports Numba
         from atlas.orbits.branches.table import BranchTable
 
-        branches = BranchTable.of(tree_through(sweeps), shown.observable)
+        branches = BranchTable.from_tree(tree_through(sweeps), shown.observable)
     with page.context():
         drawn, plots = page.panels(least + share * page.width, len(panels), text.title_line(ds))
         for ax, (name, panel) in zip(plots, panels.items(), strict=True):
@@ -320,7 +320,7 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
 
 def draw_branches(ax: Axes, branches: "BranchTable", page: FigureLayout) -> list[Artist]:
     """Draw branches, also of mirror images, with their events, and return the legend entries drawn."""
-    lines, places, entries = list(branches.lines()), list(branches.places()), list[Artist]()
+    lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
         shown, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
         if shown:

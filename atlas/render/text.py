@@ -29,7 +29,7 @@ def shown_symbol(symbol: str, name: str) -> str:
 
 def symbol(ds: xr.Dataset, name: str) -> str:
     """The symbol of an atlas's parameter as mathtext, without the dollars."""
-    return shown_symbol(CoordinateInfo.of(ds, name).symbol, name)
+    return shown_symbol(CoordinateInfo.from_dataset(ds, name).symbol, name)
 
 
 def axis_label(name: str, meaning: CoordinateInfo) -> str:
@@ -127,7 +127,7 @@ def gap_label(system: System | None) -> str:
     """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
     if system is None:
         return "first state at $t = kT$"
-    entries = [entry.constant for entry in system.definition.shown]
+    entries = [entry.constant for entry in system.definition.picture_row]
     states = [system.parameter(name) for name in system.definition.coordinates]
     at = "its event" if system.definition.unforced else "$t = kT$"
     ending = f" at {at}" + unit_ending(*(state.unit for state, c in zip(states, entries, strict=True) if c != 0.0))

@@ -30,7 +30,7 @@ class AttractorSearch:
     starts: AttractorSettings
 
     @classmethod
-    def of(
+    def from_arguments(
         cls,
         given: Mapping[str, Any],
         system: str | Mapping[str, Any] | System,
@@ -102,5 +102,5 @@ def attractors(
     >>> [(one["regime"], one["period"], one["share"]) for one in found["coexisting"]]
     [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
-    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
     return asked.described | asked.results

@@ -167,7 +167,7 @@ class _Tracker:
         """The saddle of a period, or of a divisor of it, next to a state by Newton's method; None if there is none."""
         z, eye = state.copy(), np.eye(len(state))
         for _ in range(NEWTON):
-            states, last, jacobian = self.map.turn(z, period)
+            states, last, jacobian = self.map.orbit_with_jacobian(z, period)
             residual = float(np.abs(last - z).max())
             if not np.isfinite(residual):
                 return None
@@ -196,7 +196,7 @@ class _Tracker:
 
     def _directions(self, state: Array, period: int) -> tuple[Array, Array]:
         """The normal of the stable manifold, and for n = 1 its direction, both in the norm's coordinates."""
-        jacobian = self.weights[:, None] * self.map.turn(state, period)[2] / self.weights
+        jacobian = self.weights[:, None] * self.map.orbit_with_jacobian(state, period)[2] / self.weights
         values, vectors = np.linalg.eig(jacobian.T)
         normal = np.real(vectors[:, np.argmax(np.abs(values))])
         normal = normal / np.linalg.norm(normal) * (1.0 if normal[np.argmax(np.abs(normal))] > 0.0 else -1.0)

@@ -60,7 +60,7 @@ def stability(
     [(1, 4.245), (3, 4.276)]
     """
     validate_flag("shocks", shocks)
-    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
     must_have_force(asked.record, "stability measures")
     if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")

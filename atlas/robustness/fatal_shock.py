@@ -110,11 +110,11 @@ def reached(table: AttractorTable, states: Array) -> Labels:
 
     BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, UNKNOWN_LABEL if not known.
     """
-    search = table.solved(states, references=False)
+    search = table.search_from(states, references=False)
     labels, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
         new = attractor_of(table.oscillators, search, r)
-        place = table.label(table.cell.same(new)[0]) if new else UNKNOWN_LABEL
+        place = table.label(table.cell.find_same(new)[0]) if new else UNKNOWN_LABEL
         labels[r] = BEYOND_TABLE if new and place == UNKNOWN_LABEL else place
     labels[(labels < 0) & (regime == INVALID)] = NO_MOTION
     return np.asarray(labels, dtype=np.int64)

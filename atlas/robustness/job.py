@@ -59,7 +59,7 @@ def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ..
 
 def measure_and_keep(job: MeasureJob) -> PartReport:
     """Measure some cells and keep the measures as a part of the store."""
-    handle = job.site.handle()
+    handle = job.site.open()
     with translate_file_errors(job.site.store):
         cells = columns_of(handle, NEEDED, job.tile)
     compile_once(*kernels_of(handle.spec))
@@ -68,7 +68,7 @@ def measure_and_keep(job: MeasureJob) -> PartReport:
     arrays = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
-    job.site.keep(handle, STABILITY, job.name, file.getvalue())
+    job.site.write_part(handle, STABILITY, job.name, file.getvalue())
     return PartReport(job.index, job.name, time.thread_time() - begin, job.last - job.first)
 
 

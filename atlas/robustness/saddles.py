@@ -64,7 +64,7 @@ def saddles(
     [(1, [0, 1])]
     """
     validate_flag("manifolds", manifolds)
-    asked = AttractorSearch.of(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
     return saddles_between(asked, validate_weights(norm, asked.record), manifolds, box)
 
 

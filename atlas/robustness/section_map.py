@@ -34,7 +34,7 @@ class SectionMap:
         """P^periods of states (N, 2n)."""
         return np.asarray(self.orbits(states, periods)[:, -1])
 
-    def turn(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
+    def orbit_with_jacobian(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
         """The states (periods, 2n) of the motion from a state, its last one (2n,) and the Jacobian (2n, 2n) of it all.
 
         NaN where the motion cannot be followed.

@@ -137,7 +137,7 @@ class _CurveRun:
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
             self.crew.run_jobs(jobs, self._progress)
-            self.search.take([read_part(self.handle, name) for name in tasks])
+            self.search.add_results([read_part(self.handle, name) for name in tasks])
         curves = finish_search(self.search)
         drop_family(self.handle, MARGIN)  # margins to the previous curves
         write_curves(self.handle, curves)
@@ -147,7 +147,7 @@ class _CurveRun:
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number
-        return CurveJob(index, name, task, self.search.settings, self.digest, self.crew.site)
+        return CurveJob(index, name, task, self.search.settings, self.digest, self.crew.store_ref)
 
     def _progress(self) -> Progress:
         search = self.search

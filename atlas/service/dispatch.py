@@ -85,7 +85,7 @@ class Dispatcher(Generic[J, R]):
         self.heard: dict[str, float] = {}
         self.last_good = self.last_end = self.looked = time.monotonic()
 
-    def outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
+    def iter_outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
 
         ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
@@ -98,25 +98,25 @@ class Dispatcher(Generic[J, R]):
         try:
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
-                    self.look()
-                    tick(self.workers())
+                    self.refresh_workers()
+                    tick(self.worker_status())
                     ticked = time.monotonic()
-                self.fill()
+                self.submit_jobs()
                 if not (self.running or self.again):
                     yield from self.judge_doubtful()
                     if not self.again:
-                        tick(self.workers())  # shows workers excluded since the last tick
+                        tick(self.worker_status())  # shows workers excluded since the last tick
                         return
                     continue
                 for attempt, result in self.running.ended():
-                    outcome = self.outcome(attempt, result)
+                    outcome = self.handle_result(attempt, result)
                     if outcome is not None:
                         yield outcome
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing to cancel
                 self.running.cancel(lambda _: True)
 
-    def look(self) -> None:
+    def refresh_workers(self) -> None:
         """Look at the cluster, which may grow and shrink during the run."""
         threads, now = worker_threads(self.client), time.monotonic()
         self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
@@ -147,7 +147,7 @@ class Dispatcher(Generic[J, R]):
         limit = max(self.timing.hung, SLOW * self.longest)
         if now - self.running.oldest <= limit:
             return
-        willing = self.threads.keys() - self.fitness.left_out.keys()
+        willing = self.threads.keys() - self.fitness.excluded.keys()
         hung = {}
         for worker, attempts in self.running.held().items():
             old = [attempt for attempt in attempts if not attempt.is_moved and now - attempt.since > limit]
@@ -157,7 +157,7 @@ class Dispatcher(Generic[J, R]):
             silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
             reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
             LOG.debug("%s hangs: %s", worker, reason)
-            self.fitness.refuse(WorkerRefusal(worker, f"{reason}; others do them"))
+            self.fitness.record_refusal(WorkerRefusal(worker, f"{reason}; others do them"))
             self.running.set_apart(worker, attempts)
             self.again.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
@@ -167,13 +167,15 @@ class Dispatcher(Generic[J, R]):
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:
                 needed = f"needs {byte_size(memory)}: dask worker --memory-limit"
-                self.fitness.refuse(WorkerRefusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}"))
+                self.fitness.record_refusal(
+                    WorkerRefusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}")
+                )
 
-    def workers(self) -> WorkerStatus:
+    def worker_status(self) -> WorkerStatus:
         """The workers, by the last look at the cluster and the outcomes so far."""
-        return WorkerStatus(sum(self.threads.values()), self.fitness.left_out, self.trouble())
+        return WorkerStatus(sum(self.threads.values()), self.fitness.excluded, self.describe_trouble())
 
-    def trouble(self) -> str:
+    def describe_trouble(self) -> str:
         """Why no job has ended for a while, empty if nothing is known to be wrong."""
         silent = time.monotonic() - self.last_end
         if silent < self.timing.stalled or not self.running:
@@ -196,9 +198,9 @@ class Dispatcher(Generic[J, R]):
             f"memory: {names}"
         )
 
-    def fill(self) -> None:
+    def submit_jobs(self) -> None:
         """Fill the window with jobs, starting with jobs that are to be tried again."""
-        left_out = self.fitness.left_out
+        left_out = self.fitness.excluded
         willing = [worker for worker in self.threads if worker not in left_out]
         if willing or not left_out:
             self.last_good = time.monotonic()
@@ -215,7 +217,7 @@ class Dispatcher(Generic[J, R]):
             return  # a worker that did jobs is gone, and may come back
         if self.client.status != "running":
             raise RunError(CLUSTER_LOST_MESSAGE)
-        room = max(0, self.window(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
+        room = max(0, self.window_size(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
@@ -226,14 +228,14 @@ class Dispatcher(Generic[J, R]):
             attempts.append(replace(attempt, workers=workers))
         self.running.submit(attempts)
 
-    def window(self, threads: int) -> int:
+    def window_size(self, threads: int) -> int:
         """The number of jobs to keep under way for this number of threads, by the times of jobs so far."""
         if not self.ahead:
             return threads + EXTRA_IN_FLIGHT
         jobs = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
         return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, jobs))
 
-    def drop(self, stale: Callable[[J], bool]) -> list[J]:
+    def cancel_stale(self, stale: Callable[[J], bool]) -> list[J]:
         """Take back jobs that are no longer wanted, and return them; a job that a worker has begun is finished."""
         dropped = self.running.cancel(lambda attempt: stale(attempt.job), waiting=True)
         for attempts in (self.again, self.doubtful):
@@ -243,7 +245,7 @@ class Dispatcher(Generic[J, R]):
             dropped += gone
         return [attempt.job for attempt in dropped]
 
-    def outcome(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
+    def handle_result(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
         self.last_end = time.monotonic()
         if result.worker:
@@ -255,7 +257,7 @@ class Dispatcher(Generic[J, R]):
             return result.result
         if isinstance(result, WorkerRefusal):
             LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
-            self.fitness.refuse(result)
+            self.fitness.record_refusal(result)
             self.again.append(attempt)
             return None
         if result.full:
@@ -275,7 +277,7 @@ class Dispatcher(Generic[J, R]):
 
     def judge_doubtful(self) -> Iterator[TileFailure]:
         """Judge the jobs in doubt once all others are done: a job is tried again or given up."""
-        if self.fitness.left_out.keys() >= self.threads.keys():
+        if self.fitness.excluded.keys() >= self.threads.keys():
             self.fitness.readmit_failed()
         for attempt in self.doubtful:
             if self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS) is False:

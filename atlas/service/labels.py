@@ -67,5 +67,5 @@ def label_attractors(
             prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             labels = labels_of(handle)
-            write_labels(handle.at(claim.fence_backend(handle.place)), labels)
+            write_labels(handle.with_backend(claim.fence_backend(handle.place)), labels)
         return LabelSummary(str(handle.place), labels.count, time.monotonic() - begin)

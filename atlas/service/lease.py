@@ -109,7 +109,7 @@ class Lease:
         """The unique token of this run's claim."""
         return self._record.token
 
-    def report(self, progress: Mapping[str, Any]) -> None:
+    def set_progress(self, progress: Mapping[str, Any]) -> None:
         """Set the progress that the next beats write; the first report is written at once, before the first tile."""
         first, self._progress = not self._progress, progress
         if first:
@@ -156,7 +156,7 @@ class Lease:
         self._thread.join()
         with suppress(OSError):
             self._beat()  # a cancellation may have changed the bytes that are to be removed
-            self._notes.remove(LEASE_NAME, self._data)
+            self._notes.compare_and_remove(LEASE_NAME, self._data)
 
     def _beat_on(self) -> None:
         while not self._released.wait(self._timing.beat) and not self.lost:
@@ -170,7 +170,7 @@ class Lease:
             while not self.lost:
                 advanced = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
                 begin = time.monotonic()
-                if self._notes.put(LEASE_NAME, advanced.pack(), expected=self._data):
+                if self._notes.compare_and_set(LEASE_NAME, advanced.pack(), expected=self._data):
                     self._record, self._data, self._advanced = advanced, advanced.pack(), begin
                     self._failure = None
                     return
@@ -199,10 +199,10 @@ def hold_lease(
     """
     mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
-        while not notes.put(LEASE_NAME, mine.pack(), expected=None):
+        while not notes.compare_and_set(LEASE_NAME, mine.pack(), expected=None):
             other = notes.read(LEASE_NAME)
             abandoned = other is not None and _is_abandoned(notes, name, other, say, timing)
-            if abandoned and notes.put(LEASE_NAME, mine.pack(), expected=other):
+            if abandoned and notes.compare_and_set(LEASE_NAME, mine.pack(), expected=other):
                 break
     except NetworkError:
         raise
@@ -257,7 +257,7 @@ class LeaseObserver:
         self._notes, self._timing, self._sleep = notes, timing, sleep
         self.mark, self._since = object(), 0.0
 
-    def look(self) -> LeaseObservation | None:
+    def observe(self) -> LeaseObservation | None:
         """The present claim, None if there is none."""
         begin = time.monotonic()
         data = self._notes.read(LEASE_NAME)
@@ -269,12 +269,12 @@ class LeaseObserver:
         record = LeaseRecord.unpack(data)
         return LeaseObservation(record, record.is_alive if record else None, now - self._since, self._timing)
 
-    def settle(self) -> LeaseObservation | None:
+    def observe_until_settled(self) -> LeaseObservation | None:
         """The claim, once it is known to move, to stand still, or to be gone."""
-        seen, first = self.look(), self.mark
+        seen, first = self.observe(), self.mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
             self._sleep(self._timing.look)
-            seen = self.look()
+            seen = self.observe()
         return seen
 
 
@@ -299,12 +299,12 @@ def cancel(
             raise RunError(f"{name}: {LeaseObservation(None).trouble}")
         if record.is_alive is False:
             raise InputError(f"{name}: no run is at work on it: {LeaseObservation(record, alive=False).trouble}")
-        if record.cancelled or notes.put(LEASE_NAME, replace(record, cancelled=True).pack(), expected=data):
+        if record.cancelled or notes.compare_and_set(LEASE_NAME, replace(record, cancelled=True).pack(), expected=data):
             break
     say(f"asked {record} to stop")
     observer, end = LeaseObserver(notes, timing), time.monotonic() + wait_seconds
     while time.monotonic() < end:
-        seen = observer.look()
+        seen = observer.observe()
         if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
             return record
         if seen.trouble:
@@ -316,7 +316,7 @@ def cancel(
 def record_end(notes: Sidecar, text: str) -> None:
     """Note the end of a submitted run, for the status; the next run that ends well clears the note."""
     with suppress(Exception):  # a failure to write the note must not hide the run's own error
-        notes.put(ENDED, text.encode(), expected=notes.read(ENDED))
+        notes.compare_and_set(ENDED, text.encode(), expected=notes.read(ENDED))
 
 
 def read_end(notes: Sidecar) -> str:
@@ -332,7 +332,7 @@ def _is_abandoned(notes: Sidecar, name: str, data: bytes, say: Callable[[str], N
         return True
     say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
     observer = LeaseObserver(notes, timing)
-    while (seen := observer.look()) is not None:
+    while (seen := observer.observe()) is not None:
         if observer.mark != _mark(data):
             raise InputError(
                 f"{name}: another run is at work on it ({seen.record or record}); wait for it to end, or stop it: "

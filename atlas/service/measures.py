@@ -202,7 +202,7 @@ class _MeasureRun:
         self.cells = sum(last - first for *_, first, last in parts)
         self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
         jobs = [
-            MeasureJob((k,), name, family, tile, first, last, self.norm, self.crew.site)
+            MeasureJob((k,), name, family, tile, first, last, self.norm, self.crew.store_ref)
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
         ]

@@ -133,6 +133,6 @@ def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]
 
 
 def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
-    seen = LeaseObserver(sidecar_of(handle.place), timing).settle()
+    seen = LeaseObserver(sidecar_of(handle.place), timing).observe_until_settled()
     if seen is not None and seen.alive is not False and not seen.trouble:
         raise InputError(f"{handle.place}: {seen.record} is at work on it; pack it when that has ended")

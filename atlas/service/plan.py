@@ -89,7 +89,7 @@ class Plan:
         total += _array_bytes(tiling.grid, 8 * WIDTH) + _array_bytes((1,), 8 * WIDTH * tiling.count)
         coordinates = len(coordinate_names(spec))
         total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
-        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.kept)
+        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.n_uncoarsened_dims)
         for level in range(1, levels.count + 1):
             cells = math.prod(map(min, levels.chunk, levels.shape_of(level)))
             for variable in level_variables(spec.variables):
@@ -102,7 +102,7 @@ class Plan:
     def objects(self) -> int:
         """About how many files or objects the store has: chunks and records of tiles, and chunks of overviews."""
         spec, tiling = self.spec, self.tiling
-        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.kept)
+        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.n_uncoarsened_dims)
         chunks = sum(
             math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
             for level in range(1, levels.count + 1)
@@ -137,7 +137,7 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas plan --json`` prints."""
         return {
-            "axes": self.spec.described,
+            "axes": self.spec.axis_descriptions,
             "dims": self.spec.dims,
             "shape": self.tiling.shape,
             "cells": self.tiling.cells,
@@ -169,7 +169,7 @@ class Plan:
             cost += f" on {plural(self.workers, 'worker')} (probed on {plural(self.probe.cells, 'cell')})"
         tiles = f"{plural(self.tiling.count, 'tile')} of {tile}"
         cells = f"{self.tiling.cells} ({shape}; {', '.join(self.spec.dims)}) in {tiles}"
-        facts = [("axes", " x ".join(self.spec.described)), ("cells", cells), ("cost", cost)]
+        facts = [("axes", " x ".join(self.spec.axis_descriptions)), ("cells", cells), ("cost", cost)]
         return [*facts, ("note", self.note)] if self.note else facts
 
     def __str__(self) -> str:

@@ -51,7 +51,7 @@ class Progress:
         return (self.cells - self.cells_done) / self.rate if self.rate else None
 
     @property
-    def speed(self) -> str:
+    def format_speed(self) -> str:
         """Cells a second and time left, empty before the first tile."""
         left = self.seconds_left
         return "" if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
@@ -63,16 +63,16 @@ class Progress:
         return ", ".join(part for part in (shares(self.counts), failed) if part)
 
     @property
-    def line(self) -> str:
+    def format_line(self) -> str:
         """Tiles, cells, speed, time left and regimes; before the first tile, share and seconds of the stage."""
         if not self.tiles:
             share = f"{100 * self.cells_done / self.cells:.0f} % after " if self.cells else ""
             return f"{self.stage}: {share}{duration(self.seconds)}" if self.seconds else self.stage
         done = f"{self.tiles_done}/{self.tiles} tiles, {self.cells_done}/{self.cells} cells"
-        return ", ".join(part for part in (done, self.speed, self.outcome) if part)
+        return ", ".join(part for part in (done, self.format_speed, self.outcome) if part)
 
     def __str__(self) -> str:
-        return f"{self.stage}: {self.line}" if self.tiles else self.stage
+        return f"{self.stage}: {self.format_line}" if self.tiles else self.stage
 
     def __repr__(self) -> str:
         return f"<Progress {self}>"

@@ -125,12 +125,12 @@ def validate_retry(
         _check_amount(old, allowance, getattr(request, allowance.setting))
     for name in names:
         needs = DECIDED_BY[name]
-        if not request.given(needs):
+        if not request.least_budget(needs):
             option, least = f"--{needs.setting.replace('_', '-')}", _least(old, needs)
             more = f"give {option} above {least}"
             raise InputError(f"retry: {name} cells come out the same within the same {needs.name}; {more}")
     for allowance in ALLOWANCES:
-        if request.given(allowance) and allowance not in {DECIDED_BY[name] for name in names}:
+        if request.least_budget(allowance) and allowance not in {DECIDED_BY[name] for name in names}:
             decided = " or ".join(name for name, needs in DECIDED_BY.items() if needs is allowance)
             raise InputError(f"{allowance.setting}: is for {decided} cells, found {','.join(names)}")
     return request
@@ -150,4 +150,4 @@ def _check_amount(old: AtlasStore, allowance: BudgetVariable, amount: int | None
 def _least(old: AtlasStore, allowance: BudgetVariable) -> int:
     """The largest allowance that cells of a store were given."""
     retried = old.origin.retry if old.origin is not None else None
-    return max(allowance.from_spec(old.spec), retried.given(allowance) if retried is not None else 0)
+    return max(allowance.from_spec(old.spec), retried.least_budget(allowance) if retried is not None else 0)

@@ -100,7 +100,7 @@ def complete(
         claim = stack.enter_context(hold_store_lease(place, options))
         place = claim.fence_backend(waiting(place, options.patience))
         before = handle  # before the claim another run may have made the store, or another one in its place
-        handle = find_store(place) if before is None else before.at(place).current()
+        handle = find_store(place) if before is None else before.with_backend(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:
             check_run(place, spec, handle, origin, run_id)
         if handle is None:
@@ -154,19 +154,19 @@ class _Run:
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_tile_job(RunJob(index, self.crew.site))
+        receipt = run_tile_job(RunJob(index, self.crew.store_ref))
         self.records.add(receipt.index, receipt.record)
         self.totals.add(receipt)
 
     def hand_out(self) -> None:
         """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
-        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.crew.site
-        force = self.crew.force
+        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.crew.store_ref
+        force = self.crew.dispatcher
         totals.start()
         try:
-            for outcome in self.crew.outcomes((RunJob(index, site) for index in order), self._tick):
+            for outcome in self.crew.iter_outcomes((RunJob(index, site) for index in order), self._tick):
                 if isinstance(outcome, TileReport):
-                    order.note(outcome.index, outcome.solve_seconds)
+                    order.record_cost(outcome.index, outcome.solve_seconds)
                     self.records.add(outcome.index, outcome.record)
                 if not isinstance(outcome, DerivedReport):
                     totals.add(outcome)
@@ -177,14 +177,14 @@ class _Run:
                 self._make([RunJob((), site, LABELS)])
             self.doing = "writing overviews"
             for level in self.overviews.levels:
-                self._make([RunJob(index, site, level) for index in self.overviews.missing(level)])
+                self._make([RunJob(index, site, level) for index in self.overviews.missing_chunks(level)])
         except KeyboardInterrupt:
             self.report("interrupted, dropping the tiles under way")
             raise
 
     def _make(self, jobs: list[RunJob]) -> None:
         """Let workers do jobs other than tiles. A failed chunk of an overview is left to ``finish``, which raises."""
-        for outcome in self.crew.outcomes(jobs, self._tick):
+        for outcome in self.crew.iter_outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
             if isinstance(outcome, DerivedReport):
@@ -200,7 +200,7 @@ class _Run:
         self.crew.claim.check(lambda: self.report("waiting for the store, which does not answer"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
         totals.trouble = workers.trouble
-        self.crew.claim.report(totals.report(workers.threads) | {"holds": self.records.counts})
+        self.crew.claim.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
         self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
 
     def finish(self) -> None:

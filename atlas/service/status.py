@@ -72,7 +72,7 @@ class StoreStatus:
     def rows(self) -> list[tuple[str, str]]:
         """The facts about the store, by name."""
         return [
-            ("axes", " x ".join(self.handle.spec.described)),
+            ("axes", " x ".join(self.handle.spec.axis_descriptions)),
             ("tiles", f"{self.tiles_done} of {self.handle.tiling.count} done"),
             ("cells", f"{self.cells_done} of {self.handle.tiling.cells} done ({100 * self.fraction:.1f} %)"),
             ("solver", f"version {self.handle.solver_version}"),
@@ -151,7 +151,7 @@ class StoreCounts:
     reasons: dict[str, int]
 
     @classmethod
-    def reported(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
+    def from_lease(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
         """The counts that the run on a store reports; None if there is no such run, or no sound report."""
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
@@ -177,15 +177,15 @@ class StatusReader:
         self.notes = sidecar_of(handle.place)
         self.observer = LeaseObserver(self.notes, timing)
 
-    def take(self, settled: bool = False) -> StoreStatus:
+    def read(self, settled: bool = False) -> StoreStatus:
         """The present status; ``settled`` waits until a claim of another machine moves, or has stood still for long.
 
         If a run was at work before the count and has ended since, the tiles are counted again: its last tiles may have
         come after the count.
         """
-        look = self.observer.settle if settled else self.observer.look
+        look = self.observer.observe_until_settled if settled else self.observer.observe
         seen = look()
-        while (holding := StoreCounts.reported(seen)) is None:
+        while (holding := StoreCounts.from_lease(seen)) is None:
             before = _token(seen)
             holding = self._count()
             seen = look()
@@ -200,7 +200,7 @@ class StatusReader:
     def _count(self) -> StoreCounts:
         records = TileRecords(self.handle)
         total = records.rows.reshape(-1, WIDTH).sum(axis=0)
-        unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known).tolist()]
+        unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known_mask).tolist()]
         self.tiles_read += len(unknown)
         for row in count_tiles(self.handle, unknown):
             if isinstance(row, ChunkError):
@@ -219,14 +219,14 @@ def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
     If the run at work is on another machine, this takes up to ``timing.silent`` seconds: only its counter shows that
     it is alive.
     """
-    return StatusReader(handle, timing).take(settled=True)
+    return StatusReader(handle, timing).read(settled=True)
 
 
 def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[StoreStatus]:
     """Statuses, one every ``seconds``, until the atlas is complete or no run has been at work for a while."""
     idle, beat = 0.0, -1
     while True:
-        status = census.take()
+        status = census.read()
         yield status
         alive = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
         idle, beat = 0.0 if alive else idle + seconds, status.run.beat if status.run else -1

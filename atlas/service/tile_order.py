@@ -23,7 +23,7 @@ class TileOrder:
         self._cost = np.full(due.shape, np.nan)
         self._noted = 0
 
-    def note(self, index: tuple[int, ...], cost: float) -> None:
+    def record_cost(self, index: tuple[int, ...], cost: float) -> None:
         """Note the cost of a tile, in any unit."""
         self._cost[index] = cost
         self._noted += 1

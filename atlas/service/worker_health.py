@@ -48,7 +48,7 @@ class WorkerHealth:
         self._failing: dict[str, dict[Index, str]] = {}
         self._failed: set[Index] = set()
 
-    def refuse(self, refusal: WorkerRefusal) -> None:
+    def record_refusal(self, refusal: WorkerRefusal) -> None:
         """A worker has refused a job."""
         self.refused[refusal.worker] = refusal.reason
         if refusal.passing:
@@ -77,14 +77,14 @@ class WorkerHealth:
             self._failing.setdefault(failure.worker, {})[index] = failure.reason
 
     @property
-    def left_out(self) -> Mapping[str, str]:
+    def excluded(self) -> Mapping[str, str]:
         """The excluded workers, and the reasons."""
         unfit = {worker: jobs for worker, jobs in self._failing.items() if len(jobs) >= MAX_FAILURES}
         return {worker: _in_words(jobs) for worker, jobs in unfit.items()} | self.refused
 
     def is_at_fault(self, failures: Iterable[AttemptFailure], attempts: int) -> bool | None:
         """Whether a job has failed ``attempts`` times on fit workers; None if some of these have not succeeded yet."""
-        left_out = self.left_out
+        left_out = self.excluded
         workers = [failure.worker for failure in failures if failure.worker not in left_out]
         if len(workers) < attempts:
             return False
@@ -95,7 +95,7 @@ class WorkerHealth:
 
         False if there is no such worker, or HOPELESS jobs have failed without a single success.
         """
-        if not self.left_out.keys() - self.refused.keys() or (
+        if not self.excluded.keys() - self.refused.keys() or (
             not self._proven and len(self._failed) >= MAX_FAILED_JOBS
         ):
             return False

@@ -85,10 +85,12 @@ class WorkerPool(Generic[J, R]):
         client = connect_client(client, options, stack) if needed else None
         threads = worker_count(client, options) if needed else 0
         claim = stack.enter_context(hold_store_lease(handle.place, options))
-        return cls(handle.at(claim.fence_backend(handle.place)), act, kernels, options, claim, stack, threads, client)
+        return cls(
+            handle.with_backend(claim.fence_backend(handle.place)), act, kernels, options, claim, stack, threads, client
+        )
 
     @cached_property
-    def site(self) -> StoreRef:
+    def store_ref(self) -> StoreRef:
         """The store as jobs receive it."""
         handle = self.handle
         return StoreRef(
@@ -96,22 +98,22 @@ class WorkerPool(Generic[J, R]):
         )
 
     @cached_property
-    def force(self) -> Dispatcher[J, R]:
+    def dispatcher(self) -> Dispatcher[J, R]:
         """The workers, until ``stack`` is closed."""
-        site = self.site
+        site = self.store_ref
         if self.client is None:
             prepare_kernels(self.options.report, *self.kernels)
         client = start_client(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
         labour = JobType(
-            str(site.store), self.act, partial(prepare_worker, site, self.kernels), site.forget, self.memory
+            str(site.store), self.act, partial(prepare_worker, site, self.kernels), site.evict, self.memory
         )
         return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
 
-    def outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
+    def iter_outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """The outcomes of jobs, see ``Dispatcher.outcomes``; RunError, too, if the claim has been taken meanwhile."""
         try:
-            yield from self.force.outcomes(jobs, tick)
+            yield from self.dispatcher.iter_outcomes(jobs, tick)
         except RunError:
             with suppress(OSError):  # a store that cannot be reached says nothing of its claim
                 self.handle.place.check_fence()  # if the claim was taken, workers refuse for that reason
@@ -134,7 +136,7 @@ class WorkerPool(Generic[J, R]):
             waiting = "" if workers.threads else "no worker left: waiting for one"
             self._report(doing(), workers.trouble or waiting)
 
-        for outcome in self.outcomes(jobs, tick) if jobs else ():
+        for outcome in self.iter_outcomes(jobs, tick) if jobs else ():
             if isinstance(outcome, TileFailure):
                 raise RunError(
                     f"a task failed: {outcome.message}; finished parts are kept, and the same command resumes"
@@ -168,7 +170,7 @@ def open_store_call(
     with progress_reporter(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
         if isinstance(store, AtlasStore):
-            handle = store.at(waiting(store.place, options.patience))
+            handle = store.with_backend(waiting(store.place, options.patience))
         else:
             place = open_backend(store, storage_options=options.storage_options)
             handle = open_store(waiting(place, options.patience))

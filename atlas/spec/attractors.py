@@ -51,7 +51,7 @@ def search_to_json(
 ) -> dict[str, Any]:
     """The system, parameters, settings and search of one cell in full, as plain JSON."""
     described = {"parameters": parameters, "solve": asdict(settings), "search": attractors_to_json(search)}
-    return record.resolved() | described
+    return record.to_resolved() | described
 
 
 def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:

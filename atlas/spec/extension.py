@@ -22,7 +22,7 @@ def extend_spec(stored: Spec, given: Spec, name: str) -> Spec:
     if stored.continuation is not None or given.continuation is not None:
         raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on those before it")
     names = [axis.name for axis in stored.axes]
-    with_old_axes = given.resolved() | ({"axes": stored.resolved()["axes"]} if names == _names(given) else {})
+    with_old_axes = given.to_resolved() | ({"axes": stored.to_resolved()["axes"]} if names == _names(given) else {})
     reasons = differences(stored, Spec.from_resolved(with_old_axes))
     if reasons:
         raise InputError(f"{name}: cannot be extended by this spec: {'; '.join(reasons)}")

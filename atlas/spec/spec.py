@@ -134,7 +134,7 @@ class Spec:
             for name, value in self.parameters.items()
             if value != self.record.parameter(name).default
         ]
-        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.described), *given])}>"
+        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.axis_descriptions), *given])}>"
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
@@ -176,12 +176,12 @@ class Spec:
         return tuple(len(axis) for axis in reversed(self.axes))
 
     @property
-    def described(self) -> tuple[str, ...]:
+    def axis_descriptions(self) -> tuple[str, ...]:
         """Each axis in a few words, or the table of points."""
         return (described(self.points),) if self.points else tuple(map(str, self.axes))
 
     @property
-    def kept(self) -> int:
+    def n_uncoarsened_dims(self) -> int:
         """The number of leading ``dims`` that are never coarsened: the planes of a stack, the rows of a table."""
         return 1 if self.points or len(self.axes) == MAX_AXES else 0
 
@@ -193,7 +193,7 @@ class Spec:
                 return place, axis.continuation == "backward"
         return None
 
-    def resolved(self) -> dict[str, Any]:
+    def to_resolved(self) -> dict[str, Any]:
         """The spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
         return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
 
@@ -205,7 +205,9 @@ class Spec:
         else:
             cells = {"axes": [axis.outline() for axis in self.axes]}
         many = {} if self.attractors is None else {"attractors": attractors_to_json(self.attractors)}
-        return self.record.resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
+        return (
+            self.record.to_resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
+        )
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
@@ -299,7 +301,7 @@ class Spec:
     @property
     def digest(self) -> str:
         """SHA-256 of everything that decides the numbers, see ``resolved_digest``."""
-        return resolved_digest(self.resolved())
+        return resolved_digest(self.to_resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
         """Parameters of a block of cells as for solve_tile: axes as arrays that broadcast to its shape."""

@@ -51,7 +51,7 @@ class StorageAccess:
     client: Pairs = field(default=(), repr=False)
     provider: Any = field(default=None, repr=False)
 
-    def make(self, url: str, settings: Mapping[str, str]) -> "ObjectStore":
+    def open_client(self, url: str, settings: Mapping[str, str]) -> "ObjectStore":
         """The client of a URL, under these settings of the environment. It tries every request once."""
         from obstore.store import from_url
 

@@ -37,7 +37,7 @@ class StoreBackend:
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a place is only a name
 
-    def inner(self, folder: str) -> "StoreBackend":
+    def subfolder(self, folder: str) -> "StoreBackend":
         """The place of a store within this one, behind the same fence. ValueError if this place is read-only."""
         raise ValueError(f"{self}: nothing can be kept in a store that is only read")
 
@@ -88,7 +88,7 @@ class StoreBackend:
         """Write an object if there is none of that key; else write nothing and return False."""
         raise self._read_only()
 
-    def take_all(self, other: "StoreBackend", keys: Iterable[str]) -> None:
+    def copy_all(self, other: "StoreBackend", keys: Iterable[str]) -> None:
         """Copy objects from another place, by links or on the server if possible; missing ones are left out."""
         self.put_all(other.get_all(keys))
 
@@ -147,14 +147,14 @@ class LocalBackend(StoreBackend):
         # A write puts another file in its place.
         return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
-    def inner(self, folder: str) -> "LocalBackend":
+    def subfolder(self, folder: str) -> "LocalBackend":
         return LocalBackend(self.path / folder).with_fence(self.fence)
 
     def put(self, key: str, data: bytes) -> None:
         with self._written(key, lambda written: _write_flushed(written, data)) as written:
             os.replace(written, self.path / key)
 
-    def take_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
+    def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
         """See Place. On one file system the object gets a second name: no object is ever changed, only replaced."""
         rest = []
         for key in keys:
@@ -164,7 +164,7 @@ class LocalBackend(StoreBackend):
                 continue
             except OSError:  # another file system, one without links, or one with too many links to a file
                 rest.append(key)
-        super().take_all(other, rest)
+        super().copy_all(other, rest)
 
     def _link(self, other: StoreBackend, key: str) -> None:
         if other.local is None:

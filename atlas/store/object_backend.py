@@ -160,7 +160,7 @@ def waiting(place: StoreBackend, patience: float) -> StoreBackend:
 @lru_cache(maxsize=16)
 def _client(url: str, access: StorageAccess, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
     """The client of a URL under these settings."""
-    return access.make(url, dict(settings))
+    return access.open_client(url, dict(settings))
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class ObjectBackend(StoreBackend):
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
-    def inner(self, folder: str) -> "ObjectBackend":
+    def subfolder(self, folder: str) -> "ObjectBackend":
         return replace(self, url=url_below(self.url, folder)).with_fence(self.fence)
 
     def get(self, key: str) -> bytes | None:
@@ -231,11 +231,11 @@ class ObjectBackend(StoreBackend):
         """See Place. The fence is called once for requests that begin together, and again before each repetition."""
         self._change_together(objects, lambda place, key: place.put(key, objects[key]))
 
-    def take_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
+    def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
         """See Place. Within a bucket the server copies objects itself."""
         bucket, mine, theirs = self._in_bucket_of(other)
         if bucket is None:
-            return super().take_all(other, keys)
+            return super().copy_all(other, keys)
         import obstore
 
         def take(place: ObjectBackend, key: str) -> None:

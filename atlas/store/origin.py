@@ -52,7 +52,7 @@ class RetryRequest:
     max_periods: int | None = None
     survival: int | None = None
 
-    def given(self, allowance: BudgetVariable) -> int:
+    def least_budget(self, allowance: BudgetVariable) -> int:
         """The least amount of an allowance for these cells; 0 if the retry does not raise it."""
         return int(getattr(self, allowance.setting) or 0)
 

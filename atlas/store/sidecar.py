@@ -42,10 +42,10 @@ class Sidecar(Protocol):
     def read(self, name: str) -> bytes | None:
         """A note's bytes, None if there is none."""
 
-    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+    def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
         """Write a note if it is absent (``expected`` None) or holds the expected bytes; else return False."""
 
-    def remove(self, name: str, expected: bytes) -> bool:
+    def compare_and_remove(self, name: str, expected: bytes) -> bool:
         """Remove a note that holds the expected bytes; else return False. For the note's maker only."""
 
     def clear(self, keep: str) -> None:
@@ -73,10 +73,10 @@ class NullSidecar:
     def read(self, name: str) -> bytes | None:
         return None
 
-    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+    def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
         return False
 
-    def remove(self, name: str, expected: bytes) -> bool:
+    def compare_and_remove(self, name: str, expected: bytes) -> bool:
         return False
 
     def clear(self, keep: str) -> None:
@@ -114,7 +114,7 @@ class TileAttempt:
 
     def remove(self, notes: Sidecar, name: str) -> None:
         """Remove the attempt's note, unless a later attempt has replaced it."""
-        notes.remove(name, self.pack())
+        notes.compare_and_remove(name, self.pack())
 
 
 def start_attempt(notes: Sidecar, name: str, run: str, most: int) -> TileAttempt:
@@ -131,7 +131,7 @@ def start_attempt(notes: Sidecar, name: str, run: str, most: int) -> TileAttempt
             last = before.get("process", "an unknown one")
             raise RunError(f"the process that solves it has died {number} times, the last was {last}")
         attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
-        if notes.put(name, attempt.pack(), expected=note):
+        if notes.compare_and_set(name, attempt.pack(), expected=note):
             return attempt
         note = notes.read(name)
 
@@ -173,7 +173,7 @@ class LocalSidecar:
             time.sleep(_READ_PAUSE)
         return b""
 
-    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+    def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
         while True:
             if expected is None:
                 self.path.mkdir(parents=True, exist_ok=True)
@@ -182,7 +182,7 @@ class LocalSidecar:
             with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
                 return self.read(name) == expected and self._write(name, _file_of(data), new=expected is None)
 
-    def remove(self, name: str, expected: bytes) -> bool:
+    def compare_and_remove(self, name: str, expected: bytes) -> bool:
         """See Notes."""
         if not (self.path / name).exists():
             return False
@@ -287,16 +287,16 @@ class ObjectSidecar:
     def read(self, name: str) -> bytes | None:
         return self.place.get(name) or None
 
-    def put(self, name: str, data: bytes, expected: bytes | None) -> bool:
+    def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
         if expected is None and self.place.put_new(name, data):
             return True
         tagged = self.place.get_tagged(name)
         return tagged is not None and tagged[0] == (expected or b"") and self.place.put_if(name, data, tagged[1])
 
-    def remove(self, name: str, expected: bytes) -> bool:
+    def compare_and_remove(self, name: str, expected: bytes) -> bool:
         if self.read(name) != expected:
             return False
-        return self.place.remove_once(name) or self.put(name, b"", expected)
+        return self.place.remove_once(name) or self.compare_and_set(name, b"", expected)
 
     def clear(self, keep: str) -> None:
         self.place.remove_all(name for name in self.place.list_keys() if name != keep)

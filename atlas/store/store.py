@@ -96,7 +96,7 @@ class AtlasStore:
             same = self.state and _state(self.place.get(ROOT)) == self.state
         return self if same else open_store(self.place)
 
-    def at(self, place: StoreBackend) -> "AtlasStore":
+    def with_backend(self, place: StoreBackend) -> "AtlasStore":
         """The same handle for another view of its place; both share everything that is read and opened."""
         other = object.__new__(AtlasStore)
         vars(other).update(vars(self), place=place)

@@ -83,14 +83,14 @@ class TileRecords:
         return rows
 
     @cached_property
-    def known(self) -> NDArray[np.bool_]:
+    def known_mask(self) -> NDArray[np.bool_]:
         """See the class."""
         return np.asarray(self.rows.any(axis=-1))
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
         """A mask of the tiles without a cell of these regimes, according to their records."""
         asked = np.isin([regime.code for regime in REGIMES], list(codes))
-        return self.known & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
+        return self.known_mask & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
 
     @cached_property
     def _whole(self) -> Rows | None:

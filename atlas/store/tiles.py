@@ -51,9 +51,9 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
     """
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
-    handle.place.take_all(origin.place, keys)
+    handle.place.copy_all(origin.place, keys)
     put_record(handle, index, row)
-    handle.place.take_all(origin.place, [last])
+    handle.place.copy_all(origin.place, [last])
     return row
 
 

@@ -22,7 +22,7 @@ FILE_BLOCK = 4096
 
 def metatile_backend(handle: AtlasStore, plane: str, sheet: str) -> StoreBackend:
     """The place of a sheet of a plane, made or not; ValueError for a store that cannot have sheets."""
-    return handle.place.inner(f"{ZOOM}/{plane}/{sheet}")
+    return handle.place.subfolder(f"{ZOOM}/{plane}/{sheet}")
 
 
 def make_plane(handle: AtlasStore, plane: str, described: Mapping[str, Any]) -> None:

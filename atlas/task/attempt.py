@@ -50,11 +50,11 @@ def run_tile_job(job: RunJob) -> TileReport:
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
             receipt = make_report(handle, job.index, stored_tile(handle, job.index), solved)
             return replace(receipt, record=stored_record(handle, job.index))
-        attempt = start_attempt(notes, job.note, job.site.claim, MAX_DEATHS)
+        attempt = start_attempt(notes, job.attempt_key, job.site.claim, MAX_DEATHS)
     try:
         job = replace(job, attempt=attempt.token)
-        return solve_and_write(job, job.site.with_fences(handle, job.note, job.attempt))
+        return solve_and_write(job, job.site.with_fences(handle, job.attempt_key, job.attempt))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
             with translate_file_errors(job.site.store):
-                attempt.remove(notes, job.note)
+                attempt.remove(notes, job.attempt_key)

@@ -55,7 +55,9 @@ def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
         return ReusedCells(arrays, regime, due)
     again = handle.origin.retry.selects(arrays)
     for allowance in handle.allowances:
-        arrays[allowance.name][again] = np.maximum(arrays[allowance.name], handle.origin.retry.given(allowance))[again]
+        arrays[allowance.name][again] = np.maximum(arrays[allowance.name], handle.origin.retry.least_budget(allowance))[
+            again
+        ]
     return ReusedCells(arrays, regime, due | again, origin)
 
 

@@ -41,7 +41,7 @@ class StoreRef:
     patience: float = LONG_PATIENCE
     claim: str = ""
 
-    def handle(self, note: str = "", attempt: str = "") -> AtlasStore:
+    def open(self, note: str = "", attempt: str = "") -> AtlasStore:
         """The handle of the store, see ``open_checked``, behind the fence of the run's claim.
 
         With the token of an ``attempt`` also behind the fence of the ``note`` that holds it.
@@ -52,14 +52,14 @@ class StoreRef:
 
     def with_fences(self, handle: AtlasStore, note: str = "", attempt: str = "") -> AtlasStore:
         """The same handle behind these fences."""
-        return handle.at(self._guarded(handle.place, note, attempt))
+        return handle.with_backend(self._guarded(handle.place, note, attempt))
 
-    def keep(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
+    def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
         """Store a part of a group."""
         with translate_file_errors(self.store):
             put_part(handle, group, name, data)
 
-    def forget(self) -> None:
+    def evict(self) -> None:
         """Drop this process's cached handles of the store."""
         evict_handle(self.store, self.patience)
 
@@ -96,7 +96,7 @@ class PartReport:
 
 def prepare_worker(site: StoreRef, kernels: Sequence[str]) -> None:
     """Check the needs of any job on this worker, and make sure that its kernels are compiled."""
-    site.handle()
+    site.open()
     compile_once(*kernels)
 
 

@@ -42,13 +42,13 @@ class RunJob:
     attempt: str = ""
 
     @property
-    def note(self) -> str:
+    def attempt_key(self) -> str:
         """The name of the note with the token of the current attempt at the tile."""
         return "started-" + "-".join(map(str, self.index))
 
     def handle(self) -> AtlasStore:
         """The handle of the store in its present state, behind the fences of the run and of the attempt."""
-        return self.site.handle(self.note, self.attempt)
+        return self.site.open(self.attempt_key, self.attempt)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def make_chunk(job: RunJob) -> DerivedReport:
     with translate_file_errors(job.site.store):
         handle = job.handle()
         try:
-            pyramid_of(handle).make(job.level, job.index)
+            pyramid_of(handle).build_chunk(job.level, job.index)
         except WorkerRefusedError:
             raise
         except (RunError, ValueError) as error:  # damage below is not the worker's fault

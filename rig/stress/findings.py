@@ -88,7 +88,7 @@ class StressFindings:
     checked: Counter[str] = field(default_factory=Counter)
     samples: dict[str, list[float]] = field(default_factory=dict)
 
-    def note(self, kind: str, what: str, cell: RandomCell) -> None:
+    def record_trouble(self, kind: str, what: str, cell: RandomCell) -> None:
         """Count a trouble and list its cell while there is room."""
         self.counts[kind] += 1
         cells = self.listed.setdefault(kind, [])

@@ -63,11 +63,11 @@ def solve(cells: Sequence[RandomCell], settings: Settings) -> StressFindings:
         findings.record("seconds", seconds, cell)
         if NAMES[regime] == "failed":
             findings.stopped[REASONS[reason].text] += 1
-            findings.note("failed", REASONS[reason].text, cell)
+            findings.record_trouble("failed", REASONS[reason].text, cell)
         elif NAMES[regime] == "undetermined" and reason != PERIODS_SPENT:
-            findings.note("given up, said to be undetermined", REASONS[reason].text, cell)
+            findings.record_trouble("given up, said to be undetermined", REASONS[reason].text, cell)
         for what in contradictions(result):
-            findings.note("results that contradict each other", what, cell)
+            findings.record_trouble("results that contradict each other", what, cell)
         if regime in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC):
             _check_state(findings, cell, result)
         if not math.isnan(result["sum_law_defect"]):
@@ -75,7 +75,7 @@ def solve(cells: Sequence[RandomCell], settings: Settings) -> StressFindings:
             findings.checked[f"sum law, {NAMES[regime]}, {cell.kind}"] += 1
             findings.record(f"sum law, {NAMES[regime]}, {cell.kind}", defect, cell)
             if regime == PERIODIC and not defect <= SUM_LAW:
-                findings.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)
+                findings.record_trouble("sum law broken by a periodic cell", f"{defect:.2e}", cell)
     return findings
 
 
@@ -97,16 +97,16 @@ def _check_state(findings: StressFindings, cell: RandomCell, result: dict[str, A
     """Check that numbers exist and no rigid contact is passed."""
     for name in ("state", "error", "stuck_fraction"):
         if not np.all(np.isfinite(result[name])):
-            findings.note("NaN or infinity where none belongs", name, cell)
+            findings.record_trouble("NaN or infinity where none belongs", name, cell)
     if np.any(np.isnan(result["spectrum"])) or np.any(result["spectrum"] == np.inf):
-        findings.note("NaN or infinity where none belongs", f"spectrum {result['spectrum']}", cell)
+        findings.record_trouble("NaN or infinity where none belongs", f"spectrum {result['spectrum']}", cell)
     machine: Any = cell.machine
     for contact in machine.contacts:
         y = float(np.asarray(contact.row, dtype=float) @ np.asarray(result["state"])[: machine.n])
         for side, stop in contact.stops.items():
             findings.checked["positions at rigid contacts"] += contact.restitution is not None
             if contact.restitution is not None and side * (y - stop) > POSITION * max(1.0, abs(stop)):
-                findings.note("position beyond a stop", f"{side * (y - stop):.2e} beyond", cell)
+                findings.record_trouble("position beyond a stop", f"{side * (y - stop):.2e} beyond", cell)
 
 
 def recheck(cell: RandomCell, settings: Settings) -> StressFindings:
@@ -122,7 +122,7 @@ def recheck(cell: RandomCell, settings: Settings) -> StressFindings:
     findings.checked[f"orbits closed by the simulator, {cell.kind}"] += 1
     findings.record(f"orbit not closed, {cell.kind}", apart, cell)
     if not apart <= CLOSES:
-        findings.note("an orbit that the simulator does not close", f"{apart:.2e}", cell)
+        findings.record_trouble("an orbit that the simulator does not close", f"{apart:.2e}", cell)
     return findings
 
 

@@ -134,7 +134,7 @@ def _flights(findings: StressFindings, cell: RandomCell, osc: Oscillator, start:
                 f"impact position beyond the stop / rounding of its terms, {cell.kind}", beyond / rounding, cell
             )
             if beyond > POSITION * cell.clearance + rounding:
-                findings.note("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", cell)
+                findings.record_trouble("position beyond a stop", f"impact at t = {time!r}: {beyond:.2e}", cell)
             # A rest between two impacts hides its release: flights after it are not rebuilt here.
             rested = there.tally[STUCK] > _stuck_until(osc, section, t)
             if not held and not rested:
@@ -174,7 +174,7 @@ def _recheck_flights(findings: StressFindings, cell: RandomCell, osc: Oscillator
         # Multiprecision decides crossings within rounding.
         hit = first_hit(cell.machine, flight.state.tolist(), flight.start, reach * (1.0 - 1e-9))
         if hit is not None and float(hit.t) < reach * (1.0 - 1e-6):
-            findings.note(
+            findings.record_trouble(
                 "crossing missed", f"at {float(hit.t)!r} of a flight of {reach!r}, speed {float(hit.speed):.2e}", cell
             )
 
@@ -227,4 +227,4 @@ def _recheck_orbit(findings: StressFindings, cell: RandomCell, osc: Oscillator, 
     findings.sample(f"deviation per radian, {kind}", worst / (1.0 + rate * osc.period))
     findings.record(f"deviation, {kind}", worst, cell)
     if worst > DIFFERS * (1.0 + rate * osc.period):
-        findings.note(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", cell)
+        findings.record_trouble(f"orbit differs, {kind}", f"{worst:.2e} eps |J|, |J| = {norms[-1]:.1e}", cell)

@@ -38,9 +38,9 @@ def solve(cells: Sequence[RandomCell], settings: Settings) -> StressFindings:
         reason = REASONS[int(result["reason"])].text
         _count(findings, cell, result, reason, seconds)
         for trouble in misplaced(cell, result):
-            findings.note("NaN or infinity where none belongs", trouble, cell)
+            findings.record_trouble("NaN or infinity where none belongs", trouble, cell)
         for trouble in contradictions(cell, result):
-            findings.note("results that contradict each other", trouble, cell)
+            findings.record_trouble("results that contradict each other", trouble, cell)
         _check_positions(findings, cell, result)
         _check_sum_law(findings, cell, result)
     return findings
@@ -72,16 +72,18 @@ def _count(findings: StressFindings, cell: RandomCell, result: Result, reason: s
         findings.invalid[reason] += 1
     elif regime == "failed":
         findings.stopped[reason] += 1
-        findings.note("failed", reason, cell)
+        findings.record_trouble("failed", reason, cell)
     elif regime == "chaotic" and reason:
         findings.uncertain[reason] += 1
     elif regime == "undetermined" and reason != REASONS[PERIODS_SPENT].text:
-        findings.note("given up, said to be undetermined", reason, cell)
+        findings.record_trouble("given up, said to be undetermined", reason, cell)
     away = cell.beyond(cell.position(cell.start))
     outside = away > 0.0 and (regime != "invalid" or "beyond a stop" in reason)
     findings.outside += outside
     if outside != (reason == "the initial state lies beyond a stop"):
-        findings.note("a state beyond a stop not recognised", f"{regime}, {reason!r}, {away:.2e} beyond", cell)
+        findings.record_trouble(
+            "a state beyond a stop not recognised", f"{regime}, {reason!r}, {away:.2e} beyond", cell
+        )
 
 
 def _lost(cell: RandomCell, result: Result) -> tuple[int, int]:
@@ -149,7 +151,9 @@ def _check_positions(findings: StressFindings, cell: RandomCell, result: Result)
         beyond = cell.beyond(cell.position(state))
         terms = sum(abs(share * x) for share, x in zip(cell.gap, state, strict=False))
         if beyond > POSITION * cell.clearance + 4e-16 * len(cell.gap) * terms * (np.count_nonzero(cell.gap) > 1):
-            findings.note("position beyond a stop", f"section {beyond / cell.clearance!r} clearances beyond", cell)
+            findings.record_trouble(
+                "position beyond a stop", f"section {beyond / cell.clearance!r} clearances beyond", cell
+            )
 
 
 def sum_law_scale(cell: RandomCell, result: Result) -> float:
@@ -168,4 +172,4 @@ def _check_sum_law(findings: StressFindings, cell: RandomCell, result: Result) -
     findings.checked[f"sum law, {regime}, {cell.kind}"] += 1
     findings.record(f"sum law, {regime}, {cell.kind}", defect, cell)
     if regime == "periodic" and not defect <= SUM_LAW:
-        findings.note("sum law broken by a periodic cell", f"{defect:.2e}", cell)
+        findings.record_trouble("sum law broken by a periodic cell", f"{defect:.2e}", cell)

@@ -38,7 +38,7 @@ CELL = {"omega": 4.1234567, "b": 0.1}
 def asked(explorer: Explorer, cell: CellResult) -> AttractorListing:
     """The attractors that the explorer finds of a cell."""
     answers: SimpleQueue[AttractorListing] = SimpleQueue()
-    explorer.patches.want(
+    explorer.patches.request(
         "test", [ComputationJob(attractor_computation(explorer.subject, cell), answers.put, pytest.fail)]
     )
     return answers.get(timeout=120.0)
@@ -95,9 +95,9 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
 ) -> None:
     with exploring(coexistence, client) as explorer:
         subject = explorer.subject
-        sight = subject.sight((3.9, 4.1), (0.75, 0.8), (16, 16))
+        sight = subject.viewport((3.9, 4.1), (0.75, 0.8), (16, 16))
         solved(explorer, sight)
-        shown = explorer.known.seen(subject.plane, sight, ["largest"]).ds
+        shown = explorer.known.visible_cells(subject.plane, sight, ["largest"]).ds
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
     handle = open_store(coexistence)
     assert all(open_store(metatile_backend(handle, *sheet)).spec.attractors is None for sheet in list_metatiles(handle))
@@ -112,7 +112,7 @@ def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finishe
     for shown, offered in ((subject, True), (fixed, False)):
         explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(want=lambda who, jobs: None))
         panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
-        panel.turn(CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
+        panel.set_topic(CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
         assert panel._button.visible == offered
 
 
@@ -192,11 +192,11 @@ def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
         drop_tile(handle, index)
     subject = subject_of(str(path))
     known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
-    sight = subject.sight((3.6, 4.4), (0.7, 0.9), (3, 4))
+    sight = subject.viewport((3.6, 4.4), (0.7, 0.9), (3, 4))
 
     def pending() -> int:
         """Cells that no click and no picture shows; both agree."""
-        seen = known.seen(subject.plane, sight, ["largest"]).ds
+        seen = known.visible_cells(subject.plane, sight, ["largest"]).ds
         cells = [known.cell(subject.plane, sight, x, y) for y in seen.R.values for x in seen.omega.values]
         there = np.reshape([cell is not None for cell in cells], seen.regime.shape)
         assert np.array_equal(seen.regime.values != PENDING, there)

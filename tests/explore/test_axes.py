@@ -54,7 +54,7 @@ def test_an_address_restores_axes_parameters_window_cell_and_cut(explorer: Explo
 def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
     home = explorer.subject
     chosen = from_address(home, arguments("omega=2.0:3.0&b=0.2:0.3&kind=scalar&variable=period&R=0.7"))
-    turned = explorer.turned(("R", "zeta")).subject
+    turned = explorer.explorer_for_axes(("R", "zeta")).subject
     values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
     there = carry_over(turned, chosen, values)
     assert (there.kind, there.variable) == ("scalar", "period")
@@ -62,12 +62,12 @@ def test_what_was_chosen_goes_along_to_other_axes(explorer: Explorer) -> None:
 
 
 def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explorer: Explorer) -> None:
-    turned = explorer.turned(("R", "b"))
+    turned = explorer.explorer_for_axes(("R", "b"))
     subject, plane = turned.subject, turned.subject.plane.with_value("omega", 3.9)
-    sight = subject.sight((0.7, 0.8), (0.45, 0.55), (20, 20))
-    turned.want("test", plane, sight, range(3, -1, -1))
-    assert waited(lambda: turned.patches.left("test") == 0)
-    assert not np.any(turned.known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
+    sight = subject.viewport((0.7, 0.8), (0.45, 0.55), (20, 20))
+    turned.request_tiles("test", plane, sight, range(3, -1, -1))
+    assert waited(lambda: turned.patches.n_remaining("test") == 0)
+    assert not np.any(turned.known.visible_cells(plane, sight, []).ds[REGIME.name].values == PENDING)
     cell = turned.known.cell(plane, sight, 0.75, 0.5)
     assert cell is not None and cell.parameters["omega"] == 3.9
     alone = atlas.point(cell.parameters, system=subject.system, settings=subject.settings)
@@ -78,7 +78,7 @@ def test_cells_over_other_axes_are_those_of_the_point_command_to_the_bit(explore
 def test_the_link_to_other_axes_is_admitted_also_from_a_view_whose_middle_is_out_of_range(explorer: Explorer) -> None:
     home = explorer.subject
     chosen = from_address(home, arguments("omega=2.0:3.0&b=-0.4:0.2"))  # a gap has to be positive
-    turned = explorer.turned(("omega", "R")).subject
+    turned = explorer.explorer_for_axes(("omega", "R")).subject
     values = dict(zip(home.axes, chosen.middle(home), strict=True)) | dict(chosen.plane.parameters)
     there = carry_over(turned, chosen, values)
     assert from_address(turned, arguments(to_address(home, turned, there))) == there
@@ -110,9 +110,9 @@ def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_w
     monkeypatch.setattr(PersistentTileCache, "_turn", slow)
     monkeypatch.setattr("atlas.explore.explorer.MAX_OTHER_EXPLORERS", 1)
     with exploring(stack, client) as explorer:
-        layer = explorer.turned(("omega", "b"), 0.05)
-        layer.tiles.keeper.offer(layer.subject.plane, TileKey(0, 0, 0, 0), {})
-        assert explorer.turned(("R", "b")) is not explorer.turned(("R", "omega"))
+        layer = explorer.explorer_for_axes(("omega", "b"), 0.05)
+        layer.tiles.keeper.enqueue(layer.subject.plane, TileKey(0, 0, 0, 0), {})
+        assert explorer.explorer_for_axes(("R", "b")) is not explorer.explorer_for_axes(("R", "omega"))
         assert not written
         go_on.set()
     assert len(written) == 1
@@ -134,51 +134,53 @@ def test_axes_and_layers_that_there_are_not_are_refused(explorer: Explorer, quer
 
 def test_another_layer_of_a_stack_has_its_own_cells_of_the_store(stack: Path) -> None:
     first = subject_of(str(stack))
-    second = first.turned(first.axes, 0.05)
+    second = first.with_axes(first.axes, 0.05)
     assert (first.layer_value, second.layer_value) == (0.02, 0.05)
     assert dict(second.plane.parameters)["zeta"] == 0.05
     assert second.ds is not None and float(second.ds["zeta"]) == 0.05
-    assert second.turned(second.axes, 0.02).plane == first.plane
+    assert second.with_axes(second.axes, 0.02).plane == first.plane
 
 
 def test_a_layer_has_one_explorer_whether_it_is_named_or_not(stack: Path, client: Client) -> None:
     with exploring(stack, client) as explorer:
-        assert explorer.turned(("omega", "b"), 0.02) is explorer.turned(("omega", "b")) is explorer
-        assert explorer.turned(("R", "b"), 0.02) is explorer.turned(("R", "b"))
-        assert explorer.turned(("R", "b"), 0.05) is not explorer.turned(("R", "b"))
+        assert (
+            explorer.explorer_for_axes(("omega", "b"), 0.02) is explorer.explorer_for_axes(("omega", "b")) is explorer
+        )
+        assert explorer.explorer_for_axes(("R", "b"), 0.02) is explorer.explorer_for_axes(("R", "b"))
+        assert explorer.explorer_for_axes(("R", "b"), 0.05) is not explorer.explorer_for_axes(("R", "b"))
 
 
 def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
-    shown = explorer.turned(("R", "b"))
-    shown.listen("page", lambda *_: None)
+    shown = explorer.explorer_for_axes(("R", "b"))
+    shown.subscribe("page", lambda *_: None)
     names = [p.name for p in explorer.subject.system.parameters if p.name not in ("omega", "b", "R")]
     names = names[: MAX_OTHER_EXPLORERS + 1]
-    others = [explorer.turned((name, "b")) for name in names]
-    assert explorer.turned(("R", "b")) is shown
+    others = [explorer.explorer_for_axes((name, "b")) for name in names]
+    assert explorer.explorer_for_axes(("R", "b")) is shown
     assert len(explorer._others) == MAX_OTHER_EXPLORERS
-    assert explorer.turned((names[-1], "b")) is others[-1]
-    assert explorer.turned((names[0], "b")) is not others[0]
-    assert waited(lambda: all(thread.ended for thread in explorer._ending))
-    explorer.turned((names[1], "b"))
+    assert explorer.explorer_for_axes((names[-1], "b")) is others[-1]
+    assert explorer.explorer_for_axes((names[0], "b")) is not others[0]
+    assert waited(lambda: all(thread.has_ended for thread in explorer._ending))
+    explorer.explorer_for_axes((names[1], "b"))
     assert len(explorer._ending) <= 1  # the one that has just been forgotten
 
 
 def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(
     explorer: Explorer,
 ) -> None:
-    turned, memory = explorer.turned(("b", "omega")), explorer.tiles.memory
+    turned, memory = explorer.explorer_for_axes(("b", "omega")), explorer.tiles.memory
     key, arrays = TileKey(0, 0, 0, 0), {"regime": np.zeros((4, 4), np.int8)}
     for page in (explorer, turned):
         memory.put(page.tiles, page.subject.plane, key, arrays)
     assert turned.tiles.memory is memory and memory.bytes == 32
     turned.tiles.drop()
-    assert memory.bytes == 16 and explorer.tiles.of(explorer.subject.plane) != []
+    assert memory.bytes == 16 and explorer.tiles.tiles_of_plane(explorer.subject.plane) != []
 
 
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
     subject = subject_of("omega-b")
     store, came = PageModel(PageState(from_address(subject, {}), trouble="old")), []
-    store.listen(lambda old, new: came.append((old.chosen.kind, new.chosen.kind, new.trouble)))
+    store.subscribe(lambda old, new: came.append((old.chosen.kind, new.chosen.kind, new.trouble)))
     store.choose(kind="period")
     store.choose(kind="period")
     assert came == [("exponent", "period", "")]
@@ -186,4 +188,4 @@ def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before()
 
 def test_a_subject_over_its_own_axes_is_itself() -> None:
     subject: Subject = subject_of("omega-b")
-    assert subject.turned(subject.axes) is subject
+    assert subject.with_axes(subject.axes) is subject

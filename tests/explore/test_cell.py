@@ -166,13 +166,13 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
 
 def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
     assert SIDE % BAND == 0
-    made = BasinGrid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    made = BasinGrid.from_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     assert made.x[0] == "x1" and made.x[1].size == made.y[1].size == SIDE
     assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
 
 
 def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel(subject: Subject) -> None:
-    grid = BasinGrid.of_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
+    grid = BasinGrid.from_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
     (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
     centres = (np.arange(SIDE) + 0.5) / SIDE
     assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
@@ -182,15 +182,15 @@ def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel
 def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_document(
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    works, made, of_cell = list[Any](), list[BasinGrid](), BasinGrid.of_cell
+    works, made, of_cell = list[Any](), list[BasinGrid](), BasinGrid.from_cell
     background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
     wanted = SimpleNamespace(want=lambda who, jobs, too=False: made.extend(job.question.value[0] for job in jobs))
     panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
-    panel.turn(cell_at(subject, 4.0, 0.1))
-    monkeypatch.setattr(BasinGrid, "of_cell", pytest.fail)
+    panel.set_topic(cell_at(subject, 4.0, 0.1))
+    monkeypatch.setattr(BasinGrid, "from_cell", pytest.fail)
     panel._ask()
     assert not made
-    monkeypatch.setattr(BasinGrid, "of_cell", of_cell)
+    monkeypatch.setattr(BasinGrid, "from_cell", of_cell)
     (work,) = works
     work()()
     assert len(made) == SIDE // BAND

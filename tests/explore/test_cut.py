@@ -43,7 +43,7 @@ def solved(line: CutLine, parts: list[tuple[int, ...]]) -> CutCells:
 
 
 def test_each_point_of_a_line_is_solved_once_and_coarse_points_first(subject: Subject) -> None:
-    parts = CutLine(subject, subject.plane, (2.0, 0.2, 3.0, 0.3)).parts()
+    parts = CutLine(subject, subject.plane, (2.0, 0.2, 3.0, 0.3)).batches()
     assert sorted(k for part in parts for k in part) == list(range(STEPS + 1))
     assert parts[0] == tuple(range(0, STEPS + 1, 8))
     gaps = [min(np.diff(sorted(k for part in parts[: n + 1] for k in part))) for n in range(len(parts))]
@@ -106,7 +106,7 @@ def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subj
     """The symmetry breaking at b = 0.087 of the example of ``atlas.branch``."""
     line = CutLine(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
     assert line.name == "b"
-    found = follow_branches(sweep_of(line, solved(line, line.parts()[:1])))
+    found = follow_branches(sweep_of(line, solved(line, line.batches()[:1])))
     alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
     where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]
     expected = alone.events["b"][alone.events["kind"] == "symmetry_breaking"].to_list()
@@ -123,13 +123,13 @@ def test_branches_along_a_slanted_cut_are_refused(subject: Subject) -> None:
 def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject: Subject, client: Client) -> None:
     with exploring("omega-b", client) as explorer:
         line, came = CutLine(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
-        jobs = [ComputationJob(cut_computation(line, part), came.append, pytest.fail) for part in line.parts()]
-        explorer.patches.want("page", jobs[:2])
-        assert waited(lambda: explorer.patches.left("page") == 0)
-        assert sum(cells.index.size for cells in came) == sum(map(len, line.parts()[:2]))
-        explorer.patches.want("page", jobs)
-        explorer.patches.want("page", ())
-        assert explorer.patches.left("page") == 0
+        jobs = [ComputationJob(cut_computation(line, part), came.append, pytest.fail) for part in line.batches()]
+        explorer.patches.request("page", jobs[:2])
+        assert waited(lambda: explorer.patches.n_remaining("page") == 0)
+        assert sum(cells.index.size for cells in came) == sum(map(len, line.batches()[:2]))
+        explorer.patches.request("page", jobs)
+        explorer.patches.request("page", ())
+        assert explorer.patches.n_remaining("page") == 0
 
 
 def test_periodic_cells_whose_orbits_are_too_long_to_be_followed_are_counted() -> None:

@@ -46,7 +46,7 @@ def subject(finished: Path) -> Subject:
 
 def seen_of(subject: Subject, chosen: ViewState) -> VisibleCells:
     """Made-up cells of several regimes in the window that is chosen."""
-    sight = subject.sight(chosen.x, chosen.y, SIZE)
+    sight = subject.viewport(chosen.x, chosen.y, SIZE)
     rng, tiles = np.random.default_rng(7), []
     for key in sight.tiles(0):
         arrays = subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
@@ -104,7 +104,7 @@ def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sen
     page = STANDARD if wanted is None else replace(STANDARD, vmin=wanted[0], vmax=wanted[1])
     variable = chosen.variable if chosen.kind == "scalar" else None
     asked = PictureRequest(page, kind.name, variable=variable, log=chosen.log)
-    layers = PAINTERS[kind.name](MapView(kind, rounded, Plane.of(rounded, made["needs"]), asked))
+    layers = PAINTERS[kind.name](MapView(kind, rounded, Plane.from_dataset(rounded, made["needs"]), asked))
     expected = paint(layers)
     expected[expected[..., 3] == 0] = 255
     assert np.array_equal(found, expected)

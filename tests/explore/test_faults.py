@@ -61,22 +61,22 @@ def free_port() -> int:
 
 def line(explorer: Explorer) -> str:
     """What the page says of the work."""
-    return progress(explorer.patches.state, explorer.patches.left("test"), [])
+    return progress(explorer.patches.state, explorer.patches.n_remaining("test"), [])
 
 
 def begun(explorer: Explorer, pixels: int) -> Viewport:
     """Have a view solved, and wait for the first of its tiles."""
-    sight = explorer.subject.sight(*WINDOW, (pixels, pixels))
-    explorer.listen("test", lambda *_: None)
-    count = explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
-    assert waited(lambda: explorer.patches.left("test") < count, 120.0)
+    sight = explorer.subject.viewport(*WINDOW, (pixels, pixels))
+    explorer.subscribe("test", lambda *_: None)
+    count = explorer.request_tiles("test", explorer.subject.plane, sight, range(3, -1, -1))
+    assert waited(lambda: explorer.patches.n_remaining("test") < count, 120.0)
     return sight
 
 
 def all_solved(explorer: Explorer, sight: Viewport) -> bool:
     """Whether the view is solved, once nothing of it is left."""
-    assert waited(lambda: explorer.patches.left("test") == 0, 240.0), line(explorer)
-    regime = explorer.known.seen(explorer.subject.plane, sight, []).ds[REGIME.name].values
+    assert waited(lambda: explorer.patches.n_remaining("test") == 0, 240.0), line(explorer)
+    regime = explorer.known.visible_cells(explorer.subject.plane, sight, []).ds[REGIME.name].values
     return not explorer.failures and not np.any(regime == PENDING)
 
 

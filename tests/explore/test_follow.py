@@ -65,7 +65,7 @@ def found(subject: Subject) -> FollowedBranch:
 
 @pytest.fixture(scope="module")
 def own(found: FollowedBranch) -> BranchPosition:
-    return found.here(found.own, CELL["omega"])
+    return found.position_at(found.own, CELL["omega"])
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
     own: BranchPosition, found: FollowedBranch, alone: Any
 ) -> None:
     events = alone.events.set_index("kind")["omega"]
-    before, after = found.beside(own)
+    before, after = found.neighbouring_events(own)
     assert before is not None and (before.kind, before.value) == ("symmetry breaking", events["symmetry_breaking"])
     assert after is not None and (after.kind, after.value) == ("fold", events["fold"])
     assert float(distance(after, own)) == pytest.approx(events["fold"] - CELL["omega"], rel=1e-4)
@@ -88,8 +88,8 @@ def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
 def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: FollowedBranch, alone: Any) -> None:
     """In the order of the branch the parameter falls after the fold, and the impact is lost on the way down."""
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.here(fold.place + 3, found.values[fold.place + 3])
-    before, after = found.beside(here)
+    here = found.position_at(fold.place + 3, found.values[fold.place + 3])
+    before, after = found.neighbouring_events(here)
     assert before == fold and after is not None and after.kind == "impact lost"
     assert after.value < here.value < fold.value
     assert here.point.unstable == 1
@@ -112,8 +112,8 @@ def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(
 
 def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: FollowedBranch) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.here(fold.place, fold.value)
-    before, after = found.beside(here)
+    here = found.position_at(fold.place, fold.value)
+    before, after = found.neighbouring_events(here)
     assert here.kind == "fold" and here.multiplier == pytest.approx(1.0, abs=1e-6)
     assert before is not None and after is not None and fold not in (before, after)
 
@@ -122,7 +122,7 @@ def test_a_closed_branch_has_the_events_beside_it_all_around(found: FollowedBran
     branch = found.branch
     run = branch.run._replace(ends=("closed", "closed"))
     ring = FollowedBranch(replace(found.table, traced=(replace(branch, run=run),)), found.own)
-    assert ring.beside(ring.here(0, ring.values[0]))[0] == ring.events[-1]
+    assert ring.neighbouring_events(ring.position_at(0, ring.values[0]))[0] == ring.events[-1]
 
 
 def test_the_cells_own_orbit_is_a_point_of_the_branch(
@@ -136,24 +136,24 @@ def test_the_cells_own_orbit_is_a_point_of_the_branch(
 
 def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: BranchPosition, subject: Subject) -> None:
     value = 1.7312345
-    place = found.passing(value, own)
+    place = found.find_point(value, own)
     assert place is not None
-    here, cell = found.here(place, value), atlas.point({**CELL, "omega": value}, settings=subject.spec.settings)
+    here, cell = found.position_at(place, value), atlas.point({**CELL, "omega": value}, settings=subject.spec.settings)
     assert here.value == value and value not in found.values
     assert found.motion(here).moving[0][0] == pytest.approx(cell["state"][0], abs=1e-9)
     # The largest multiplier of a stable orbit is the exponential of its largest exponent.
     assert np.log(here.multiplier) == pytest.approx(cell["largest"], abs=1e-8)
-    assert found.beside(here) == found.beside(own)
+    assert found.neighbouring_events(here) == found.neighbouring_events(own)
 
 
 def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: BranchPosition) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    there = found.here(fold.place + 5, found.values[fold.place + 5])
+    there = found.position_at(fold.place + 5, found.values[fold.place + 5])
     value = 0.5 * (there.value + found.values[fold.place + 6])
-    assert found.passing(value, there) == fold.place + 5
-    first = found.passing(value, own)
+    assert found.find_point(value, there) == fold.place + 5
+    first = found.find_point(value, own)
     assert first is not None and first < fold.place
-    assert found.passing(2.5, own) is None
+    assert found.find_point(2.5, own) is None
 
 
 @pytest.mark.parametrize("beyond", [0, 7])
@@ -162,7 +162,7 @@ def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
 ) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
     place = fold.place + beyond - 1
-    here = found.here(place, found.values[place])
+    here = found.position_at(place, found.values[place])
     motion = found.motion(here)
     assert here.point.unstable == (1 if beyond else 0)
     assert motion.y.max() == pytest.approx(CELL["b"], abs=1e-9) and motion.y.min() == pytest.approx(
@@ -183,7 +183,7 @@ def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(
 def test_the_sections_of_an_orbit_of_several_periods_are_those_of_its_branch(subject: Subject) -> None:
     cell = {"omega": 2.5, "b": 0.125}
     found = followed(subject, at_cell(subject, cell, x=(2.4, 2.6)), "omega")
-    here = found.here(found.own, cell["omega"])
+    here = found.position_at(found.own, cell["omega"])
     motion = found.motion(here)
     gap = next(found.table.gap_values(found.branch))[found.own]
     assert gap.size == 2 and motion.per_period == 200
@@ -198,7 +198,7 @@ def test_a_motion_closes_also_where_an_impact_has_moved_over_the_section(subject
     beyond = [k for k, point in enumerate(points) if point.orbit.times[-1] > 1.5 * np.pi]
     assert beyond
     for k in beyond:
-        motion = found.motion(found.here(k, found.values[k]))
+        motion = found.motion(found.position_at(k, found.values[k]))
         assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-9)
 
 
@@ -206,7 +206,7 @@ def test_an_arrow_ends_at_its_event_or_at_the_edge_of_the_view(
     found: FollowedBranch, own: BranchPosition, subject: Subject
 ) -> None:
     back, on = arrows(found, own, subject, at_cell(subject, x=(1.7, 1.9)), cell_of(subject))
-    before, after = found.beside(own)
+    before, after = found.neighbouring_events(own)
     assert before is not None and after is not None
     assert (back.x0, back.x1) == (1.75, 1.7) and before.value < 1.7
     assert (on.x0, on.x1) == (1.75, after.value) and on.y0 == on.y1 == CELL["b"]
@@ -230,9 +230,9 @@ def test_the_label_of_an_arrow_lies_on_its_side_of_the_marker_where_there_is_roo
 def test_a_parameter_that_is_no_axis_has_events_but_no_arrows(subject: Subject) -> None:
     chosen = at_cell(subject)
     found = followed(subject, chosen, "R")
-    here = found.here(found.own, 0.8)
+    here = found.position_at(found.own, 0.8)
     assert found.table.window[0] < 0.8 < found.table.window[1]
-    assert any(found.beside(here)) and arrows(found, here, subject, chosen, cell_of(subject)) == []
+    assert any(found.neighbouring_events(here)) and arrows(found, here, subject, chosen, cell_of(subject)) == []
 
 
 def test_a_view_beyond_the_range_of_a_parameter_is_followed_within_that(subject: Subject) -> None:
@@ -263,7 +263,7 @@ def test_an_orbit_of_a_machine_with_modes_is_drawn_too() -> None:
     assert subject.axes == ("omega", "a")
     chosen = ViewState((0.85, 0.95), (0.4, 0.6), subject.plane, "period", cell=(subject.plane, 0.9, 0.5))
     found = followed(subject, chosen, "omega")
-    here = found.here(found.own, found.values[found.own])
+    here = found.position_at(found.own, found.values[found.own])
     motion, gap = found.motion(here), next(found.table.gap_values(found.branch))[found.own]
     assert motion.moving[0][:: int(motion.per_period)] == pytest.approx(gap, abs=1e-9)
     assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-8)
@@ -317,7 +317,7 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
     )
     background: Any = SimpleNamespace(later=lambda act: act)
     panel = FollowPanel(explorer, background, store, figure())
-    store.listen(lambda _, now: panel.show(now.chosen))
+    store.subscribe(lambda _, now: panel.show(now.chosen))
     store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
     assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
     jobs[-1][0].take(found)

@@ -109,7 +109,7 @@ def test_a_cluster_grows_to_its_largest_for_many_short_jobs(growing: Client) -> 
 
     labour, jobs = JobType("brief", brief, nothing, nothing), (Numbered((k,)) for k in range(400))
     with open_dispatcher(growing, labour, Timing(tick=0.1)) as force, pytest.raises(GrownError):
-        for _ in force.outcomes(jobs, tick):
+        for _ in force.iter_outcomes(jobs, tick):
             pass
     assert seen[0] == 0
 

@@ -71,12 +71,12 @@ def tile(subject: Subject) -> Arrays:
 
 def offer(keeper: PersistentTileCache, subject: Subject) -> None:
     for key in KEYS:
-        keeper.offer(subject.plane, key, tile(subject))
+        keeper.enqueue(subject.plane, key, tile(subject))
 
 
 def all_written(keeper: PersistentTileCache, subject: Subject) -> bool:
     """Whether all tiles are in the store, within a minute, and nothing is said to be wrong."""
-    done = waited(lambda: keeper.waiting == 0 and keeper.trouble == "")
+    done = waited(lambda: keeper.n_queued == 0 and keeper.trouble == "")
     return done and keeper.sheets is not None and all(keeper.sheets.has(subject.plane, key) for key in KEYS)
 
 
@@ -92,7 +92,7 @@ def test_after_a_full_disk_or_an_error_of_the_disk_all_that_was_solved_is_kept(
         broken.setattr(where, refuse)
         offer(keeper, subject)
         assert waited(lambda: f"kept later: [Errno {code}]" in keeper.trouble)
-        assert keeper.waiting == len(KEYS) and not keeper.full
+        assert keeper.n_queued == len(KEYS) and not keeper.is_full
     assert all_written(keeper, subject)
 
 
@@ -105,11 +105,11 @@ def test_of_more_tiles_than_may_wait_the_oldest_are_not_kept_and_are_counted(
     monkeypatch.setattr(persistent_tiles, "MOST_WAITING", 2)
     with monkeypatch.context() as broken:
         broken.setattr("atlas.explore.persistent_tiles.write_tile", refuse)
-        keeper.offer(subject.plane, KEYS[0], tile(subject))
+        keeper.enqueue(subject.plane, KEYS[0], tile(subject))
         assert waited(lambda: "full" in keeper.trouble)
         offer(keeper, subject)
-        assert keeper.waiting == 2 and "2 solved tiles could not be kept: more than 2 were waiting" in keeper.trouble
-    assert waited(lambda: keeper.waiting == 0)
+        assert keeper.n_queued == 2 and "2 solved tiles could not be kept: more than 2 were waiting" in keeper.trouble
+    assert waited(lambda: keeper.n_queued == 0)
 
 
 @pytest.mark.parametrize("name", ["zarr.json", "regime/zarr.json"])
@@ -153,7 +153,7 @@ def test_what_the_disk_refuses_to_read_is_said_and_stays_and_is_read_when_the_di
         if where == "_opened":
             broken.setattr("atlas.explore.metatiles.open_store", refuse)
         else:
-            sheet = fresh.find(subject.plane, MetatileKey.of(KEYS[0]))
+            sheet = fresh.find(subject.plane, MetatileKey.from_tile(KEYS[0]))
             assert sheet is not None
             broken.setattr(sheet, "arrays", Refusing(sheet.arrays))
         assert fresh.load(subject.plane, KEYS, names) == {}
@@ -169,11 +169,11 @@ def test_a_sheet_that_another_explorer_made_meanwhile_is_taken_as_it_is(
     other = PersistentTileCache(subject)
     try:
         assert not any(other.has(subject.plane, key) for key in KEYS)  # it remembers for a while that there is none
-        keeper.offer(subject.plane, KEYS[0], tile(subject))
-        assert waited(lambda: keeper.waiting == 0)
+        keeper.enqueue(subject.plane, KEYS[0], tile(subject))
+        assert waited(lambda: keeper.n_queued == 0)
         for key in KEYS[1:]:
-            other.offer(subject.plane, key, tile(subject))
-        assert waited(lambda: other.waiting == 0) and other.trouble == ""
+            other.enqueue(subject.plane, key, tile(subject))
+        assert waited(lambda: other.n_queued == 0) and other.trouble == ""
         assert other.has(subject.plane, KEYS[0])
     finally:
         other.stop()
@@ -182,9 +182,9 @@ def test_a_sheet_that_another_explorer_made_meanwhile_is_taken_as_it_is(
 def test_a_tile_that_cannot_be_written_for_a_reason_of_its_own_holds_up_no_other(
     keeper: PersistentTileCache, subject: Subject
 ) -> None:
-    keeper.offer(subject.plane, TileKey(4, 4, 2, 2), {name: array[:3] for name, array in tile(subject).items()})
+    keeper.enqueue(subject.plane, TileKey(4, 4, 2, 2), {name: array[:3] for name, array in tile(subject).items()})
     offer(keeper, subject)
-    assert waited(lambda: keeper.waiting == 0) and "1 solved tile could not be kept" in keeper.trouble
+    assert waited(lambda: keeper.n_queued == 0) and "1 solved tile could not be kept" in keeper.trouble
     assert keeper.sheets is not None and all(keeper.sheets.has(subject.plane, key) for key in KEYS)
 
 
@@ -193,7 +193,7 @@ def test_a_store_that_is_gone_is_said_to_be_and_nothing_is_dropped(
 ) -> None:
     shutil.move(finished, finished.with_name("away.zarr"))
     offer(keeper, subject)
-    assert waited(lambda: "kept later" in keeper.trouble) and keeper.waiting == len(KEYS)
+    assert waited(lambda: "kept later" in keeper.trouble) and keeper.n_queued == len(KEYS)
     shutil.move(finished.with_name("away.zarr"), finished)
     assert all_written(keeper, subject)
 

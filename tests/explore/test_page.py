@@ -74,7 +74,7 @@ def painter_of(running: ExplorerSession, tab: Tab) -> PictureRenderer:
 def settled(running: ExplorerSession, tab: Tab, seconds: float = 300.0) -> Viewport:
     """Wait until all in view is solved and drawn, and return what is in view."""
     painter = painter_of(running, tab)
-    tab.until(lambda: painter.sight is not None and not painter.busy, seconds)
+    tab.until(lambda: painter.sight is not None and not painter.is_busy, seconds)
     assert painter.sight is not None
     return painter.sight
 
@@ -99,12 +99,14 @@ def test_the_packaged_plane_is_seen_within_six_seconds_of_two_processors(client:
         begin, used = time.monotonic(), time.process_time()
         with opened(browser, running.url, 1280, 800) as tab:
             painter, known, plane = painter_of(running, tab), running.explorer.known, running.explorer.subject.plane
-            tab.until(lambda: known.tiles.of(plane), 120.0)
+            tab.until(lambda: known.tiles.tiles_of_plane(plane), 120.0)
             first = time.monotonic() - begin, (time.process_time() - used) / 2
 
             def seen_whole() -> bool:
                 sight = painter.sight
-                return sight is not None and not np.any(known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
+                return sight is not None and not np.any(
+                    known.visible_cells(plane, sight, []).ds[REGIME.name].values == PENDING
+                )
 
             tab.until(seen_whole, 300.0)
             whole = time.monotonic() - begin, (time.process_time() - used) / 2
@@ -127,10 +129,10 @@ def test_a_zoom_by_the_wheel_is_looked_up_once_it_rests(running: ExplorerSession
 def test_tiles_appear_from_the_centre_out(running: ExplorerSession, tab: Tab) -> None:
     came: list[TileKey] = []
     settled(running, tab)
-    running.explorer.listen("test", lambda _, key: came.append(key))
+    running.explorer.subscribe("test", lambda _, key: came.append(key))
     zoomed(tab, 8, (0.2, 0.8))
     sight = settled(running, tab)
-    running.explorer.listen("test", None)
+    running.explorer.subscribe("test", None)
     order = {key: k for k, key in enumerate(sight.tiles(0))}
     places = [order[key] for key in came if key in order]
     half = len(places) // 2
@@ -207,7 +209,9 @@ def test_a_slider_solves_another_plane(running: ExplorerSession, tab: Tab) -> No
     tab.until(lambda: "R=" in tab.address())
     tab.until(lambda: "another plane than the atlas's" in tab.text())
     plane = from_address(running.explorer.subject, arguments(tab)).plane
-    tab.until(lambda: len({key.level_x for key, _ in running.explorer.tiles.of(plane)}) == STAGES + 1, 120.0)
+    tab.until(
+        lambda: len({key.level_x for key, _ in running.explorer.tiles.tiles_of_plane(plane)}) == STAGES + 1, 120.0
+    )
 
 
 def test_a_number_typed_beside_a_slider_moves_it_and_one_out_of_range_is_refused(tab: Tab) -> None:

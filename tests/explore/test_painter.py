@@ -62,7 +62,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
 ) -> None:
     for k in range(6):
         painter.show(replace(view, x=(2.5 + 0.01 * k, 3.5)), SIZE)
-    assert painter.busy and waited(lambda: not painter.busy)
+    assert painter.is_busy and waited(lambda: not painter.is_busy)
     assert painter.looked == 1
     assert came[-1].shares == (1.0, 1.0, 1.0, 1.0)
     steps = [picture.shares for picture in came]
@@ -79,10 +79,12 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
 
     def stages() -> set[int]:
         sight = painter.sight
-        return set() if sight is None else {sight.x.level - key.level_x for key, _ in explorer.tiles.of(plane)}
+        return (
+            set() if sight is None else {sight.x.level - key.level_x for key, _ in explorer.tiles.tiles_of_plane(plane)}
+        )
 
     assert waited(lambda: stages() == {STAGES}, 3.0)
-    assert waited(lambda: stages() == set(range(STAGES + 1)) and not painter.busy)
+    assert waited(lambda: stages() == set(range(STAGES + 1)) and not painter.is_busy)
     assert painter.looked == 2
 
 
@@ -93,8 +95,8 @@ def test_pictures_follow_each_other_no_faster_than_they_may(
     painter.show(view, SIZE)
     assert waited(lambda: bool(came))
     explorer = painter._explorer
-    assert waited(lambda: explorer.patches.left(painter) == 0)
-    assert len(came) == 1 and painter.busy  # the picture of what was solved meanwhile is still to come
+    assert waited(lambda: explorer.patches.n_remaining(painter) == 0)
+    assert len(came) == 1 and painter.is_busy  # the picture of what was solved meanwhile is still to come
     painter.show(replace(view, kind="period"), SIZE)
     assert waited(lambda: len(came) == 2, 5.0)
 
@@ -129,10 +131,10 @@ def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_i
     monkeypatch.setattr("atlas.explore.tile_cache.RELIST_SECONDS", 0.0)
     subject = subject_of(str(finished))
     known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
-    sight = subject.sight((2.0, 4.0), (0.1, 0.5), (7, 5))
+    sight = subject.viewport((2.0, 4.0), (0.1, 0.5), (7, 5))
 
     def pending() -> int:
-        return int(np.sum(known.seen(subject.plane, sight, ["largest"]).ds.regime.values == PENDING))
+        return int(np.sum(known.visible_cells(subject.plane, sight, ["largest"]).ds.regime.values == PENDING))
 
     assert pending() == arrays["regime"].size
     write_tile(handle, index, arrays)
@@ -142,7 +144,7 @@ def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_i
             assert pending() == 0
     assert reads.chunks == 0
     with counted() as reads:
-        known.seen(subject.plane, sight, ["period"])
+        known.visible_cells(subject.plane, sight, ["period"])
     assert reads.chunks > 0
 
 
@@ -153,7 +155,7 @@ def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
     monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
     monkeypatch.setattr(painting, "release_memory", lambda: given.append(len(came)))
     painter.show(view, SIZE)
-    assert waited(lambda: not painter.busy and bool(given) and given[-1] == len(came))
+    assert waited(lambda: not painter.is_busy and bool(given) and given[-1] == len(came))
     count = len(given)
     assert not waited(lambda: len(given) > count, 0.5)  # once
 
@@ -164,9 +166,9 @@ def test_memory_goes_back_though_there_is_always_more_to_be_drawn(
     """A visitor who never rests: each view is replaced before it is looked up."""
     given: list[bool] = []
     painter.show(view, SIZE)
-    assert waited(lambda: not painter.busy)
+    assert waited(lambda: not painter.is_busy)
     monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
-    monkeypatch.setattr(painting, "release_memory", lambda: given.append(painter.busy))
+    monkeypatch.setattr(painting, "release_memory", lambda: given.append(painter.is_busy))
     moves = itertools.count(1)
 
     def moved() -> bool:

@@ -28,38 +28,38 @@ class Letters(Panel[str]):
         background: Any = SimpleNamespace(later=lambda act: act, run=lambda *given: self.works.append(given))
         super().__init__(explorer, background)
 
-    def begin(self, about: str) -> None:
+    def start(self, about: str) -> None:
         self.shown.append(f"begin {about}")
         self.submit([Computation(str.upper, about)], self.shown.append)
 
     def clear(self) -> None:
         self.shown.append("clear")
 
-    def refuse(self, why: str) -> None:
+    def show_error(self, why: str) -> None:
         self.shown.append(why)
 
     def answer(self, errand: ComputationJob) -> None:
         """Have the crew answer."""
-        (function, value), take = errand.make()
+        (function, value), take = errand.build_task()
         take(function(value))
 
 
 @pytest.fixture
 def panel() -> Letters:
     made = Letters()
-    made.turn("a")
+    made.set_topic("a")
     return made
 
 
 def test_an_answer_is_shown_while_the_panel_is_about_the_same(panel: Letters) -> None:
-    panel.turn("a")
+    panel.set_topic("a")
     panel.answer(panel.wanted[0])
     assert panel.shown == ["begin a", "A"]
 
 
 def test_answers_and_refusals_about_something_else_are_dropped(panel: Letters) -> None:
     (first,) = panel.wanted
-    panel.turn("b")
+    panel.set_topic("b")
     panel.answer(first)
     first.refuse("no a")
     panel.wanted[0].refuse("no b")
@@ -68,16 +68,16 @@ def test_answers_and_refusals_about_something_else_are_dropped(panel: Letters) -
 
 def test_an_answer_to_a_question_before_last_about_the_same_is_dropped_too(panel: Letters) -> None:
     (first,) = panel.wanted
-    panel.turn(None)
-    panel.turn("a")
+    panel.set_topic(None)
+    panel.set_topic("a")
     panel.answer(first)
     assert panel.shown == ["begin a", "clear", "begin a"]
 
 
 def test_what_was_asked_about_something_else_is_wanted_no_more(panel: Letters) -> None:
-    panel.turn("b")
+    panel.set_topic("b")
     assert [errand.question.value for errand in panel.wanted] == ["b"]
-    panel.turn(None)
+    panel.set_topic(None)
     assert panel.wanted == [] and panel.about is None
 
 
@@ -93,13 +93,13 @@ def test_work_on_something_else_is_neither_begun_nor_shown(panel: Letters) -> No
         begun.append("work")
         return lambda: panel.shown.append("found")
 
-    panel.work(work)
-    panel.work(work)
+    panel.run_in_background(work)
+    panel.run_in_background(work)
     (first, refuse), (second, _) = panel.works
     first()()
     shown = first()
     soon(lambda: panel.shown.append("soon"))
-    panel.turn("b")
+    panel.set_topic("b")
     shown()
     soon(lambda: panel.shown.append("too late"))
     second()()

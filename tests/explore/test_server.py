@@ -189,7 +189,7 @@ async def _shown_after_its_end() -> None:
     session = object()
     document.callbacks.on_change_dispatch_to(session)
     document.destroy(session)
-    background.show(lambda: pytest.fail("something is shown"))
+    background.call_in_document(lambda: pytest.fail("something is shown"))
     await asyncio.sleep(0)
     background.close()
 

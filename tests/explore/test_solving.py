@@ -51,7 +51,7 @@ def view_of(subject: Subject, pixels: int = 40) -> Viewport:
     """A window within the plane, a few tiles of it."""
     (x, y) = (np.array(axis.values) for axis in subject.spec.axes)
     window = (float(x[1]), float(x[3])), (float(y[1]), float(y[3]))
-    return subject.sight(*window, (pixels, pixels))
+    return subject.viewport(*window, (pixels, pixels))
 
 
 @contextmanager
@@ -73,11 +73,11 @@ def solved(explorer: Explorer, sight: Viewport, plane: PlaneParameters | None = 
     """Have a view solved, and return the tiles in the order in which they came."""
     came: list[TileKey] = []
     plane = plane or explorer.subject.plane
-    explorer.listen("test", lambda _, key: came.append(key))
-    explorer.known.look(plane, sight, ["largest"])
-    explorer.want("test", plane, sight, range(3, -1, -1))
-    assert waited(lambda: explorer.patches.left("test") == 0)
-    explorer.listen("test", None)
+    explorer.subscribe("test", lambda _, key: came.append(key))
+    explorer.known.load_visible(plane, sight, ["largest"])
+    explorer.request_tiles("test", plane, sight, range(3, -1, -1))
+    assert waited(lambda: explorer.patches.n_remaining("test") == 0)
+    explorer.subscribe("test", None)
     return came
 
 
@@ -87,7 +87,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
     with exploring(finished, client) as explorer:
         subject, sight = explorer.subject, view_of(explorer.subject)
         solved(explorer, sight)
-        ds = explorer.known.seen(subject.plane, sight, ["largest"]).ds
+        ds = explorer.known.visible_cells(subject.plane, sight, ["largest"]).ds
         assert not np.any(ds[REGIME.name].values == PENDING)
         cell = explorer.known.cell(subject.plane, sight, 2.4012345, 0.21)
     assert cell is not None
@@ -99,7 +99,7 @@ def test_all_cells_in_view_are_solved_and_are_those_of_the_point_command_to_the_
 
 def shares(known: CellLookup, plane: PlaneParameters, sight: Viewport) -> tuple[float, ...]:
     """The shares of the cells in view that are known at each stage or a finer one, the coarsest stage first."""
-    stages = known.seen(plane, sight, []).stages
+    stages = known.visible_cells(plane, sight, []).stages
     return tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
 
 
@@ -107,12 +107,12 @@ def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: C
     with exploring(finished, client) as explorer:
         known, tiles, plane, sight = explorer.known, explorer.tiles, explorer.subject.plane, view_of(explorer.subject)
         assert shares(known, plane, sight) == (0.0, 0.0, 0.0, 0.0)
-        explorer.want("test", plane, sight, range(3, 0, -1))  # all but the full density
-        assert waited(lambda: explorer.patches.left("test") == 0)
+        explorer.request_tiles("test", plane, sight, range(3, 0, -1))  # all but the full density
+        assert waited(lambda: explorer.patches.n_remaining("test") == 0)
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, 0.0)
         first, *_ = sight.tiles(0)
         rows, columns = sight.place(first)
-        tiles.memory.put(tiles, plane, first, tiles.full_tile(plane, first.above) or {})
+        tiles.memory.put(tiles, plane, first, tiles.full_tile(plane, first.parent) or {})
         share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))
 
@@ -132,7 +132,7 @@ def test_a_view_of_the_stores_own_cells_is_drawn_as_densely_as_they_lie(finished
         subject = explorer.subject
         inner = [(float(axis.values[0]), float(axis.values[-1])) for axis in subject.spec.axes]
         cells = len(subject.spec.axes[0]), len(subject.spec.axes[1])
-        sight = subject.sight(*inner, (4 * cells[0], 4 * cells[1]))
+        sight = subject.viewport(*inner, (4 * cells[0], 4 * cells[1]))
         assert (sight.x.level, sight.y.level) == (2, 2)
         assert shares(explorer.known, subject.plane, sight) == (1.0, 1.0, 0.0, 0.0)
 
@@ -143,7 +143,7 @@ def test_a_cell_that_is_solved_alone_is_that_of_its_tile_to_the_bit(finished: Pa
         solved(explorer, sight)
         found = explorer.known.cell(plane, sight, 2.4012345, 0.21)
         assert found is not None
-        alone = explorer.known.solved(plane, found.parameters["omega"], found.parameters["b"])
+        alone = explorer.known.solve_cell(plane, found.parameters["omega"], found.parameters["b"])
     assert alone.parameters == found.parameters
     assert str(alone.results | {"distance": 0}) == str(found.results | {"distance": 0})  # some are not a number
 
@@ -173,7 +173,7 @@ def test_tiles_come_coarse_first_and_none_twice(finished: Path, client: Client) 
 def test_a_tile_is_waited_for_until_it_is_known(finished: Path, client: Client) -> None:
     left: list[int] = []
     with exploring(finished, client) as explorer:
-        explorer.listen("count", lambda _, key: left.append(explorer.patches.left("test")))
+        explorer.subscribe("count", lambda _, key: left.append(explorer.patches.n_remaining("test")))
         solved(explorer, view_of(explorer.subject))
     assert min(left) == 1
 
@@ -182,11 +182,11 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         solved(explorer, sight)
-        first = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"]).ds
+        first = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest", "period"]).ds
     with exploring(finished, client) as explorer:
         assert solved(explorer, sight) == []
-        explorer.known.look(explorer.subject.plane, sight, ["largest", "period"])
-        second = explorer.known.seen(explorer.subject.plane, sight, ["largest", "period"]).ds
+        explorer.known.load_visible(explorer.subject.plane, sight, ["largest", "period"])
+        second = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest", "period"]).ds
     assert first.identical(second)
 
 
@@ -198,7 +198,7 @@ def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3
-        assert waited(lambda: explorer.tiles.keeper.waiting == 0)
+        assert waited(lambda: explorer.tiles.keeper.n_queued == 0)
         assert all(explorer.tiles.keeper.has(explorer.subject.plane, key) for key in tiles)
 
 
@@ -208,8 +208,8 @@ def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(f
         with hold_lease(sidecar_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
             tiles = solved(explorer, sight)
             explorer.tiles.memory = MemoryTileCache(1)
-            assert len(tiles) > 3 and explorer.tiles.keeper.waiting == len(tiles)
-            assert explorer.want("page", plane, sight, range(3, -1, -1)) == 0
+            assert len(tiles) > 3 and explorer.tiles.keeper.n_queued == len(tiles)
+            assert explorer.request_tiles("page", plane, sight, range(3, -1, -1)) == 0
             arrays = [explorer.tiles.full_tile(plane, key) for key in tiles]
         assert all(array is not None and (array[REGIME.name] != PENDING).all() for array in arrays)
 
@@ -237,7 +237,7 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
     assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
     with exploring(finished, client) as explorer:
         assert len(solved(explorer, sight)) > 0
-        seen = explorer.known.seen(explorer.subject.plane, sight, ["largest"]).ds
+        seen = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest"]).ds
         assert not np.any(seen[REGIME.name].values == PENDING)
 
 
@@ -312,13 +312,13 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(30, "Read-only file system")
 
-    monkeypatch.setattr("atlas.store.sidecar.LocalSidecar.put", refuse)
+    monkeypatch.setattr("atlas.store.sidecar.LocalSidecar.compare_and_set", refuse)
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         assert solved(explorer, sight)
         assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
         assert "cannot be written: Read-only file system" in explorer.tiles.keeper.trouble
-        assert explorer.tiles.keeper.waiting > 0
+        assert explorer.tiles.keeper.n_queued > 0
 
 
 @pytest.mark.slow
@@ -331,13 +331,13 @@ def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path
     keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
     for k, key in enumerate(keys):
         keeper = PersistentTileCache(subject, most_bytes=1)
-        keeper.offer(subject.plane, key, tile)
+        keeper.enqueue(subject.plane, key, tile)
         keeper.stop()
         assert keeper.trouble == ""
         if k == 0:
             assert len(list_metatiles(open_store(finished))) == 1  # what was just looked at is never dropped
     keeper = PersistentTileCache(subject, most_bytes=1, recent=0.0)
-    keeper.offer(subject.plane, TileKey(5, 5, 0, 0), tile)
+    keeper.enqueue(subject.plane, TileKey(5, 5, 0, 0), tile)
     keeper.stop()
     persistent_tiles = [sheet for _, sheet in list_metatiles(open_store(finished))]
     assert persistent_tiles in ([], [MetatileKey(5, 5, 0, 0).name])
@@ -357,7 +357,7 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
     monkeypatch.setattr(Client, "gather", gone)
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
-        explorer.want("test", explorer.subject.plane, sight, range(3, -1, -1))
+        explorer.request_tiles("test", explorer.subject.plane, sight, range(3, -1, -1))
         assert waited(lambda: explorer.patches.state.trouble == "the cluster was lost; trying again")
         back.set()
         solved(explorer, sight)
@@ -382,7 +382,7 @@ class Mistaken(ServiceJob):
     wrong: str
     came: list[str] = field(compare=False)
 
-    def make(self) -> tuple[Task, Take]:
+    def build_task(self) -> tuple[Task, Take]:
         self._step("make")
         return (_shouted, self.wrong), self.take
 
@@ -391,7 +391,7 @@ class Mistaken(ServiceJob):
         self.came.append(str(result))
         return 1
 
-    def failed(self, why: str) -> None:
+    def on_failed(self, why: str) -> None:
         self.came.append(why)
 
     def _step(self, name: str) -> None:
@@ -425,8 +425,8 @@ def test_a_worker_at_which_patches_fail_gets_no_more_of_them_and_another_does_th
         patches = JobService(connect)
         try:
             question = partial(Computation[str], _at_one_worker_only, good)
-            patches.want("test", [ComputationJob(question(), came.append, refused.append) for _ in range(40)])
-            assert waited(lambda: patches.left("test") == 0)
+            patches.request("test", [ComputationJob(question(), came.append, refused.append) for _ in range(40)])
+            assert waited(lambda: patches.n_remaining("test") == 0)
         finally:
             patches.stop()
     assert came == [good] * 40 and not refused
@@ -440,8 +440,8 @@ def test_a_mistake_in_one_job_ends_that_job_and_not_the_work_for_others(client: 
 
     patches, came = JobService(connect), list[str]()
     try:
-        patches.want("page", [Mistaken(wrong, came) for wrong in ("make", "take", "none", "input")])
-        assert waited(lambda: patches.left("page") == 0 and len(came) == 4)
+        patches.request("page", [Mistaken(wrong, came) for wrong in ("make", "take", "none", "input")])
+        assert waited(lambda: patches.n_remaining("page") == 0 and len(came) == 4)
         assert sorted(came) == ["KeyError: 'make'", "KeyError: 'take'", "NONE", "input 1"]
     finally:
         patches.stop()
@@ -454,16 +454,16 @@ def test_a_tile_that_was_given_up_is_tried_again_by_who_looks_later(
         plane, sight = explorer.subject.plane, view_of(explorer.subject)
 
         def count() -> int:
-            return explorer.want("test", plane, sight, range(3, -1, -1))
+            return explorer.request_tiles("test", plane, sight, range(3, -1, -1))
 
         with monkeypatch.context() as broken:
             broken.setattr("atlas.explore.explorer.solve_patch", _refused)
             tiles = count()
-            assert tiles > 3 and waited(lambda: explorer.patches.left("test") == 0)
+            assert tiles > 3 and waited(lambda: explorer.patches.n_remaining("test") == 0)
         assert len(explorer.failures) == tiles and count() == 0
         monkeypatch.setattr("atlas.explore.explorer.RETRY_SECONDS", 0.0)
         assert solved(explorer, sight) and not explorer.failures
-        assert not np.any(explorer.known.seen(plane, sight, []).ds[REGIME.name].values == PENDING)
+        assert not np.any(explorer.known.visible_cells(plane, sight, []).ds[REGIME.name].values == PENDING)
 
 
 def _refused(patch: object) -> object:
@@ -473,17 +473,17 @@ def _refused(patch: object) -> object:
 def test_a_page_that_is_gone_wants_nothing_more(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject, 600)
-        explorer.listen("page", lambda *_: None)
-        assert explorer.want("page", explorer.subject.plane, sight, range(3, -1, -1)) > 100
-        explorer.listen("page", None)
-        assert explorer.patches.left("page") == 0
+        explorer.subscribe("page", lambda *_: None)
+        assert explorer.request_tiles("page", explorer.subject.plane, sight, range(3, -1, -1)) > 100
+        explorer.subscribe("page", None)
+        assert explorer.patches.n_remaining("page") == 0
 
 
 def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject, known = explorer.subject, explorer.tiles
         outside, partly = TileKey(0, 0, 0, -40), TileKey(2, 2, 0, -1)
-        assert known.has(subject.plane, outside) and not known.outside(partly)
+        assert known.has(subject.plane, outside) and not known.is_out_of_range(partly)
         found = known.full_tile(subject.plane, outside)
         assert found is not None
         for name, solved_so in solve_patch(
@@ -492,18 +492,18 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
             assert np.array_equal(
                 found[name].reshape(solved_so.shape), solved_so, equal_nan=solved_so.dtype.kind == "f"
             )
-        sight = subject.sight((2.0, 3.0), (-20.0, -19.0), (30, 30))
+        sight = subject.viewport((2.0, 3.0), (-20.0, -19.0), (30, 30))
         assert solved(explorer, sight) == []
-        assert (explorer.known.seen(subject.plane, sight, []).ds.regime == INVALID).all()
+        assert (explorer.known.visible_cells(subject.plane, sight, []).ds.regime == INVALID).all()
 
 
 @pytest.mark.slow
 def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject = explorer.subject
-        sight = subject.sight((2.0, 3.0), (-0.1, 0.1), (30, 30))
+        sight = subject.viewport((2.0, 3.0), (-0.1, 0.1), (30, 30))
         solved(explorer, sight)
-        ds = explorer.known.seen(subject.plane, sight, []).ds
+        ds = explorer.known.visible_cells(subject.plane, sight, []).ds
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
     assert atlas.verify(finished).fine
 

@@ -215,7 +215,7 @@ def test_javascript_has_the_colours_of_paint_to_the_bit_with_any_ends_of_the_sca
 ) -> None:
     monkeypatch.setattr("atlas.query.basins.table", lambda _: table)
     monkeypatch.setattr("atlas.render.class_maps.branches", lambda _: table)
-    maps = [(coded, Plane.of(ds, coded.needs)) for coded in coded_maps(ds, ds)]
+    maps = [(coded, Plane.from_dataset(ds, coded.needs)) for coded in coded_maps(ds, ds)]
     seen = {coded.name for coded, _ in maps}
     planes_of = {coded.name: plane for coded, plane in maps}
     for coded, ends, found in colored(browser, maps, [None, *OTHER_ENDS]):

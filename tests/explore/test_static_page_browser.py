@@ -104,7 +104,7 @@ def period_colors(ds: Any) -> np.ndarray:
     from atlas.render.painters import PAINTERS
     from atlas.render.request import PictureRequest
 
-    view = MapView(KIND_TABLE["period"], ds, Plane.of(ds, ["period"]), PictureRequest(STANDARD))
+    view = MapView(KIND_TABLE["period"], ds, Plane.from_dataset(ds, ["period"]), PictureRequest(STANDARD))
     return np.asarray(paint(PAINTERS["period"](view))[..., :3])
 
 

@@ -87,8 +87,8 @@ def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_excep
     raise_once(monkeypatch, JobService, step, error)
     patches = JobService(connect)
     try:
-        patches.want("test", [ComputationJob(Computation(abs, -3), found.append, pytest.fail)])
-        assert waited(lambda: patches.left("test") == 0)
+        patches.request("test", [ComputationJob(Computation(abs, -3), found.append, pytest.fail)])
+        assert waited(lambda: patches.n_remaining("test") == 0)
         assert patches.state.trouble == ""
     finally:
         patches.stop()
@@ -105,7 +105,7 @@ def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3 and waited(
-            lambda: explorer.tiles.keeper.waiting == 0 and explorer.tiles.keeper.trouble == ""
+            lambda: explorer.tiles.keeper.n_queued == 0 and explorer.tiles.keeper.trouble == ""
         )
         assert explorer.tiles.keeper.sheets is not None
         assert all(explorer.tiles.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
@@ -119,7 +119,7 @@ def test_a_keeper_that_always_fails_ends_when_it_is_asked_to(finished: Path, mon
     monkeypatch.setattr(PersistentTileCache, "_turn", broken)
     subject = subject_of(str(finished))
     keeper = PersistentTileCache(subject)
-    keeper.offer(
+    keeper.enqueue(
         subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
     )
     thread = threading.Thread(target=keeper.stop)
@@ -148,7 +148,7 @@ def test_the_thread_that_paints_says_what_went_wrong_and_paints_on(
         assert waited(lambda: len(refused) == 1)
         assert str(error.args[-1]) in refused[0]
         painter.show(replace(view, kind="period"), (48, 40))
-        assert waited(lambda: bool(came) and not painter.busy)
+        assert waited(lambda: bool(came) and not painter.is_busy)
     finally:
         painter.close()
         painter.wait()

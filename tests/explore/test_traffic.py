@@ -129,11 +129,13 @@ def test_the_browser_has_the_colours_of_paint(running: ExplorerSession, tab: Tab
         painter, shown = painter_of(running, tab), pixels(tab)
         chosen = from_address(running.explorer.subject, arguments(tab))
         assert painter.sight is not None
-        ds = running.explorer.known.seen(chosen.plane, painter.sight, chosen.names).ds
+        ds = running.explorer.known.visible_cells(chosen.plane, painter.sight, chosen.names).ds
         ds = ds.assign(peak_to_peak=(ds.peak_to_peak.dims, round_mantissa(ds.peak_to_peak.values, BITS)))
         own = painter.ends(chosen)
         asked = PictureRequest(STANDARD.__class__(vmin=own[0], vmax=own[1]), "scalar", variable="peak_to_peak")
-        expected = paint(PAINTERS["scalar"](MapView(KIND_TABLE["scalar"], ds, Plane.of(ds, ["peak_to_peak"]), asked)))
+        expected = paint(
+            PAINTERS["scalar"](MapView(KIND_TABLE["scalar"], ds, Plane.from_dataset(ds, ["peak_to_peak"]), asked))
+        )
         places = []
         for name, (first, last), size in (("b", chosen.y, shown.shape[0]), ("omega", chosen.x, shown.shape[1])):
             share = (ds[name].values - first) / (last - first)

@@ -101,7 +101,7 @@ def test_an_axis_of_one_point_cannot_be_explored() -> None:
 
 
 def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(subject: Subject) -> None:
-    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
+    sight = subject.viewport((2.3, 2.9), (0.2, 0.3), (640, 480))
     levels = [{key.level_x for key in sight.tiles(stage)} for stage in range(STAGES + 1)]
     assert levels == [{sight.x.level - stage} for stage in range(STAGES + 1)]
     finest = sight.tiles(0)
@@ -115,7 +115,7 @@ def test_the_tiles_of_each_stage_are_of_its_level_and_come_from_the_centre_out(s
 
 
 def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject) -> None:
-    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (640, 480))
+    sight = subject.viewport((2.3, 2.9), (0.2, 0.3), (640, 480))
     for stage in range(STAGES + 1):
         covered = np.zeros(sight.shape, int)
         for key in sight.tiles(stage):
@@ -126,9 +126,9 @@ def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject
 def test_the_tile_above_has_every_fourth_cell_of_a_tile() -> None:
     for key in (TileKey(3, 2, 5, -4), TileKey(1, 1, -1, 0)):
         rows, columns = key.quarter
-        assert np.array_equal(2 * key.above.columns.index[columns], key.columns.index[::2])
-        assert np.array_equal(2 * key.above.rows.index[rows], key.rows.index[::2])
-        assert key in child_tiles(key.above)
+        assert np.array_equal(2 * key.parent.columns.index[columns], key.columns.index[::2])
+        assert np.array_equal(2 * key.parent.rows.index[rows], key.rows.index[::2])
+        assert key in child_tiles(key.parent)
 
 
 def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray]:
@@ -147,12 +147,12 @@ def memory_alone(subject: Subject) -> TileCache:
 
 
 def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
-    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
+    sight = subject.viewport((2.3, 2.9), (0.2, 0.3), (300, 200))
     coarse, fine = sight.tiles(2)[0], sight.tiles(0)[0]
     tiles = memory_alone(subject)
     for key, value in ((fine, 1.0), (coarse, 4.0)):
         tiles.put(subject.plane, key, filled(subject, key, value))
-    ds = compose_view(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
+    ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
     expected = np.full(sight.shape, np.nan)
     expected[sight.place(coarse)] = 4.0
     expected[sight.place(fine)] = 1.0
@@ -161,13 +161,13 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
 
 
 def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Subject) -> None:
-    sight = subject.sight((2.3, 2.9), (0.2, 0.3), (300, 200))
+    sight = subject.viewport((2.3, 2.9), (0.2, 0.3), (300, 200))
     key = sight.tiles(1)[0]
     arrays = filled(subject, key, 0.0)
     arrays["largest"] += subject.x.values(key.level_x, key.columns.index)
     tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
-    ds = compose_view(subject, subject.plane, sight, tiles.shown(subject.plane, sight), ["largest"]).ds
+    ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
     off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
     assert off.max() <= 1.0 + 1e-6
 
@@ -197,17 +197,17 @@ def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subj
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
     write_curves(open_store(finished), curves())
     stored = subject_of(str(finished))
-    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (30, 20))
+    sight = stored.viewport((2.3, 2.9), (0.2, 0.3), (30, 20))
     assert len(curves_of(compose_view(stored, stored.plane, sight, [], ["largest"]).ds).curves) == len(curves().curves)
     chosen = from_address(stored, {"overlay": [b"grazing,curves"]})
-    assert chosen.drawn(stored) == ("grazing", "curves")
-    assert replace(chosen, plane=stored.plane.with_value("R", 0.7)).drawn(stored) == ("grazing",)
+    assert chosen.visible_overlays(stored) == ("grazing", "curves")
+    assert replace(chosen, plane=stored.plane.with_value("R", 0.7)).visible_overlays(stored) == ("grazing",)
 
 
 def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(finished: Path) -> None:
     write_curves(open_store(finished), curves())
     stored = subject_of(str(finished))
-    sight = stored.sight((2.3, 2.9), (0.2, 0.3), (60, 40))
+    sight = stored.viewport((2.3, 2.9), (0.2, 0.3), (60, 40))
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
     for kind in kinds(stored):
         chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
@@ -415,7 +415,7 @@ def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
 
 
 def test_a_plane_is_told_by_its_parameters_alone() -> None:
-    assert PlaneParameters.of({"R": 0.8, "tau": 1.0}) == PlaneParameters((("R", 0.8), ("tau", 1.0)))
+    assert PlaneParameters.from_parameters({"R": 0.8, "tau": 1.0}) == PlaneParameters((("R", 0.8), ("tau", 1.0)))
 
 
 @pytest.mark.parametrize(
@@ -461,7 +461,7 @@ def test_who_waits_for_kernels_reads_that_they_are_compiled_first(monkeypatch: p
 def test_tiles_that_are_finer_than_the_atlas_along_one_axis_lie_over_it(finished: Path) -> None:
     stored = subject_of(str(finished))
     x, y = ((axis.values[0], axis.values[-1]) for axis in stored.spec.axes)
-    sight = stored.sight(x, y, (3, 60))
+    sight = stored.viewport(x, y, (3, 60))
     assert sight.x.level < 0 < sight.y.level
     base = seen_atlas(stored, sight, ["largest"])
     assert base is not None

@@ -74,7 +74,7 @@ def test_a_port_that_is_taken_is_found_before_kernels_are_compiled(at_work: list
 
 def test_a_kind_of_picture_is_checked_without_an_atlas() -> None:
     with pytest.raises(InputError, match="did you mean 'period'"):
-        PictureRequest.of("perod")
+        PictureRequest.from_arguments("perod")
 
 
 def test_files_of_a_connection_are_refused_without_a_scheduler(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_store_from_before_its_parameters_name_was_taken_opens(
     monkeypatch.undo()
     assert atlas.open(tmp_path / "old.zarr").coords["distance"] == 1.0
     with pytest.raises(InputError, match="'distance' has another meaning"):
-        parse_system(json.loads(json.dumps(spec.resolved()))["system"])
+        parse_system(json.loads(json.dumps(spec.to_resolved()))["system"])
 
 
 @pytest.mark.parametrize("symbol", ["\\frac{", "a_b_c", "\\nosuch", ""])

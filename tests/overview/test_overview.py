@@ -361,7 +361,7 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.AtlasStore, mon
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Pyramid, "make", full)
+    monkeypatch.setattr(Pyramid, "build_chunk", full)
     with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*No space"):
         keep(filled)
 
@@ -378,7 +378,7 @@ def test_chunks_made_by_jobs_are_those_made_here_to_the_bit(filled: store.AtlasS
     made = [
         (level, index)
         for level in due.levels
-        for index in due.missing(level)
+        for index in due.missing_chunks(level)
         if not execute_job(job_of(filled, index, level)).fault
     ]
     assert len(made) == 14
@@ -393,17 +393,17 @@ def test_a_chunk_is_missing_until_it_is_made_and_can_be_made_when_all_below_it_i
 ) -> None:
     fill(handle, skip=((0, 0), (4, 5)))
     overviews = overviews_of(handle)
-    assert overviews.missing(1) == [
+    assert overviews.missing_chunks(1) == [
         index for index in Pyramid(handle).levels.chunks(1) if index not in ((0, 0), (2, 2))
     ]
     write_tile(handle, (0, 0), results(handle, (0, 0)))
-    assert (0, 0) in overviews.missing(1)
+    assert (0, 0) in overviews.missing_chunks(1)
     for index in ((0, 0), (0, 1), (1, 0)):
         execute_job(job_of(handle, index, 1))
-    assert not {(0, 0), (0, 1), (1, 0)} & {*overviews.missing(1)}
-    assert overviews.missing(2) == []
+    assert not {(0, 0), (0, 1), (1, 0)} & {*overviews.missing_chunks(1)}
+    assert overviews.missing_chunks(2) == []
     execute_job(job_of(handle, (1, 1), 1))
-    assert overviews.missing(2) == [(0, 0)]
+    assert overviews.missing_chunks(2) == [(0, 0)]
 
 
 def large(path: Path, tile: tuple[int, int] = (16, 16)) -> store.AtlasStore:
@@ -425,7 +425,7 @@ def test_of_a_tile_larger_than_a_chunk_the_chunk_of_level_1_is_made_of_its_array
         write_tile(other, index, made)
         commit(handle, job_of(handle, index), made)
         assert Pyramid(handle).levels.chunk_over(index) in made_of_level_1(handle)
-    assert [len(overviews_of(handle).missing(level)) for level in (1, 2, 3)] == [0, 4, 0]
+    assert [len(overviews_of(handle).missing_chunks(level)) for level in (1, 2, 3)] == [0, 4, 0]
     assert keep(other) == 9 + 4 + 1
     assert keep(handle) == 4 + 1
     for level in (1, 2, 3):
@@ -463,7 +463,7 @@ def test_chunks_that_no_worker_can_make_are_told_and_the_tiles_are_kept(
     def full(*_: object) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(Pyramid, "make", full)
+    monkeypatch.setattr(Pyramid, "build_chunk", full)
     with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*Input"):
         atlas.run(plane_of(), begun, client=client)
     assert len(store.done_tiles(store.open_store(begun))) == store.open_store(begun).tiling.count

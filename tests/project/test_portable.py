@@ -246,10 +246,10 @@ def test_notes_next_to_a_store_do_without_locks(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr("filelock.FileLock.acquire", refuse)
     notes = LocalSidecar(tmp_path / "notes")
-    assert notes.put("a", b"1", expected=None)
-    assert notes.put("a", b"22", expected=b"1")
+    assert notes.compare_and_set("a", b"1", expected=None)
+    assert notes.compare_and_set("a", b"22", expected=b"1")
     assert notes.read("a") == b"22"
-    assert notes.remove("a", b"22")
+    assert notes.compare_and_remove("a", b"22")
     assert not notes.path.exists()
 
 

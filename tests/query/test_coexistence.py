@@ -45,13 +45,13 @@ def solved(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 def test_the_table_is_kept_in_the_resolved_spec_exactly() -> None:
     table = {"starts": 12, "seed": 5, "box": {"v1": [-0.5, 1], "x1": [-0.1, 0.1]}, "keep": 2}
     spec = spec_of(attractors=table, store=None)
-    assert atlas.Spec.from_resolved(json.loads(json.dumps(spec.resolved()))) == spec
+    assert atlas.Spec.from_resolved(json.loads(json.dumps(spec.to_resolved()))) == spec
     assert spec.attractors == AttractorSettings(12, 5, (("x1", -0.1, 0.1), ("v1", -0.5, 1.0)), 2)
 
 
 def test_the_table_enters_the_digest_and_its_absence_changes_none() -> None:
     without = spec_of(attractors=None)
-    assert "attractors" not in without.resolved()
+    assert "attractors" not in without.to_resolved()
     assert len({spec_of().digest, without.digest, spec_of(attractors=STARTS | {"seed": 3}).digest}) == 3
 
 

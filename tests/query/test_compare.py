@@ -52,26 +52,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_difference_is_there_minus_here_and_none_where_a_class_is_not_known() -> None:
     one = plane([1, 2], [0.1, 0.2], [[P, C], [U, P]])
     other = plane([1, 2], [0.1, 0.2], [[C, C], [P, Q]])
-    found = Comparison.of(one, other.assign(largest=other.largest + 0.5)).difference
+    found = Comparison.from_atlases(one, other.assign(largest=other.largest + 0.5)).difference
     np.testing.assert_array_equal(found, [[0.5, 0.5], [np.nan, np.nan]])
 
 
 def test_a_locking_cell_has_a_difference_since_it_has_exponents() -> None:
     one, other = plane([1], [0.1], [[LOCKING]]), plane([1], [0.1], [[LOCKING]])
-    compared = Comparison.of(one, other.assign(largest=other.largest + 0.5))
+    compared = Comparison.from_atlases(one, other.assign(largest=other.largest + 0.5))
     np.testing.assert_allclose(compared.difference, [[0.5]])
 
 
 def test_an_infinite_exponent_has_no_difference() -> None:
     one, other = plane([1, 2], [0.1]), plane([1, 2], [0.1])
     one["largest"][0, 0] = other["largest"][0, 0] = -np.inf
-    np.testing.assert_array_equal(Comparison.of(one, other).difference, [[np.nan, 0.0]])
+    np.testing.assert_array_equal(Comparison.from_atlases(one, other).difference, [[np.nan, 0.0]])
 
 
 def test_the_table_counts_cells_by_both_regimes() -> None:
     one = plane([1, 2, 3], [0.1, 0.2], [[P, P, C], [C, N, Q]])
     other = plane([1, 2, 3], [0.1, 0.2], [[P, C, C], [C, P, P]])
-    table = Comparison.of(one, other).regimes
+    table = Comparison.from_atlases(one, other).regimes
     assert table.sel(here="periodic", there="chaotic") == 1
     assert table.sel(here="chaotic", there="chaotic") == 2
     assert table.sel(here="no_impact", there="periodic") == 1
@@ -83,7 +83,7 @@ def test_the_same_regime_is_a_share_of_the_area_that_is_pending_in_neither() -> 
     # Edges of 1, 2, 4 are 0.5, 1.5, 3, 5: widths 1, 1.5, 2.
     one = plane([1, 2, 4], [0.1], [[P, P, Q]], spec=spec(omega="linear", b="linear"))
     other = plane([1, 2, 4], [0.1], [[P, C, P]], spec=spec(omega="linear", b="linear"))
-    assert Comparison.of(one, other).numbers.same == pytest.approx(1.0 / 2.5)
+    assert Comparison.from_atlases(one, other).numbers.same == pytest.approx(1.0 / 2.5)
 
 
 def test_an_atlas_compared_with_itself_differs_nowhere(folder: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_comparison_of_a_window_reads_its_tiles_alone(folder: Path) -> None:
 
 def test_a_comparison_prints_as_one_line() -> None:
     one, other = plane([1, 2], [0.1]), plane([1, 2], [0.1]).assign_coords(R=0.7)
-    assert repr(Comparison.of(one, other)) == "<Comparison of two atlases of 2 x 1 cells, R 0.8 and 0.7>"
+    assert repr(Comparison.from_atlases(one, other)) == "<Comparison of two atlases of 2 x 1 cells, R 0.8 and 0.7>"
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_atlases_of_other_cells_are_refused_with_what_differs(other: xr.Dataset,
 def test_a_value_that_differs_in_its_last_bit_is_named_with_all_its_digits() -> None:
     middle = np.nextafter(2.0, 3.0)
     with pytest.raises(InputError, match=f"axis omega differs: value 2 is 2.0 here, {middle!s} there"):
-        Comparison.of(plane([1, 2, 3], [0.1]), plane([1, middle, 3], [0.1]))
+        Comparison.from_atlases(plane([1, 2, 3], [0.1]), plane([1, middle, 3], [0.1]))
 
 
 def test_exponents_in_other_units_are_not_compared(folder: Path) -> None:
@@ -195,20 +195,20 @@ def test_the_picture_of_a_comparison_has_two_maps(folder: Path) -> None:
 def test_the_scale_of_differences_has_zero_in_its_middle() -> None:
     one = pictures.plane()
     other = one.assign(largest=one.largest + 0.25)
-    bar = side_by_side.difference(Comparison.of(one, other)).axes[-1]
+    bar = side_by_side.difference(Comparison.from_atlases(one, other)).axes[-1]
     assert bar.get_xlim() == pytest.approx((-0.25, 0.25))
 
 
 def test_atlases_without_exponents_are_compared_by_their_regimes() -> None:
     one = pictures.plane().drop_vars("largest")
-    drawn = side_by_side.difference(Comparison.of(one, one))
+    drawn = side_by_side.difference(Comparison.from_atlases(one, one))
     assert (texts(drawn), labels(drawn)) == (["another regime"], ["same regime", "pending"])
 
 
 def test_a_comparison_of_sweeps_is_drawn_otherwise() -> None:
     sweep = pictures.line()
     with pytest.raises(InputError, match="sweeps: atlas plot --against"):
-        side_by_side.difference(Comparison.of(sweep, sweep))
+        side_by_side.difference(Comparison.from_atlases(sweep, sweep))
 
 
 def test_maps_side_by_side_are_named_by_the_parameter_that_differs(folder: Path) -> None:

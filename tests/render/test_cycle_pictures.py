@@ -74,7 +74,7 @@ def test_every_picture_without_a_force_has_the_units_and_the_words_of_its_machin
         spec = atlas.Spec("belt", {"u": [0.3, 0.6, 1.1], "zeta": [0.02, 0.1]}, {"r": r}, solve)
         atlas.run(spec, tmp_path / f"belt-{r}.zarr", client=client)
         atlases.append(atlas.open(tmp_path / f"belt-{r}.zarr"))
-    both = [figure(atlases), figure(Comparison.of(*atlases))]
+    both = [figure(atlases), figure(Comparison.from_atlases(*atlases))]
     for drawn in (*both, figure(atlases[0])):
         assert "per unit time" in texts_of(drawn) and "per forcing period" not in texts_of(drawn)
         assert "no impact" not in texts_of(drawn)

@@ -51,7 +51,7 @@ def atlas_of(system: System, axes: dict[str, Any], **values: Any) -> xr.Dataset:
     return xr.Dataset(
         {name: (dims + extra[: np.ndim(array) - len(dims)], np.asarray(array)) for name, array in values.items()},
         {name: ((name,) if name in axes else (), np.asarray(value, float)) for name, value in coords.items()},
-        {"digest": "d1ge57", "spec": json.dumps({**system.resolved(), "axes": []}), "software": "numpy 2"},
+        {"digest": "d1ge57", "spec": json.dumps({**system.to_resolved(), "axes": []}), "software": "numpy 2"},
     )
 
 

@@ -469,7 +469,7 @@ def test_a_number_on_an_isoline_of_a_page_stands_on_that_line(axis: np.ndarray) 
     n = axis.size
     values = -np.add.outer(axis, axis) / 6.0
     ds = atlas({"omega": axis, "b": axis}, regime=np.full((n, n), PERIODIC, np.int8), largest=values)
-    view = MapView(kinds.KIND_TABLE["period"], ds, Plane.of(ds, ["largest"]), PictureRequest(STANDARD))
+    view = MapView(kinds.KIND_TABLE["period"], ds, Plane.from_dataset(ds, ["largest"]), PictureRequest(STANDARD))
     names = lines_over(view, "isolines", (1000.0, 800.0)).described["names"]
     assert len(names) >= 3
     for name in names:
@@ -485,7 +485,7 @@ def test_names_of_regions_lie_within_them_in_pictures_and_on_pages_however_wide_
     n = axis.size
     log = {"omega": "log", "b": "log"} if logarithmic else {}
     ds = atlas({"omega": axis, "b": axis}, log, regime=np.full((n, n), PERIODIC, np.int8))
-    drawn = Plane.of(ds, ()).x
+    drawn = Plane.from_dataset(ds, ()).x
     (low, high), scale = drawn.edges[[0, -1]], np.log if drawn.log else np.asarray
 
     def away(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -498,7 +498,7 @@ def test_names_of_regions_lie_within_them_in_pictures_and_on_pages_however_wide_
     ds["impacts_upper"] = (("b", "omega"), np.where(away(*np.meshgrid(axis, axis)) < 0.3, 2, 1).astype(np.int32))
     in_file = [(text.get_text(), *text.get_position()) for text in render.figure(ds, "impacts").axes[0].texts]
     coded = coded_map(ds, ds, "impacts")
-    names = names_on(coded.layers, Plane.of(ds, ()), (1000.0, 800.0))
+    names = names_on(coded.layers, Plane.from_dataset(ds, ()), (1000.0, 800.0))
     on_page = [(name["text"], name["x"], name["y"]) for name in names]
     for found in (in_file, on_page):
         assert {text for text, *_ in found} == {"1-1-1", "1-2-1"}

@@ -45,7 +45,7 @@ def test_a_store_keeps_so_many_values_of_each_cell_and_counts_them_all(store: Pa
 
 def test_a_sweep_shows_the_first_observable_where_it_holds_no_sections_and_another_one_if_asked(store: Path) -> None:
     ds = atlas.open(store)
-    assert PlottedValues.of(None, ds) == PlottedValues(Observable("impact_phase", "stop", 0))
+    assert PlottedValues.resolve(None, ds) == PlottedValues(Observable("impact_phase", "stop", 0))
     drawn = ds.atlas.plot(observe="energy_loss")
     assert drawn.axes[0].get_ylabel() == "energy lost in a forcing period"
     assert ds.atlas.plot().axes[0].get_ylabel() == "phase of the force\nat impacts on stop [rad]"

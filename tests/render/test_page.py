@@ -47,7 +47,7 @@ def draw(kind: str, **look: Any) -> Figure:
         return render.figure([plane()] * 3, "period", titles=["a_long_name_of_a_store.zarr", "b", "c"], **look)
     if kind == "compared":
         other = plane().roll(omega=1).assign_coords(R=0.75)
-        return render.figure(Comparison.of(plane(), other), **look)
+        return render.figure(Comparison.from_atlases(plane(), other), **look)
     if kind == "portrait":
         return render.figure(orbit(), **look)
     if kind == "hysteresis":
@@ -150,7 +150,7 @@ def test_the_scale_of_differences_takes_its_ends_and_one_decides_the_other() -> 
         draw("compared", vmin=1.0, vmax=3.0)
     without = plane().drop_vars("largest")
     with pytest.raises(InputError, match="a comparison without exponents draws classes"):
-        render.figure(Comparison.of(without, without), vmax=1.0)
+        render.figure(Comparison.from_atlases(without, without), vmax=1.0)
 
 
 @pytest.mark.parametrize("kind", ["beside2", "compared"])

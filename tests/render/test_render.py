@@ -252,8 +252,8 @@ def test_initial_values_of_a_system_of_ones_own_are_named_once() -> None:
     x, v = (System.from_mapping(hammer).parameter(name) for name in ("x", "v"))
     attributes = {p.name: {"long_name": p.meaning, "units": p.unit, "symbol": p.symbol} for p in (x, v)}
     ds = xr.Dataset(coords={name: (name, [0.0, 1.0], attributes[name]) for name in ("x", "v")})
-    assert text.axis_label("x", CoordinateInfo.of(ds, "x")) == "initial displacement $x(0)$"
-    assert text.axis_label("v", CoordinateInfo.of(ds, "v")) == r"initial velocity $\dot x(0)$"
+    assert text.axis_label("x", CoordinateInfo.from_dataset(ds, "x")) == "initial displacement $x(0)$"
+    assert text.axis_label("v", CoordinateInfo.from_dataset(ds, "v")) == r"initial velocity $\dot x(0)$"
 
 
 def test_the_title_names_the_fixed_parameters_and_leaves_out_a_state_of_rest() -> None:

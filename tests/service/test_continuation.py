@@ -114,11 +114,11 @@ def spec(direction: str | None, **changes: object) -> atlas.Spec:
 def test_direction_decides_the_digest_and_an_ordinary_spec_keeps_its_own() -> None:
     digests = {spec(direction).digest for direction in (None, "forward", "backward")}
     assert len(digests) == 3
-    assert "continuation" not in str(spec(None).resolved())
+    assert "continuation" not in str(spec(None).to_resolved())
 
 
 def test_a_resolved_spec_keeps_its_direction() -> None:
-    again = atlas.Spec.from_resolved(spec("backward").resolved())
+    again = atlas.Spec.from_resolved(spec("backward").to_resolved())
     assert again.continuation == (1, True)
     assert again.digest == spec("backward").digest
 

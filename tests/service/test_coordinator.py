@@ -209,7 +209,7 @@ def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Pat
 def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
     def make(claim: bytes) -> Path:
         store = create_store(tmp_path / "out.zarr", PLANE, (5, 7)).path
-        sidecar_of(store).put(LEASE_NAME, claim, expected=None)
+        sidecar_of(store).compare_and_set(LEASE_NAME, claim, expected=None)
         return store
 
     return make

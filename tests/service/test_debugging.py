@@ -36,7 +36,7 @@ def faulty(job: Numbered) -> tuple[int, ...]:
 def outcomes(client: Client) -> list[object]:
     jobs = [Numbered((i, j)) for i in range(3) for j in range(3)]
     with open_dispatcher(client, JobType("faulty", faulty, nothing, nothing)) as force:
-        return list(force.outcomes(jobs, lambda _: None))
+        return list(force.iter_outcomes(jobs, lambda _: None))
 
 
 def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(

@@ -272,8 +272,8 @@ def test_a_worker_that_refuses_is_left_out_and_named(
             time.sleep(0.1)
         return execute_job(job)
 
-    fitness_refuse = WorkerHealth.refuse
-    monkeypatch.setattr(WorkerHealth, "refuse", refuse)
+    fitness_refuse = WorkerHealth.record_refusal
+    monkeypatch.setattr(WorkerHealth, "record_refusal", refuse)
     monkeypatch.setattr(running, "execute_job", picky)
     once = RunOptions(timing=Timing(tick=60.0))  # the workers are looked at before the first tile and after the last
     summary = atlas.run(plane, tmp_path / "out.zarr", two_workers, once)

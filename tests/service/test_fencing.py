@@ -53,12 +53,12 @@ def contents(store: Path) -> dict[str, bytes]:
 
 def take_over(store: Path) -> None:
     """Replace our claim of a store by that of another run."""
-    assert sidecar_of(store).put(LEASE_NAME, THEIRS.pack(), expected=OURS.pack())
+    assert sidecar_of(store).compare_and_set(LEASE_NAME, THEIRS.pack(), expected=OURS.pack())
 
 
 def claimed_job(store: Path, index: tuple[int, ...]) -> RunJob:
     handle = open_store(store)
-    sidecar_of(store).put(LEASE_NAME, OURS.pack(), expected=None)
+    sidecar_of(store).compare_and_set(LEASE_NAME, OURS.pack(), expected=None)
     return RunJob(index, StoreRef(str(store), handle.run_id, handle.solver_version, claim=OURS.token))
 
 
@@ -118,9 +118,9 @@ def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finishe
 )
 def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
     job = new_store(tmp_path, finished)
-    sidecar_of(job.site.store).remove(LEASE_NAME, OURS.pack())
+    sidecar_of(job.site.store).compare_and_remove(LEASE_NAME, OURS.pack())
     if claim:
-        sidecar_of(job.site.store).put(LEASE_NAME, claim, expected=None)
+        sidecar_of(job.site.store).compare_and_set(LEASE_NAME, claim, expected=None)
     with pytest.raises(WorkerRefusedError, match=LOST):
         run_tile_job(job)
     assert done_tiles(open_store(job.site.store)) == set()
@@ -199,10 +199,10 @@ def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
     handle = open_store(finished)
     with pytest.raises(LostError):
-        OverviewBuilder(handle.at(handle.place.with_fence(lost)), side=2, least=1)
+        OverviewBuilder(handle.with_backend(handle.place.with_fence(lost)), side=2, least=1)
     assert not handle.place.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = OverviewBuilder(handle.at(handle.place.with_fence(lambda: claims[-1]())), side=2, least=1)
+    overviews = OverviewBuilder(handle.with_backend(handle.place.with_fence(lambda: claims[-1]())), side=2, least=1)
     claims.append(lost)
     with pytest.raises(LostError):
         overviews.finish()
@@ -214,7 +214,7 @@ def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) ->
     before = (finished / RECORDS / "c.0.0.0").read_bytes()
     records = TileRecords(handle, [])
     with pytest.raises(LostError):
-        write_compaction(handle.at(handle.place.with_fence(lost)), records.rows, records.done)
+        write_compaction(handle.with_backend(handle.place.with_fence(lost)), records.rows, records.done)
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 
@@ -224,7 +224,7 @@ CHANGES: dict[str, Callable[[LocalBackend], object]] = {
     "put_new": lambda place: place.put_new("new", b""),
     "remove": lambda place: place.remove("zarr.json"),
     "remove_all": lambda place: place.remove_all(["zarr.json"]),
-    "inner": lambda place: place.inner("regime").put("zarr.json", b""),
+    "inner": lambda place: place.subfolder("regime").put("zarr.json", b""),
     "set by Zarr": lambda place: open_group(place, "r+")["regime"].__setitem__(..., 1),
     "attributes by Zarr": lambda place: open_group(place, "r+").attrs.update({"a": 1}),
     "deletion by Zarr": lambda place: open_group(place, "r+").__delitem__("largest"),
@@ -252,7 +252,7 @@ AT_A_URL: dict[str, Callable[[StoreBackend], object]] = {
     "put": lambda place: place.put("a", b"2"),
     "put_all": lambda place: place.put_all({"a": b"2"}),
     "put_new": lambda place: place.put_new("b", b"2"),
-    "take_all": lambda place: place.take_all(open_backend("s3://bucket/origin.zarr"), ["a"]),
+    "take_all": lambda place: place.copy_all(open_backend("s3://bucket/origin.zarr"), ["a"]),
     "remove": lambda place: place.remove("a"),
     "remove_all": lambda place: place.remove_all(["a"]),
     "set by Zarr": lambda place: zarr.create_group(zarr_store(place, False), zarr_format=3, overwrite=True),
@@ -303,7 +303,7 @@ def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, mon
     def taken(handle: Any, index: tuple[int, ...]) -> None:
         drop(handle, index)
         notes = sidecar_of(finished)
-        notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+        notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     monkeypatch.setattr(repairing, "drop_tile", taken)
@@ -321,8 +321,8 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
     def asleep(progress: Progress) -> None:
         if progress.tiles_done == 9 and not written:
             notes = sidecar_of(store)
-            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
-            notes.put("started-0-0", b"1", expected=None)
+            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+            notes.compare_and_set("started-0-0", b"1", expected=None)
             written.update(contents(store))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
@@ -344,7 +344,7 @@ def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
         notes = sidecar_of(store)
         found = LeaseRecord.unpack(notes.read(LEASE_NAME) or b"")
         if progress.tiles_done == 1 and found is not None and found.token != THEIRS.token:
-            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
@@ -360,8 +360,8 @@ def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_ru
     def interrupted(progress: Progress) -> None:
         if progress.tiles_done == 2:
             notes = sidecar_of(store)
-            notes.put(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
-            notes.put("started-9-9", b"1", expected=None)
+            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+            notes.compare_and_set("started-9-9", b"1", expected=None)
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)

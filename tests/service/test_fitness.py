@@ -15,16 +15,16 @@ def fail_at(fitness: WorkerHealth, worker: str, *jobs: int) -> None:
 def test_a_worker_is_left_out_once_several_jobs_in_a_row_failed_there_and_the_reason_is_named() -> None:
     fitness = WorkerHealth()
     fail_at(fitness, BAD, 0, 1)
-    assert fitness.left_out == {}
+    assert fitness.excluded == {}
     fail_at(fitness, BAD, 2)
     reason = "3 tiles in a row failed there, the first being (0,): ImportError: no numba"
-    assert fitness.left_out == {BAD: reason}
+    assert fitness.excluded == {BAD: reason}
 
 
 def test_one_job_that_fails_over_and_over_leaves_no_worker_out() -> None:
     fitness = WorkerHealth()
     fail_at(fitness, BAD, *[0] * 10)
-    assert fitness.left_out == {}
+    assert fitness.excluded == {}
 
 
 def test_a_job_that_is_done_begins_the_count_of_its_worker_anew() -> None:
@@ -32,7 +32,7 @@ def test_a_job_that_is_done_begins_the_count_of_its_worker_anew() -> None:
     fail_at(fitness, BAD, 0, 1)
     fitness.finish(BAD)
     fail_at(fitness, BAD, 2, 3)
-    assert fitness.left_out == {}
+    assert fitness.excluded == {}
 
 
 def test_a_job_that_fails_at_a_worker_that_does_others_speaks_against_none() -> None:
@@ -40,7 +40,7 @@ def test_a_job_that_fails_at_a_worker_that_does_others_speaks_against_none() -> 
     fitness.finish(OTHER)
     fail_at(fitness, BAD, 0, 1, 2)
     fitness.fail((0,), AttemptFailure(OTHER, "ZeroDivisionError"), (AttemptFailure(BAD, ""),))
-    assert fitness.left_out == {}
+    assert fitness.excluded == {}
 
 
 def test_two_workers_that_do_nothing_do_not_excuse_each_other() -> None:
@@ -48,7 +48,7 @@ def test_two_workers_that_do_nothing_do_not_excuse_each_other() -> None:
     fail_at(fitness, BAD, 0, 1, 2)
     for job in range(3):
         fitness.fail((job,), AttemptFailure(OTHER, ""), (AttemptFailure(BAD, ""),))
-    assert fitness.left_out.keys() == {BAD, OTHER}
+    assert fitness.excluded.keys() == {BAD, OTHER}
 
 
 def test_what_failed_at_a_worker_that_is_left_out_does_not_count_against_the_job() -> None:
@@ -69,7 +69,7 @@ def test_workers_that_failed_get_another_chance_where_something_was_done() -> No
     fitness.finish(OTHER)
     fail_at(fitness, BAD, *range(MAX_FAILED_JOBS + MAX_FAILURES))
     assert fitness.readmit_failed()
-    assert fitness.left_out == {}
+    assert fitness.excluded == {}
 
 
 @pytest.mark.parametrize(("jobs", "again"), [(MAX_FAILED_JOBS - 1, True), (MAX_FAILED_JOBS, False)])
@@ -81,6 +81,6 @@ def test_they_get_none_where_many_jobs_failed_and_none_was_done(jobs: int, again
 
 def test_a_worker_that_refuses_gets_no_other_chance() -> None:
     fitness = WorkerHealth()
-    fitness.refuse(WorkerRefusal(BAD, "another solver"))
+    fitness.record_refusal(WorkerRefusal(BAD, "another solver"))
     assert not fitness.readmit_failed()
-    assert fitness.left_out == {BAD: "another solver"}
+    assert fitness.excluded == {BAD: "another solver"}

@@ -25,7 +25,7 @@ def test_what_is_known_late_still_counts() -> None:
     given = iter(order)
     begun = [next(given) for _ in range(100)]
     for index in begun:
-        order.note(index, float(index[0]))
+        order.record_cost(index, float(index[0]))
     rest = list(given)
     assert sum(index[0] for index in rest[:50]) > 1.5 * sum(index[0] for index in rest[-50:])
     assert len({*begun, *rest}) == 256
@@ -39,7 +39,7 @@ def test_after_a_coarse_lattice_the_costly_region_comes_first() -> None:
     given = []
     for index in order:
         given.append(index)
-        order.note(index, cost(index))
+        order.record_cost(index, cost(index))
     assert sum(cost(index) for index in given[:16]) == 4 * 100 + 12
     costly = [place for place, index in enumerate(given) if cost(index) > 1]
     assert max(costly) < 16 + 2 * len(costly)
@@ -50,5 +50,5 @@ def test_of_the_tiles_of_known_cost_the_nearest_counts_most() -> None:
     order = TileOrder(np.ones((1, 16), dtype=bool))
     given = iter(order)
     for index in itertools.islice(given, 4):
-        order.note(index, 100.0 if index == (0, 14) else 1.0)
+        order.record_cost(index, 100.0 if index == (0, 14) else 1.0)
     assert [next(given), next(given)] == [(0, 15), (0, 13)]

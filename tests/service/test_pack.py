@@ -157,12 +157,12 @@ def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> Non
 def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore, tmp_path: Path) -> None:
     notes = sidecar_of(handle.path)
     claim = LeaseRecord("theirs", 1, "here", os.getpid(), this_process()).pack()
-    assert notes.put(LEASE_NAME, claim, expected=None)
+    assert notes.compare_and_set(LEASE_NAME, claim, expected=None)
     try:
         with pytest.raises(InputError, match="is at work on it; pack it when that has ended"):
             pack(handle.path, tmp_path / "b.zip")
     finally:
-        notes.remove(LEASE_NAME, claim)
+        notes.compare_and_remove(LEASE_NAME, claim)
     assert os.listdir(tmp_path) == []
 
 

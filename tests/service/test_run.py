@@ -338,7 +338,7 @@ def test_the_memory_of_a_worker_is_its_own_and_not_that_of_the_process_that_star
 def test_an_overview_that_fails_on_a_worker_is_told_and_made_at_the_end(
     tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec, make, failures = spec_of(200, 2), Pyramid.make, iter([ValueError("no such codec")])
+    spec, make, failures = spec_of(200, 2), Pyramid.build_chunk, iter([ValueError("no such codec")])
 
     def failing(pyramid: Pyramid, level: int, index: tuple[int, ...]) -> None:
         for failure in failures:
@@ -347,7 +347,7 @@ def test_an_overview_that_fails_on_a_worker_is_told_and_made_at_the_end(
 
     handle = create.create_store(tmp_path / "out.zarr", spec, (2, 200))
     fill(handle)
-    monkeypatch.setattr(Pyramid, "make", failing)
+    monkeypatch.setattr(Pyramid, "build_chunk", failing)
     notes = list[str]()
     atlas.run(spec, handle.path, client, on_progress=lambda progress: notes.append(progress.note))
     told = "overview 1, chunk (0, 0): no such codec; this process makes it at the end"

@@ -29,13 +29,13 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     handle, counted, notes = open_store(finished), tile_records.done_tiles, sidecar_of(finished)
     last = read_tile(handle, (1, 1))
     drop_tile(handle, (1, 1))
-    notes.put(LEASE_NAME, claim().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, claim().pack(), expected=None)
 
     def slow(of: AtlasStore) -> set[tuple[int, ...]]:
         found = counted(of)
         if notes.read(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
-            notes.remove(LEASE_NAME, claim().pack())
+            notes.compare_and_remove(LEASE_NAME, claim().pack())
         return found
 
     monkeypatch.setattr(tile_records, "done_tiles", slow)
@@ -67,7 +67,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
     trouble = "nothing has ended for 40 s: Dask has paused 1 worker for lack of memory: tcp://10.0.0.2:1 (limit 300 MB)"
     reported = {"workers": 1, "cells": 35, "cells_done": 30, "cells_solved": 30, "seconds": 3.0, "trouble": trouble}
-    sidecar_of(finished).put(LEASE_NAME, claim(reported).pack(), expected=None)
+    sidecar_of(finished).compare_and_set(LEASE_NAME, claim(reported).pack(), expected=None)
     status = read_status(open_store(finished))
     assert status.as_dict()["trouble"] == trouble
     assert (status.seconds_left, status.as_dict()["cells_per_second"]) == (None, 0.0)
@@ -88,7 +88,7 @@ def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tile_records, "done_tiles", lambda _: pytest.fail("the store was listed"))
-    sidecar_of(finished).put(LEASE_NAME, claim({"holds": HELD}).pack(), expected=None)
+    sidecar_of(finished).compare_and_set(LEASE_NAME, claim({"holds": HELD}).pack(), expected=None)
     status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})
 
@@ -110,13 +110,13 @@ def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     ],
 )
 def test_a_claim_that_does_not_say_what_the_store_holds_is_not_believed(finished: Path, held: object) -> None:
-    sidecar_of(finished).put(LEASE_NAME, claim({"holds": held}).pack(), expected=None)
+    sidecar_of(finished).compare_and_set(LEASE_NAME, claim({"holds": held}).pack(), expected=None)
     assert read_status(open_store(finished)).cells_done == 35
 
 
 def test_a_claim_whose_holder_is_gone_is_not_believed(finished: Path) -> None:
     gone = LeaseRecord("ours", 1, "here", 2**31 - 1, this_process(), progress={"holds": HELD})
-    sidecar_of(finished).put(LEASE_NAME, gone.pack(), expected=None)
+    sidecar_of(finished).compare_and_set(LEASE_NAME, gone.pack(), expected=None)
     assert read_status(open_store(finished)).cells_done == 35
 
 
@@ -125,7 +125,7 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
 
     def look(progress: Progress) -> None:
         if progress.stage == "solving" and 0 < progress.tiles_done < 9:
-            found = StoreCounts.reported(LeaseObserver(sidecar_of(path)).look())
+            found = StoreCounts.from_lease(LeaseObserver(sidecar_of(path)).observe())
             seen.append(found and (found.tiles, sum(found.regimes.values())))
 
     timing = Timing(tick=0.0, beat=0.001)

@@ -87,9 +87,13 @@ def test_a_spec_has_the_digest_that_it_had_when_its_store_had_its_values_as_attr
 
 def test_a_store_has_the_values_of_its_spec_to_the_bit(spec: atlas.Spec, tmp_path: Path) -> None:
     found = create.create_store(tmp_path / "a.zarr", spec, tile_of(spec)).spec
-    assert found == atlas.Spec.from_resolved(spec.resolved())
+    assert found == atlas.Spec.from_resolved(spec.to_resolved())
     assert (found.digest, [axis.values for axis in found.axes]) == (spec.digest, [axis.values for axis in spec.axes])
-    assert (found.described, found.shape, dict(found.points)) == (spec.described, spec.shape, dict(spec.points))
+    assert (found.axis_descriptions, found.shape, dict(found.points)) == (
+        spec.axis_descriptions,
+        spec.shape,
+        dict(spec.points),
+    )
 
 
 def test_the_attributes_do_not_grow_with_the_axes(tmp_path: Path) -> None:
@@ -118,7 +122,13 @@ def test_no_coordinate_is_read_before_its_values_are_asked_for_and_then_each_onc
     monkeypatch.setattr(zarr, "open_array", noted)
     place = Counted(tmp_path / "a.zarr")
     handle = store.open_store(place)
-    cheap = handle.spec.shape, handle.spec.dims, handle.spec.described, handle.variables, store.done_tiles(handle)
+    cheap = (
+        handle.spec.shape,
+        handle.spec.dims,
+        handle.spec.axis_descriptions,
+        handle.variables,
+        store.done_tiles(handle),
+    )
     assert cheap[0] == spec.shape
     assert (asked, place.read) == ([], ["zarr.json", "regime/zarr.json", "component/spare"])  # type: ignore[attr-defined]
     assert handle.spec.cell_params(tuple(slice(0, 1) for _ in spec.shape))["omega"] == 2.0

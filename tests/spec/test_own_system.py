@@ -176,21 +176,21 @@ def test_a_system_that_is_wrong_ends_a_command_in_one_line_and_nothing_is_writte
 
 def test_a_spec_survives_json_and_pickle_with_its_system() -> None:
     spec = Spec(System.from_toml(MACHINE), {"omega": [2.0, 3.0]})
-    assert Spec.from_resolved(json.loads(json.dumps(spec.resolved()))) == spec
+    assert Spec.from_resolved(json.loads(json.dumps(spec.to_resolved()))) == spec
     assert pickle.loads(pickle.dumps(spec)) == spec
 
 
 def test_a_packaged_system_enters_a_digest_by_its_name_alone_in_its_first_version() -> None:
     spec = Spec("two-mass", {"omega": [2.0, 3.0]})
-    assert spec.resolved()["system"] == "two-mass"
-    assert "system_version" not in spec.resolved()
+    assert spec.to_resolved()["system"] == "two-mass"
+    assert "system_version" not in spec.to_resolved()
 
 
 def test_a_later_version_of_a_packaged_system_has_another_digest_and_is_not_taken_for_the_first() -> None:
     later = replace(find_system("two-mass"), version=2)
-    resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).resolved() | later.resolved()
+    resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).to_resolved() | later.to_resolved()
     assert resolved_digest(resolved) != Spec("two-mass", {"omega": [2.0, 3.0]}).digest
-    assert identity(later.resolved()) == {"system": "two-mass", "system_version": 2}
+    assert identity(later.to_resolved()) == {"system": "two-mass", "system_version": 2}
     with pytest.raises(InputError, match="system two-mass is of version 2 there, of 1 here"):
         Spec.from_resolved(resolved)
 
@@ -198,7 +198,7 @@ def test_a_later_version_of_a_packaged_system_has_another_digest_and_is_not_take
 def test_a_path_in_a_store_is_not_followed(tmp_path: Path) -> None:
     """A store names packaged systems only: it may come from anywhere, and a path of another machine means nothing."""
     (tmp_path / "machine.toml").write_text(MACHINE)
-    resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).resolved() | {"system": str(tmp_path / "machine.toml")}
+    resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).to_resolved() | {"system": str(tmp_path / "machine.toml")}
     with pytest.raises(InputError, match="unknown system"):
         Spec.from_resolved(resolved)
 

@@ -68,7 +68,7 @@ class LaterSettings(Settings):
 
 
 def test_a_setting_added_later_changes_a_digest_only_where_it_is_not_at_its_default() -> None:
-    resolved = plane_of().resolved()
+    resolved = plane_of().to_resolved()
     before = resolved_digest(resolved)
     with_default, with_another = (resolved | {"solve": resolved["solve"] | {"patience": n}} for n in (5, 6))
     assert resolved_digest(with_default, LaterSettings) == before

@@ -47,7 +47,7 @@ def test_a_log_axis_grows_by_a_constant_factor() -> None:
 
 def test_a_resolved_spec_survives_json_exactly() -> None:
     spec = make(parameters={"R": 0.1}, solve={"exponents": "spectrum"})
-    assert Spec.from_resolved(json.loads(json.dumps(spec.resolved()))) == spec
+    assert Spec.from_resolved(json.loads(json.dumps(spec.to_resolved()))) == spec
 
 
 def test_settings_may_be_given_as_their_record() -> None:
@@ -57,7 +57,7 @@ def test_settings_may_be_given_as_their_record() -> None:
 def test_a_survival_at_its_default_does_not_enter_the_digest() -> None:
     """Specs from before there was that setting keep theirs."""
     default = Settings().survival
-    resolved = make(solve={"survival": default}).resolved()
+    resolved = make(solve={"survival": default}).to_resolved()
     assert resolved["solve"].pop("survival") == default
     assert resolved_digest(resolved) == make(solve={"survival": default}).digest == make().digest
 

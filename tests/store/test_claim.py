@@ -44,21 +44,21 @@ def elsewhere(beat: int = 7) -> LeaseRecord:
 
 
 def test_a_note_is_put_only_where_there_is_none(notes: LocalSidecar) -> None:
-    assert notes.put("a", b"1", expected=None)
-    assert not notes.put("a", b"2", expected=None)
+    assert notes.compare_and_set("a", b"1", expected=None)
+    assert not notes.compare_and_set("a", b"2", expected=None)
     assert notes.read("a") == b"1"
 
 
 def test_a_note_is_replaced_only_by_who_read_it_last(notes: LocalSidecar) -> None:
-    notes.put("a", b"first, and longer", expected=None)
-    assert notes.put("a", b"second", expected=b"first, and longer")
-    assert not notes.put("a", b"third", expected=b"first, and longer")
-    assert not notes.remove("a", b"first, and longer")
+    notes.compare_and_set("a", b"first, and longer", expected=None)
+    assert notes.compare_and_set("a", b"second", expected=b"first, and longer")
+    assert not notes.compare_and_set("a", b"third", expected=b"first, and longer")
+    assert not notes.compare_and_remove("a", b"first, and longer")
     assert notes.read("a") == b"second"
 
 
 def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: LocalSidecar) -> None:
-    notes.put("n", b"whole", expected=None)
+    notes.compare_and_set("n", b"whole", expected=None)
     file = notes.path / "n"
     data = file.read_bytes()
     file.write_bytes(data[:100])
@@ -80,7 +80,7 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
 
     def renew() -> None:
         for beat in range(1, 200):
-            notes.put(LEASE_NAME, note(beat), expected=note(beat - 1))
+            notes.compare_and_set(LEASE_NAME, note(beat), expected=note(beat - 1))
         done.set()
 
     def read() -> int:
@@ -94,7 +94,7 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
         return json.dumps({"token": "of the run", "beat": beat}).encode()
 
     monkeypatch.setattr(sidecar, "file_lock", noted)
-    notes.put(LEASE_NAME, note(0), expected=None)
+    notes.compare_and_set(LEASE_NAME, note(0), expected=None)
     with ThreadPoolExecutor(20, thread_name_prefix="reader") as pool:
         readers = [pool.submit(read) for _ in range(20)]
         writer = threading.Thread(target=renew, name="run")
@@ -106,21 +106,21 @@ def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lo
 
 
 def test_the_last_note_takes_its_folder_with_it(notes: LocalSidecar) -> None:
-    notes.put("a", b"1", expected=None)
-    assert notes.remove("a", b"1")
+    notes.compare_and_set("a", b"1", expected=None)
+    assert notes.compare_and_remove("a", b"1")
     assert not notes.path.exists()
     assert notes.read("a") is None
-    assert not notes.put("a", b"2", expected=b"1")
+    assert not notes.compare_and_set("a", b"2", expected=b"1")
 
 
 def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: LocalSidecar) -> None:
-    notes.put("count", b"0", expected=None)
+    notes.compare_and_set("count", b"0", expected=None)
 
     def count() -> None:
         for _ in range(50):
             while True:
                 found = notes.read("count") or b""
-                if notes.put("count", str(int(found) + 1).encode(), expected=found):
+                if notes.compare_and_set("count", str(int(found) + 1).encode(), expected=found):
                     break
 
     threads = [threading.Thread(target=count) for _ in range(4)]
@@ -147,7 +147,7 @@ def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalSidecar)
 
 
 def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
     said: list[str] = []
     begin = time.monotonic()
     with hold_lease(notes, "out.zarr", said.append, IMPATIENT):
@@ -159,14 +159,14 @@ def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSideca
 
 
 def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere(0).pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere(0).pack(), expected=None)
     stop = threading.Event()
 
     def beat() -> None:
         now = elsewhere(0)
         while not stop.wait(0.05):
             after = replace(now, beat=now.beat + 1)
-            assert notes.put(LEASE_NAME, after.pack(), expected=now.pack())
+            assert notes.compare_and_set(LEASE_NAME, after.pack(), expected=now.pack())
             now = after
 
     thread = threading.Thread(target=beat)
@@ -185,7 +185,7 @@ def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Lo
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=ROOT)
     assert notes.read(LEASE_NAME) is not None
-    seen = LeaseObserver(notes).look()
+    seen = LeaseObserver(notes).observe()
     assert seen is not None
     assert (seen.alive, seen.trouble) == (False, f"{seen.record} is gone without releasing its claim; {REPLACED}")
     said: list[str] = []
@@ -196,14 +196,14 @@ def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Lo
 
 
 def test_a_torn_claim_is_replaced(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, b'{"token": "thei', expected=None)
+    notes.compare_and_set(LEASE_NAME, b'{"token": "thei', expected=None)
     with hold_lease(notes, "out.zarr", timing=IMPATIENT):
         pass
 
 
 def test_a_holder_that_was_asleep_finds_itself_replaced(notes: LocalSidecar) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as slept:
-        within_20_s(lambda: notes.put(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME)))
+        within_20_s(lambda: notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME)))
         within_20_s(lambda: slept.lost != "")
         with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
             slept.check()
@@ -221,7 +221,7 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
                 failed.set()
                 raise OSError(28, "No space left on device")
 
-            away.setattr(LocalSidecar, "put", put)
+            away.setattr(LocalSidecar, "compare_and_set", put)
             assert failed.wait(20)
         seen = notes.read(LEASE_NAME)
         within_20_s(lambda: notes.read(LEASE_NAME) != seen)
@@ -240,7 +240,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
         claim.check()
         begin = time.monotonic()
         with monkeypatch.context() as away:
-            away.setattr(LocalSidecar, "put", put)
+            away.setattr(LocalSidecar, "compare_and_set", put)
             with pytest.raises(
                 RunError,
                 match=r"could not renew its claim of the store for \d+ s \(Input/output error\), so that another run",
@@ -259,7 +259,7 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
         raise PermissionError(13, "ExpiredToken")
 
     with hold_lease(notes, "out.zarr", timing=Timing(beat=0.01, dead=0.05), patience=600.0) as claim:
-        monkeypatch.setattr(LocalSidecar, "put", refused)
+        monkeypatch.setattr(LocalSidecar, "compare_and_set", refused)
         time.sleep(0.1)
         with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
             claim.check()
@@ -268,7 +268,7 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
 @pytest.fixture
 def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
     """A disk that lets nothing be written until it is told to be back."""
-    whole, back = LocalSidecar.put, threading.Event()
+    whole, back = LocalSidecar.compare_and_set, threading.Event()
 
     def put(notes: LocalSidecar, name: str, data: bytes, expected: bytes | None) -> bool:
         if (
@@ -281,7 +281,7 @@ def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
         return whole(notes, name, data, expected)
 
     with monkeypatch.context() as patch:
-        patch.setattr(LocalSidecar, "put", put)
+        patch.setattr(LocalSidecar, "compare_and_set", put)
         yield back.set
 
 
@@ -313,7 +313,7 @@ def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_cla
     with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
 
         def waiting() -> None:
-            notes.put(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME))
+            notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME))
             away()
 
         with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
@@ -327,7 +327,7 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
 ) -> None:
     """Its holder could not move it meanwhile; it does as soon as the store is back."""
     holder = elsewhere()
-    notes.put(LEASE_NAME, holder.pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, holder.pack(), expected=None)
     whole, reads = LocalSidecar.read, []
 
     def read(folder: LocalSidecar, name: str) -> bytes | None:
@@ -336,7 +336,7 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
             time.sleep(2 * IMPATIENT.dead)
             return whole(folder, name)
         if len(reads) == 5:
-            notes.put(LEASE_NAME, replace(holder, beat=8).pack(), expected=holder.pack())
+            notes.compare_and_set(LEASE_NAME, replace(holder, beat=8).pack(), expected=holder.pack())
         return whole(folder, name)
 
     monkeypatch.setattr(LocalSidecar, "read", read)
@@ -349,9 +349,9 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
 
 def test_what_a_holder_reports_is_read_by_others(notes: LocalSidecar) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as claim:
-        claim.report({"workers": 3})
+        claim.set_progress({"workers": 3})
         within_20_s(lambda: json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"workers": 3})
-        seen = LeaseObserver(notes).settle()
+        seen = LeaseObserver(notes).observe_until_settled()
         assert seen is not None
         assert seen.record is not None
         assert (seen.record.pid, seen.record.progress) == (os.getpid(), {"workers": 3})
@@ -386,13 +386,13 @@ def test_cancel_without_a_run_is_refused(notes: LocalSidecar) -> None:
 
 
 def test_cancel_says_when_a_run_has_not_stopped(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
     with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
         cancel(notes, "out.zarr", wait_seconds=0.1)
 
 
 def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
     with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
     assert notes.read(LEASE_NAME) == replace(elsewhere(), cancelled=True).pack()
@@ -401,15 +401,15 @@ def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalSidecar) -> N
 def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: LocalSidecar) -> None:
     boot, namespace, *_ = this_process().split()
     gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
-    notes.put(LEASE_NAME, gone.pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, gone.pack(), expected=None)
     with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far is gone"):
         cancel(notes, "out.zarr", wait_seconds=600)
 
 
 def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
     observer = LeaseObserver(notes, IMPATIENT)
-    first, settled = observer.look(), observer.settle()
+    first, settled = observer.observe(), observer.observe_until_settled()
     assert first is not None
     assert settled is not None
     assert (first.alive, first.trouble) == (None, "")
@@ -417,22 +417,22 @@ def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: L
 
 
 def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere(0).pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere(0).pack(), expected=None)
 
     def beat(_: float) -> None:  # its holder moves it while the observer sleeps
-        assert notes.put(LEASE_NAME, elsewhere(1).pack(), expected=elsewhere(0).pack())
+        assert notes.compare_and_set(LEASE_NAME, elsewhere(1).pack(), expected=elsewhere(0).pack())
 
-    seen = LeaseObserver(notes, sleep=beat).settle()
+    seen = LeaseObserver(notes, sleep=beat).observe_until_settled()
     assert seen is not None
     assert (seen.record, seen.trouble) == (elsewhere(1), "")
 
 
 def test_a_request_to_stop_is_no_sign_of_life(notes: LocalSidecar) -> None:
-    notes.put(LEASE_NAME, elsewhere().pack(), expected=None)
+    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
 
     def ask(text: str) -> None:
         if "watching" in text:
-            notes.put(LEASE_NAME, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
+            notes.compare_and_set(LEASE_NAME, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
 
     with hold_lease(notes, "out.zarr", ask, IMPATIENT) as claim:
         claim.check()
@@ -452,9 +452,9 @@ DAMAGES: dict[str, object] = {
 @pytest.mark.parametrize("field", DAMAGES)
 def test_a_claim_with_a_field_of_another_type_is_damaged(notes: LocalSidecar, field: str) -> None:
     data = json.dumps(json.loads(elsewhere().pack()) | {field: DAMAGES[field]}).encode()
-    notes.put(LEASE_NAME, data, expected=None)
+    notes.compare_and_set(LEASE_NAME, data, expected=None)
     assert LeaseRecord.unpack(data) is None
-    seen = LeaseObserver(notes, IMPATIENT).settle()
+    seen = LeaseObserver(notes, IMPATIENT).observe_until_settled()
     assert seen is not None
     assert seen.trouble == f"the claim is damaged; {REPLACED}"
     with pytest.raises(RunError, match=rf"^out.zarr: the claim is damaged; {REPLACED}$"):
@@ -499,7 +499,7 @@ def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
 
 def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: LocalSidecar) -> None:
     with hold_lease(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
-        claim.report({"tiles": 3})
+        claim.set_progress({"tiles": 3})
         assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
-        claim.report({"tiles": 4})
+        claim.set_progress({"tiles": 4})
         assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}

@@ -115,8 +115,8 @@ def test_a_run_of_a_finished_store_reads_its_header_once(finished: Path, asked: 
 def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(finished: Path) -> None:
     handle = open_store(finished)
     site = StoreRef(handle.place, handle.run_id, handle.solver_version)
-    site.forget()
-    handle = site.handle()
+    site.evict()
+    handle = site.open()
     assert handle.spec and "declared" not in handle.kept
 
 

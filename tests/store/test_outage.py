@@ -105,7 +105,7 @@ def test_objects_that_are_got_or_removed_together_outlive_an_outage(server: Fake
 
 def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: FakeObjectStore) -> None:
     notes = sidecar_of(URL)
-    notes.put(LEASE_NAME, b"{}", expected=None)
+    notes.compare_and_set(LEASE_NAME, b"{}", expected=None)
     server.put({f"bucket/.plane.zarr.run/started-{k}": b"1" for k in range(2500)})
     server.forget()
     notes.clear(keep=LEASE_NAME)
@@ -115,9 +115,9 @@ def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: FakeO
 
 def test_a_note_that_is_removed_leaves_nothing(server: FakeObjectStore) -> None:
     notes = sidecar_of(URL)
-    notes.put("started-0-0", b"1", expected=None)
-    assert notes.remove("started-0-0", b"1")
-    assert not notes.remove("started-0-0", b"1")
+    notes.compare_and_set("started-0-0", b"1", expected=None)
+    assert notes.compare_and_remove("started-0-0", b"1")
+    assert not notes.compare_and_remove("started-0-0", b"1")
     assert not server.objects
 
 
@@ -278,7 +278,7 @@ def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_eac
 
     requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
     plain = requests(job)
-    sidecar_of(URL).put(LEASE_NAME, b'{"token": "ours"}', expected=None)
+    sidecar_of(URL).compare_and_set(LEASE_NAME, b'{"token": "ours"}', expected=None)
     fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
     looks = 3 + sum(variable.sparse for variable in handle.variables)  # all results, the record, the regime
     assert len(fenced) == len(plain) + looks
@@ -328,17 +328,17 @@ def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
         assert puts[-1].key == key
         return puts[-1].headers
 
-    assert notes.put("claim", b"1", expected=None)
+    assert notes.compare_and_set("claim", b"1", expected=None)
     assert asked()[absent[0]] == absent[1]
     generation = server.objects[key]
-    assert notes.put("claim", b"2", expected=b"1")
+    assert notes.compare_and_set("claim", b"2", expected=b"1")
     assert asked()[same[0]] == same[1].format(generation)
-    assert not notes.put("claim", b"3", expected=None)
-    assert not notes.put("claim", b"3", expected=b"1")
+    assert not notes.compare_and_set("claim", b"3", expected=None)
+    assert not notes.compare_and_set("claim", b"3", expected=b"1")
     assert notes.read("claim") == b"2"
-    assert notes.remove("claim", b"2")
+    assert notes.compare_and_remove("claim", b"2")
     assert notes.read("claim") is None
-    assert notes.put("claim", b"4", expected=None)
+    assert notes.compare_and_set("claim", b"4", expected=None)
 
 
 def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: FakeObjectStore) -> None:

@@ -102,8 +102,8 @@ def test_objects_are_taken_over_from_a_place_of_the_same_kind(
     with monkeypatch.context() as patch:
         patch.setattr(type(place), "get", None)
         patch.setattr(type(place), "put", None)
-        other.take_all(place, ["a/0", "a/1", "a/none"])
-        other.take_all(place, ["a/1"])
+        other.copy_all(place, ["a/0", "a/1", "a/none"])
+        other.copy_all(place, ["a/1"])
     assert other.get_all(["a/0", "a/1", "a/none"]) == {"a/0": b"zero", "a/1": b"one"}
     assert sorted(other.list_keys()) == ["a/0", "a/1"]
     place.put("a/0", b"changed")
@@ -114,8 +114,8 @@ def test_objects_are_taken_over_from_a_place_of_the_same_kind(
 def test_objects_are_taken_over_from_a_place_of_another_kind(bucket: str, tmp_path: Path) -> None:
     local, remote = open_backend(tmp_path / "plane.zarr"), open_backend(f"{bucket}/{tmp_path.name}.zarr")
     local.put("a/0", b"zero")
-    remote.take_all(local, ["a/0", "a/none"])
-    open_backend(tmp_path / "back.zarr").take_all(remote, ["a/0", "a/none"])
+    remote.copy_all(local, ["a/0", "a/none"])
+    open_backend(tmp_path / "back.zarr").copy_all(remote, ["a/0", "a/none"])
     assert open_backend(tmp_path / "back.zarr").get("a/0") == b"zero"
 
 
@@ -127,16 +127,16 @@ def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
     place = ObjectBackend(f"{bucket}/notes/plane.zarr")
     notes = object_sidecar(place)
     assert notes.read("claim") is None
-    assert notes.put("claim", b"1", expected=None)
-    assert not notes.put("claim", b"2", expected=None)
-    assert not notes.put("claim", b"2", expected=b"0")
-    assert notes.put("claim", b"2", expected=b"1")
+    assert notes.compare_and_set("claim", b"1", expected=None)
+    assert not notes.compare_and_set("claim", b"2", expected=None)
+    assert not notes.compare_and_set("claim", b"2", expected=b"0")
+    assert notes.compare_and_set("claim", b"2", expected=b"1")
     assert notes.read("claim") == b"2"
-    assert not notes.remove("claim", b"1")
-    assert notes.remove("claim", b"2")
-    assert (notes.read("claim"), notes.remove("claim", b"2")) == (None, False)
-    assert notes.put("claim", b"3", expected=None)
-    notes.put("started-0", b"1", expected=None)
+    assert not notes.compare_and_remove("claim", b"1")
+    assert notes.compare_and_remove("claim", b"2")
+    assert (notes.read("claim"), notes.compare_and_remove("claim", b"2")) == (None, False)
+    assert notes.compare_and_set("claim", b"3", expected=None)
+    notes.compare_and_set("started-0", b"1", expected=None)
     notes.clear(keep="claim")
     assert (notes.read("claim"), notes.read("started-0")) == (b"3", None)
     assert list(place.list_keys()) == []  # beside the store, not in it

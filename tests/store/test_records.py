@@ -391,7 +391,7 @@ def test_a_reader_that_comes_while_records_are_put_together_finds_them_all(
         return found
 
     monkeypatch.setattr(tile_records, "single_records", slow)
-    assert TileRecords(whole).known.all()
+    assert TileRecords(whole).known_mask.all()
 
 
 def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -> None:

@@ -79,7 +79,7 @@ def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
     assert isinstance(notes, ObjectSidecar)
     ended = CliRunner().invoke(main, ["query", f"ftp{url.removeprefix('https')}"])
     assert ended.exit_code == 2
-    texts = [str(place), repr(place.inner("a")), str(notes.place), ended.output]
+    texts = [str(place), repr(place.subfolder("a")), str(notes.place), ended.output]
     with pytest.raises(NetworkError) as caught:
         place.get("a")
     texts += [str(caught.value), str(InputError(f"{url}: is wrong"))]
@@ -89,7 +89,7 @@ def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
 def test_a_signature_stays_with_the_objects_within_a_store_and_beside_it() -> None:
     place = open_backend("https://host/a/out.zarr?sig=1")
     assert isinstance(place, ObjectBackend)
-    assert place.inner("zoom/x").url == "https://host/a/out.zarr/zoom/x?sig=1"
+    assert place.subfolder("zoom/x").url == "https://host/a/out.zarr/zoom/x?sig=1"
     notes = sidecar_of(place)
     assert isinstance(notes, ObjectSidecar)
     assert notes.place.url == "https://host/a/.out.zarr.run?sig=1"
@@ -100,7 +100,7 @@ def test_a_store_that_needs_a_secret_is_no_origin_of_one_that_lacks_it(
     url: str, solved_plane: Path, tmp_path: Path
 ) -> None:
     """The attribute ``origin`` has no secret, so that workers could not open it."""
-    old = open_store(solved_plane).at(open_backend(url))
+    old = open_store(solved_plane).with_backend(open_backend(url))
     with pytest.raises(InputError, match="workers reach it by its name") as caught:
         place_from(old, tmp_path / "new.zarr")
     assert SECRET not in str(caught.value)

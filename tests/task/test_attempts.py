@@ -114,10 +114,10 @@ def test_the_note_of_a_second_attempt_is_left_by_the_first(handle: AtlasStore, m
     before_it_writes(sleeper, monkeypatch)
     sleeper.start()
     notes = sidecar_of(handle.place)
-    assert notes.put(job.note, b'{"token": "second"}', expected=notes.read(job.note))
+    assert notes.compare_and_set(job.attempt_key, b'{"token": "second"}', expected=notes.read(job.attempt_key))
     sleeper.wake()
     assert sleeper.error.endswith(SUPERSEDED)
-    assert notes.read(job.note) == b'{"token": "second"}'
+    assert notes.read(job.attempt_key) == b'{"token": "second"}'
     assert done_tiles(handle) == set()
 
 
@@ -188,5 +188,5 @@ def test_a_note_is_that_of_the_attempt_alone(handle: AtlasStore) -> None:
 @pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "run", "number": "many"}'])
 def test_a_note_that_makes_no_sense_counts_as_none(handle: AtlasStore, note: bytes) -> None:
     notes = sidecar_of(handle.place)
-    notes.put("started-0-0", note, expected=None)
+    notes.compare_and_set("started-0-0", note, expected=None)
     assert start_attempt(notes, "started-0-0", "run", 1).number == 1

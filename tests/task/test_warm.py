@@ -120,9 +120,9 @@ def test_a_kernel_costs_nothing_until_it_is_called() -> None:
 def test_no_system_has_kernels_of_its_own(name: str) -> None:
     """Of one, two and more coordinates, with rigid modes and loads: none compiles what others have compiled."""
     warm.warm_up()
-    before = {kernel: len(kernel.alone.signatures) for kernel in KERNELS}
+    before = {kernel: len(kernel.python_kernel.signatures) for kernel in KERNELS}
     solve_tile(name, {}, Settings(exponents="spectrum", survival=0, max_periods=500))
-    assert {kernel: len(kernel.alone.signatures) for kernel in KERNELS} == before
+    assert {kernel: len(kernel.python_kernel.signatures) for kernel in KERNELS} == before
 
 
 def test_who_is_stopped_while_compiling_leaves_it_to_the_next(
@@ -149,12 +149,12 @@ def test_what_attractors_and_orbits_take_is_compiled_where_it_is_asked_for_and_o
 def test_no_attractor_has_kernels_of_its_own() -> None:
     """Twins, chaos and its twin, basins: none compiles what was not compiled beforehand."""
     warm.warm_up(warm.ATTRACTORS)
-    before = {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS}
+    before = {kernel: len(kernel.python_kernel.signatures) for kernel in OF_ATTRACTORS}
     brief = Settings(max_periods=4000, survival=8000, tolerance=0.05)
     for twins in (TWINS, CHAOTIC_TWINS):
         solve_attractors("two-mass", twins, brief, AttractorSettings(8))
     solve_basins("two-mass", {"omega": 4.0, "b": 0.1, "x1": np.array([0.0, 0.05])}, brief, AttractorSettings(2))
-    assert {kernel: len(kernel.alone.signatures) for kernel in OF_ATTRACTORS} == before
+    assert {kernel: len(kernel.python_kernel.signatures) for kernel in OF_ATTRACTORS} == before
     assert all(before[kernel] for kernel in (orbits_reached, iterate))
 
 
@@ -379,8 +379,8 @@ def test_after_the_warm_up_no_branch_and_no_curve_compiles_anything() -> None:
     warm.warm_up(warm.ORBITS)
     modules = (legs, shooting, admissibility)
     kernels = {value for module in modules for value in vars(module).values() if isinstance(value, jit.Kernel)}
-    before = {kernel: list(kernel.alone.signatures) for kernel in kernels}
+    before = {kernel: list(kernel.python_kernel.signatures) for kernel in kernels}
     run = branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.5, 0.5), 1.5, (0.5, 4.0))
     curve(bouncing_ball(("A", "R")), run.events[0], np.array([float(run.events[0].point.values[0]), 0.5]), WINDOW)
     branch(impact_pair(("alpha",), R=0.5), pair_orbit(0.2, 0.5), 0.2, (0.05, 1.0))
-    assert {kernel: list(kernel.alone.signatures) for kernel in kernels} == before
+    assert {kernel: list(kernel.python_kernel.signatures) for kernel in kernels} == before

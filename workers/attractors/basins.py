@@ -47,7 +47,7 @@ class AttractorTable(CoexistenceSearch):
         """The labels of the attractors' mirror images, -1 where none is known; a symmetric attractor has its own."""
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
-    def solved(self, states: Array, references: bool) -> MotionSearch:
+    def search_from(self, states: Array, references: bool) -> MotionSearch:
         """The search from physical states (N, 2n), compared with the attractors of the table."""
         search = self.search(np.zeros(len(states), dtype=np.int64), states)
         search.solve(references)
@@ -77,7 +77,7 @@ def solve_basins(
         if name not in record.states and given.size and np.ptp(given) > 0.0:
             raise ValueError(f"{name}: found {given.min():g} to {given.max():g}, basins are of one machine")
     machine = tuple(fixed_values(record, params).items())
-    table = reference_table(json.dumps(record.resolved()), machine, settings, starts)
+    table = reference_table(json.dumps(record.to_resolved()), machine, settings, starts)
     variables, at_once = record.variables(settings, basins=True), motions_at_once(settings, len(record.states))
     return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
@@ -98,11 +98,11 @@ def reference_table(
 
 def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Results) -> None:
     """Write the results of the initial states among these parameters (N,)."""
-    search = table.solved(initial_state(table.record, params), references=False)
+    search = table.search_from(initial_state(table.record, params), references=False)
     label, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((label < 0) & np.isin(regime, SHOWN)).tolist():  # solved in full
         new = attractor_of(table.oscillators, search, r)
-        label[r] = table.label(table.cell.same(new)[0] if new else None)
+        label[r] = table.label(table.cell.find_same(new)[0] if new else None)
     for name, values in search.cells.results.items():
         arrays[name][:] = values
     for k, attractor in enumerate(table.attractors):
@@ -122,8 +122,8 @@ def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
     """
     labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
     for k in range(len(states)):
-        search = table.solved(states[k : k + 1], references=True)
-        labels[k] = table.label(table.cell.put(table.starts.count + k, search, 0))
+        search = table.search_from(states[k : k + 1], references=True)
+        labels[k] = table.label(table.cell.assign(table.starts.count + k, search, 0))
     return labels
 
 

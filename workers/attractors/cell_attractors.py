@@ -33,7 +33,7 @@ class CellAttractors:
         self.attractors: list[Attractor] = []
         self.undecided: list[int] = []
 
-    def put(self, start: int, search: MotionSearch, r: int) -> Attractor | None:
+    def assign(self, start: int, search: MotionSearch, r: int) -> Attractor | None:
         """The attractor, known or new, that motion r from an initial state reaches; None if it is unknown."""
         known = search.recognised_attractor(r)
         if known is None:
@@ -41,7 +41,7 @@ class CellAttractors:
             if new is None:
                 self.undecided.append(start)
                 return None
-            known, search.distance[r] = self.same(new)
+            known, search.distance[r] = self.find_same(new)
             if known is None:
                 self._add(new)
                 new.starts.append(start)
@@ -54,18 +54,18 @@ class CellAttractors:
             known.seen += int(search.compared[r])
         return known
 
-    def same(self, new: Attractor) -> tuple[Attractor | None, float]:
+    def find_same(self, new: Attractor) -> tuple[Attractor | None, float]:
         """The known attractor equal to a new one, or None, and their distance: orbits exactly, others by statistics.
 
         All motion that locks onto a stop follows the same release, so it is one attractor.
         """
         if new.regime == LOCKING:
-            return next(iter(self.alike(new)), None), np.nan
+            return next(iter(self.of_same_regime(new)), None), np.nan
         if new.reference is None:
             return next(
                 (known for known in self.attractors if is_same_orbit(self.oscillator, known, new)), None
             ), np.nan
-        return nearest(self.alike(new), new.reference)
+        return nearest(self.of_same_regime(new), new.reference)
 
     def image(self, attractor: Attractor) -> Attractor | None:
         """The mirror image of one of the attractors, which may be itself; None if unknown.
@@ -75,7 +75,7 @@ class CellAttractors:
         alone = attractor.regime == NO_IMPACT and self.symmetric and not self.oscillator.has_modes
         return attractor if alone or attractor.result["symmetric"] else attractor.mirror
 
-    def alike(self, attractor: Attractor) -> list[Attractor]:
+    def of_same_regime(self, attractor: Attractor) -> list[Attractor]:
         """The known attractors of the same regime."""
         return [known for known in self.attractors if known.regime == attractor.regime]
 

@@ -178,7 +178,7 @@ class CoexistenceSearch:
             (c, attractor)
             for c, cell in enumerate(self.cells)
             for attractor in cell.attractors
-            if cell.symmetric and attractor.reference is not None and len(cell.alike(attractor)) > 1
+            if cell.symmetric and attractor.reference is not None and len(cell.of_same_regime(attractor)) > 1
         ]
         if not alone:
             return
@@ -187,7 +187,7 @@ class CoexistenceSearch:
             at_rows(self.oscillators, owner), *_stacked([attractor.last[0] for _, attractor in alone])
         )
         search = self.search(owner, *images, ())
-        going, means = search.sample(search.cells.ready)
+        going, means = search.sample(search.cells.unfinished)
         np.add.at(self.used, owner, search.cells.used)
         for r, of_image in zip(going, means, strict=True):
             c, attractor = alone[r]

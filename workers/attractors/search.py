@@ -126,7 +126,7 @@ class MotionSearch:
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
         """Follow the motions to their attractors; ``references`` adds the statistics of new chaos and tori."""
-        self.course.take()
+        self.course.run()
         self._compare()
         if references:
             self._refer()
@@ -135,7 +135,7 @@ class MotionSearch:
     @np.errstate(all="ignore")
     def watch(self, periods: Rows) -> None:
         """Follow the motions for ``periods`` (N,): they are recognised, come to an orbit, or stay PENDING."""
-        rows, flown = self.cells.ready, self.cells.flown
+        rows, flown = self.cells.unfinished, self.cells.flown
         while len(rows):
             rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCH_INTERVAL))
             rows = rows[flown[rows] < periods[rows]]
@@ -154,7 +154,7 @@ class MotionSearch:
     def _is_known(self, rows: Rows) -> Mask:
         """A mask of the motions that fall into a known orbit or are on a known cycle, and get its label."""
         cells, orbits = self.cells, self.known.orbits
-        blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.kept()
+        blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.known_section_count()
         orbit = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
         reached = orbit >= 0
         self.label[rows[reached]] = self.known.places[orbit[reached]]
@@ -171,11 +171,11 @@ class MotionSearch:
         longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
         turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0
         for trail in islice(trails(cells, r), turn):
-            states, numbers = trail.after
+            states, numbers = trail.states_after
             for known in cycles:
                 if known.cycle and known.cycle.passes(states, numbers):
                     self.label[r] = self.known.attractors.index(known)
-                    kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.kept()[r] :]
+                    kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.known_section_count()[r] :]
                     self.arrival[r] = periods_along(cells.oscillators.gap.blocks[r], kept, cells.flown[r], known.orbit)
                     return True
         return False
@@ -216,7 +216,7 @@ class MotionSearch:
         ) * matching.BATCH  # these periods decide nothing
         self.cells.going[rows] = True
         self.course.observe(rows)
-        self.course.take()
+        self.course.run()
 
     def _measure(self) -> None:
         """Write the machine's own results for motions of a known class; without a force all in units of time."""

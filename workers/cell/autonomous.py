@@ -98,7 +98,7 @@ class EventTrail(NamedTuple):
     states: Array
 
     @property
-    def after(self) -> tuple[Array, NDArray[np.int64]]:
+    def states_after(self) -> tuple[Array, NDArray[np.int64]]:
         """Physical states (E, 2n) after the signals' events, and the numbers (E,) of the modes from there on."""
         size = self.states.shape[1]
         return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
@@ -108,7 +108,7 @@ class EventTrail(NamedTuple):
         return EventTrail(self.legs[: np.append(self.first, len(self.legs))[count]], self.first[:count], self.keys[:count],
                      self.states[:count])  # fmt: skip
 
-    def back(self, last: int, first: int) -> float:
+    def distance_between(self, last: int, first: int) -> float:
         """The distance of the states after two events."""
         return float(np.max(np.abs(self.states[last] - self.states[first])))
 
@@ -232,7 +232,7 @@ class AutonomousSchedule(VertexCourse):
             return False
         last = len(trail.keys) - 1
         same = np.flatnonzero(trail.keys[:-1] == trail.keys[-1])[-RETURNS:]
-        return min(trail.back(last, int(k)) for k in same) > TORUS_RETURN
+        return min(trail.distance_between(last, int(k)) for k in same) > TORUS_RETURN
 
     def _look(self, r: int) -> tuple[tuple[LimitCycle, Array] | None, bool]:
         """The cycle into which one motion falls, with the times of its rarest event, if any; and whether it has no
@@ -289,7 +289,7 @@ def turns_of(trail: EventTrail) -> list[int]:
     for m in (1 + np.flatnonzero(distances < NEAR_CYCLE)).tolist():
         away = float(distances[m - 1])
         if away < record and np.array_equal(trail.keys[last - m + 1 :], trail.keys[last - 2 * m + 1 : last - m + 1]):
-            if away <= trail.back(last - m, last - 2 * m) or away < CLOSING_DISTANCE:
+            if away <= trail.distance_between(last - m, last - 2 * m) or away < CLOSING_DISTANCE:
                 turns.append(m)
             record = 0.1 * away
     return turns[:3]
@@ -310,7 +310,7 @@ def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle
     while np.any(chatter == 0.0) and chatter[first] != 0.0:
         first = (first + 1) % m
     own, turn, keys = turn_from(machine, trail, m, int(first))
-    returns = trail.back(len(trail.keys) - 1, len(trail.keys) - 1 - m) < CLOSING_DISTANCE
+    returns = trail.distance_between(len(trail.keys) - 1, len(trail.keys) - 1 - m) < CLOSING_DISTANCE
     try:
         half = reduce_symmetry(own, turn, ASKED)
         cycle = cycle_near(own, half) if half is not turn else None
@@ -437,7 +437,7 @@ def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | N
 
 def sections_of(cells: CellBatch, r: int) -> Array:
     """The known physical sections (K, 2n) of a cell's last stretch."""
-    h = cells.batch.sections[r, -int(cells.kept()[r]) :].reshape(-1, cells.directions)
+    h = cells.batch.sections[r, -int(cells.known_section_count()[r]) :].reshape(-1, cells.directions)
     return np.asarray(h @ cells.oscillators.to_physical[r].T)
 
 
@@ -581,7 +581,7 @@ def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
 
 def _repeats(cells: CellBatch, r: int) -> bool:
     """Whether the sections of one motion are one state over all of its stretch."""
-    kept = cells.batch.sections[r, -int(cells.kept()[r]) :]
+    kept = cells.batch.sections[r, -int(cells.known_section_count()[r]) :]
     return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= CLOSING_DISTANCE * float(np.abs(kept).max())
 
 
@@ -666,7 +666,7 @@ def _as_passed(machines: Oscillator, cycle: LimitCycle, times: Array) -> CellCyc
     if motion.itinerary.symmetric:
         legs, states = legs + [leg.mirrored for leg in legs], np.concatenate([states, -states])
     numbers = np.array([leg.code.number_of(*segments) for leg in legs])
-    return CellCycle(cycle.period, motion.at(times[None])[0][0], states, numbers)
+    return CellCycle(cycle.period, motion.states_at(times[None])[0][0], states, numbers)
 
 
 def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:

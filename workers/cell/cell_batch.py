@@ -82,7 +82,7 @@ class CellCycle(NamedTuple):
     events: Array
     numbers: NDArray[np.int64]
 
-    def passes(self, states: Array, numbers: NDArray[np.int64]) -> bool:
+    def contains_states(self, states: Array, numbers: NDArray[np.int64]) -> bool:
         """Whether a motion in these states (K, 2n) just after events, in modes (K,) from there on, is on the cycle."""
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
@@ -160,7 +160,7 @@ class CellBatch:
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 
     @property
-    def ready(self) -> Rows:
+    def unfinished(self) -> Rows:
         """The cells that have not ended."""
         return np.flatnonzero(self.going)
 
@@ -178,7 +178,7 @@ class CellBatch:
         self.flown[through] += self.batch.done[through]
         return through
 
-    def kept(self) -> Rows:
+    def known_section_count(self) -> Rows:
         """Number of known sections of each cell's stretch."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
@@ -191,7 +191,7 @@ class CellBatch:
 
         Without damping the momentum of the drift changes only by load, force and friction.
         """
-        sections, kept = self.batch.sections, self.kept()[rows]
+        sections, kept = self.batch.sections, self.known_section_count()[rows]
         if not self.drifts or sections.shape[1] <= STEPS:
             return np.zeros(len(rows), dtype=np.bool_)
         momentum = sections[rows, -STEPS - 1 :, -1, 0]
@@ -207,7 +207,11 @@ class CellBatch:
         """
         (contacts, stops, _), n = self.oscillators.contacts, self.oscillators.gap_row.shape[1]
         free = self.oscillators.gap.lam[rows] == 0.0
-        off = (self.kept()[rows] > STEPS) & np.any(np.isinf(stops[rows]), axis=(1, 2)) & np.any(free, axis=1)
+        off = (
+            (self.known_section_count()[rows] > STEPS)
+            & np.any(np.isinf(stops[rows]), axis=(1, 2))
+            & np.any(free, axis=1)
+        )
         rows, free, found = rows[off], free[off], np.flatnonzero(off)
         if not len(rows):
             return off
@@ -235,7 +239,7 @@ class CellBatch:
         """Periods that may still be spent on each cell."""
         return self.settings.max_periods + self.settings.survival - self.used
 
-    def at_rest(self, rows: Rows) -> Mask:
+    def is_at_rest(self, rows: Rows) -> Mask:
         """Mask of cells that have lost all directions, since their only mass has rested."""
         lost = np.maximum(self.tallied[rows, LOST], self.batch.motions.tally[rows, LOST])
         return np.asarray(lost >= self.directions)

@@ -82,7 +82,7 @@ def record_observables(
     for m, observable in enumerate(observables):
         shown = seen.values[:, m]
         if observable.kind == IMPACT_PHASE:  # of the machine, with frequency omega / turns
-            shown = np.mod(turns * shown, observable.turn)
+            shown = np.mod(turns * shown, observable.modulus)
         results |= {observable.variable: shown, observable.number: numbers[:, m]}
     return results, status == RUNNING
 

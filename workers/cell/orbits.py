@@ -27,7 +27,7 @@ def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Ro
     """
     spent = np.zeros_like(cells.used)
     proved = _settled(
-        rows, cells.oscillators, cells.bare.motions, cells.batch.sections, cells.kept(), near,
+        rows, cells.oscillators, cells.bare.motions, cells.batch.sections, cells.known_section_count(), near,
         cells.settings.max_period, budget, cells.orbits, spent,
     )  # fmt: skip
     cells.used[rows] += spent[rows]
@@ -66,7 +66,7 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
     batch = batch_of(at_rows(cells.oscillators, rows), at_rows(cells.bare.motions, rows), length)
     orbits, spent, proved = at_rows(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
     batch.periods[:] = length
-    resting = cells.at_rest(rows)
+    resting = cells.is_at_rest(rows)
     run(batch, every[~resting])
     kept = np.where(batch.done == length, length, 0)
     flown = batch.done + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)

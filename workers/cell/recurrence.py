@@ -28,7 +28,7 @@ class Recurrence:
         self.same, self.strikes = np.ones((2, count), dtype=np.bool_)
         self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
-    def look(self, cells: CellBatch, rows: Rows, settled: Mask) -> None:
+    def update(self, cells: CellBatch, rows: Rows, settled: Mask) -> None:
         """Compare the last stretch of these cells with earlier ones; the look counts once the transient is over.
 
         The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
@@ -56,5 +56,5 @@ def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
     if cells.drifts:
         weight[:, -1] = 1.0  # the first number of this block is the velocity
     energy = np.sum(weight[:, None] * sections[..., 0] ** 2 + sections[..., 1] ** 2, axis=-1)
-    known = np.arange(energy.shape[1]) >= energy.shape[1] - cells.kept()[rows, None]
+    known = np.arange(energy.shape[1]) >= energy.shape[1] - cells.known_section_count()[rows, None]
     return np.where(known, energy, np.inf).min(axis=1), np.where(known, energy, -np.inf).max(axis=1)

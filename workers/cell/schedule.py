@@ -121,14 +121,14 @@ class AdaptiveSchedule:
         self.watched = np.zeros(N, dtype=np.int64)
         self.recurrence = Recurrence(N)
 
-    def take(self) -> None:
+    def run(self) -> None:
         """Take the cells that have not ended through their stages, to their results."""
-        ready = self.cells.ready
+        ready = self.cells.unfinished
         while self.cells.going.any():
             self.begin(ready)
-            through = self.cells.run(self.cells.ready)
+            through = self.cells.run(self.cells.unfinished)
             if len(through):
-                self.look(through)
+                self.judge(through)
             ready = through[self.cells.going[through]]
 
     def begin(self, ready: Rows) -> None:
@@ -138,7 +138,7 @@ class AdaptiveSchedule:
         self._end(ready[length <= 0])
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
-    def look(self, through: Rows) -> None:
+    def judge(self, through: Rows) -> None:
         """Judge each cell at the end of a stretch."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
@@ -147,10 +147,10 @@ class AdaptiveSchedule:
         rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
         if not len(rows):
             return
-        resting = cells.at_rest(rows) & (self.stage[rows] != SEARCHING)
+        resting = cells.is_at_rest(rows) & (self.stage[rows] != SEARCHING)
         self._end_at_rest(rows[resting])
         rows, stage = rows[~resting], self.stage[rows[~resting]]
-        self.recurrence.look(cells, rows, stage != SEARCHING)
+        self.recurrence.update(cells, rows, stage != SEARCHING)
         self.searching(rows[stage == SEARCHING])
         self.averaging(rows[stage == AVERAGING])
         self.watching(rows[stage == WATCHING])

@@ -21,7 +21,7 @@ def solve(cells: CellBatch) -> None:
     """Take cells to their results, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
-            course_of(cells).take()
+            course_of(cells).run()
         else:
             _solve_fixed(cells)
 
@@ -34,12 +34,12 @@ def _solve_fixed(cells: CellBatch) -> None:
     """
     settings, recurrence = cells.settings, Recurrence(len(cells.used))
     cells.framed[:] = True
-    ready = _through(cells, cells.ready, settings.transient_periods)
-    recurrence.look(cells, ready, none_of(ready))
+    ready = _through(cells, cells.unfinished, settings.transient_periods)
+    recurrence.update(cells, ready, none_of(ready))
     cells.since[ready] = cells.flown[ready]
     averages.begin(cells, ready)
     ready = _through(cells, ready, settings.periods)
-    recurrence.look(cells, ready, np.full(len(ready), settings.transient_periods > 0))
+    recurrence.update(cells, ready, np.full(len(ready), settings.transient_periods > 0))
     put_averaged(cells, ready)
     kept = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
     averaged = {name: cells.results[name].copy() for name in kept}

@@ -84,7 +84,7 @@ def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
 def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
     """A turn of friction that would rather stick."""
     for event, signal, _ in motion.plan.turning:
-        low, high = (float(motion.holding(event, signal, side)[0]) for side in (-1, 1))
+        low, high = (float(motion.holding_margin(event, signal, side)[0]) for side in (-1, 1))
         if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
             return AdmissibilityFault(HELD, event, signal=signal, side=1 if -high < low else -1)
     return None
@@ -101,7 +101,7 @@ def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
         signal, side = motion.plan.legs[k + 1][0].signal, motion.plan.legs[k + 1][0].side
         c, start = signal // SIGNALS, motion.begins[:, k + 1 : k + 2]
         R, weight = float(motion.lin.elements.R[0, c]), float(motion.lin.elements.weight[0, c])
-        _, (force, rate, _, _) = motion.at(start, signal)
+        _, (force, rate, _, _) = motion.states_at(start, signal)
         load = -side * float(force[0, 0]) / weight
         speed = abs(float(motion.turn.signals[0, 1, event]))
         if R > 0.0 and not chatter_time(load, R * speed, R) * abs(float(rate[0, 0])) / weight <= HOPS * load:
@@ -159,7 +159,7 @@ def _of_leg(
         since = max(touched.time - begin, since + s)
         if since >= end - begin:
             return None
-        z, begun = motion.at(np.array([[begin + since]]))[0][0, 0], np.zeros_like(begun)
+        z, begun = motion.states_at(np.array([[begin + since]]))[0][0, 0], np.zeros_like(begun)
         begun[signal] = 2 * side
 
 
@@ -192,7 +192,7 @@ def _near(motion: OrbitMotion, touch: Graze, here: float, period: float) -> bool
 def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
     """Whether a signal comes nearer to its end before a touch, and leaves it after."""
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
-    _, (_, rates, _, _) = motion.at(times, touch.signal)
+    _, (_, rates, _, _) = motion.states_at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
 
 
@@ -200,7 +200,7 @@ def peak_of(motion: OrbitMotion, why: AdmissibilityFault) -> float | None:
     """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
     k = int(np.searchsorted(motion.begins[0], why.time, side="right")) - 1
     s = np.linspace(why.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
-    _, (_, rates, _, _) = motion.at(s[None], why.signal)
+    _, (_, rates, _, _) = motion.states_at(s[None], why.signal)
     turned = np.flatnonzero(why.side * rates[0] <= 0.0)
     return float(s[turned[0]]) if len(turned) else None
 

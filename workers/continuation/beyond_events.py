@@ -241,7 +241,7 @@ def _solved(
         else:
             row[there.states - there.m : there.states] = changes
         X = there.pack(far, contacts[: there.grazes] + time_shift(far, orbit, span), values)
-        there = there.at(X)
+        there = there.rebordered(X)
         solved = solve(there, X, row / there.scale / np.linalg.norm(row))
     except (NoOscillatorError, ValueError, np.linalg.LinAlgError):
         return None

@@ -203,7 +203,7 @@ def _one_direction(
     while not end:
         passage = _next(walk, seen, bounds, until) if len(points) <= budget else _StepOutcome(BUDGET)
         if passage is None:
-            walk.back()
+            walk.step_back()
             continue
         points += passage.points
         events += passage.events

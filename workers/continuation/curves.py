@@ -44,7 +44,7 @@ def curve(
         orbit, condition, contacts = without_impact(orbit, condition.impact)
     equations = ExtendedSystem(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
-    equations = equations.at(X)
+    equations = equations.rebordered(X)
     # the nearest point of the curve: across its tangent as it is known there
     tangent = tangent_at(equations, equations.with_jacobian(X[None])[1][0], np.ones(len(X)))
     solved = solve(equations, X, tangent / equations.scale)

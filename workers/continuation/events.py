@@ -106,7 +106,7 @@ def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]
 
 def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
     """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
-    equations = equations.at(X)
+    equations = equations.rebordered(X)
     (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
     kind = own[0].kind if own else None
     functions = {}
@@ -304,11 +304,11 @@ def solution(
     square = ExtendedSystem(equations.family, orbit, conditions, values, equations.width)
     X = square.pack(orbit, contacts, values)
     try:
-        square = square.at(X)
+        square = square.rebordered(X)
         solved = solve(square, X)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None
-    return (square.at(solved.X), solved.X) if solved.converged else None
+    return (square.rebordered(solved.X), solved.X) if solved.converged else None
 
 
 def event_of(square: ExtendedSystem, X: Array) -> Event:

@@ -185,7 +185,7 @@ class ExtendedSystem:
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]
 
-    def at(self, X: Array) -> "ExtendedSystem":
+    def rebordered(self, X: Array) -> "ExtendedSystem":
         """The same equations, bordered with null vectors at X in the directions of the former ones, with the pair of a
         condition at X.
         """
@@ -206,10 +206,10 @@ class ExtendedSystem:
         contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
-                parts += motion.touch(condition.signal, condition.side, contacts[:, graze : graze + 1])
+                parts += motion.distance_to_end(condition.signal, condition.side, contacts[:, graze : graze + 1])
                 graze += 1
             elif condition.kind in (ONSET, ENDS, MEETS):
-                parts.append(motion.holding(condition.impact, condition.signal, condition.side)[:, None])
+                parts.append(motion.holding_margin(condition.impact, condition.signal, condition.side)[:, None])
             elif condition.kind == SPEED:
                 parts.append(motion.turn.signals[:, 1, condition.impact, None])
             elif condition.kind in (PAIR, ANGLE):
@@ -236,7 +236,7 @@ class ExtendedSystem:
     def critical(self, X: Array) -> Array:
         """The direction (states,) of state and times, in units of the scale, in which a multiplier is that of the
         first condition at unknowns X (N,)."""
-        return self._of_unknowns(self.motion(X), self.at(X).borders[0][1][None])[0]
+        return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
         """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""

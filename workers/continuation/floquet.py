@@ -19,8 +19,8 @@ def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
     finite = np.isfinite(maps).all(axis=(1, 2))
     values[finite] = np.linalg.eigvals(maps[finite])
     values = np.take_along_axis(values, np.argsort(-np.abs(values), axis=1, kind="stable"), axis=1)
-    if motion.lost:
-        values[:, max(0, maps.shape[1] - motion.lost) :] = 0.0
+    if motion.n_zero_multipliers:
+        values[:, max(0, maps.shape[1] - motion.n_zero_multipliers) :] = 0.0
     return values
 
 

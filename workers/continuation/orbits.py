@@ -164,7 +164,7 @@ def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> A
     period = 2.0 * np.pi / lin.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    states, _ = motion_of(lin, many).at((np.arange(many.itinerary.periods) + shift) * period)
+    states, _ = motion_of(lin, many).states_at((np.arange(many.itinerary.periods) + shift) * period)
     return np.asarray(states + lin.rest[:, None])
 
 

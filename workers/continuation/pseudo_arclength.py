@@ -63,7 +63,7 @@ class PseudoArclength:
             self.length *= 0.5
         return False
 
-    def back(self) -> None:
+    def step_back(self) -> None:
         """Return to where the last step began, to take one of half its length."""
         assert self.former is not None
         self.X, self.tangent, length = self.former

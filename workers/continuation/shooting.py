@@ -252,7 +252,7 @@ class OrbitMotion:
             jacobian[:, :, self.start.shape[1]] = -self.turn.shifts[:, :, self.start.shape[1]]
         return jacobian
 
-    def at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
+    def states_at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
         """States (N, K, 2n) at times s (N, K); of a signal its value, rate, lower and upper end (4, N, K).
 
         An event at such a time counts as past.
@@ -263,12 +263,12 @@ class OrbitMotion:
         states, signals = between_events(*given, signal, mirror, np.ascontiguousarray(s))
         return states, signals
 
-    def touch(self, signal: int, side: int, s: Array) -> list[Array]:
+    def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
         """How far a signal is from an end (N, K) at times s (N, K), and its rate."""
-        _, (value, rate, low, high) = self.at(s, signal)
+        _, (value, rate, low, high) = self.states_at(s, signal)
         return [value - (high if side > 0 else low), rate]
 
-    def holding(self, event: int, signal: int, side: int) -> Array:
+    def holding_margin(self, event: int, signal: int, side: int) -> Array:
         """How far the force (N,) that holds friction just after an event is from an end of its range; or would be."""
         code = next((code for i, g, code in self.plan.turning if (i, g) == (event, signal)), None)
         leg = next(k for k, (_, i) in enumerate(self.plan.legs) if i == event)
@@ -294,7 +294,7 @@ class OrbitMotion:
         return np.concatenate([change[..., None] + before @ delays[:, :1], delays], axis=1)[..., 0]
 
     @property
-    def lost(self) -> int:
+    def n_zero_multipliers(self) -> int:
         """How many multipliers are zero: the most dimensions that a mode of the orbit lacks."""
         return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
 

@@ -43,32 +43,32 @@ class Kernel:
         update_wrapper(self, function)
 
     @cached_property
-    def alone(self) -> Any:
+    def python_kernel(self) -> Any:
         """The kernel for Python, made at first use: a process never calls most kernels that it imports."""
         with in_own_folder():
             return njit(cache=CACHE is not None, **self._how)(self.py_func)
 
     @cached_property
-    def part(self) -> Any:
+    def inner_kernel(self) -> Any:
         """The part for other kernels, made at first use while one of them is compiled."""
         return njit(**(_PART | self._how), **_WITHIN[self._within])(self.py_func)
 
     @property
     def targetoptions(self) -> Any:
         """Numba looks here whether to inline the kernel."""
-        return getattr(self.part, "targetoptions", {})
+        return getattr(self.inner_kernel, "targetoptions", {})
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function."""
         load()
-        return self.alone(*arguments)
+        return self.python_kernel(*arguments)
 
 
 @typeof_impl.register(Kernel)
 def _(kernel: Kernel, context: Any) -> types.Dispatcher:
     """The type of a kernel within another kernel."""
     load()
-    return types.Dispatcher(kernel.part)
+    return types.Dispatcher(kernel.inner_kernel)
 
 
 def named_constants(*kinds: Any) -> None:

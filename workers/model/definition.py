@@ -65,12 +65,12 @@ class Definition:
         return not self.harmonics and not self.phases
 
     @property
-    def short(self) -> bool:
+    def is_short_form(self) -> bool:
         """Whether its contact is written as entries of the machine itself: a single rigid contact named STOP."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
 
     @property
-    def shown(self) -> Row:
+    def picture_row(self) -> Row:
         """The row of the coordinate in pictures: the gap of the first contact, else the first coordinate."""
         if self.contacts:
             return self.contacts[0].gap
@@ -79,7 +79,7 @@ class Definition:
     @np.errstate(all="ignore")
     def picture_rows(self, values: Mapping[str, Array]) -> Array:
         """``shown`` (N, n) at values (N,) of each parameter."""
-        return np.ascontiguousarray(evaluate_entries(self.shown, self._named(values))[: _count(values)])
+        return np.ascontiguousarray(evaluate_entries(self.picture_row, self._named(values))[: _count(values)])
 
     @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> SingleContactMachines:
@@ -247,7 +247,7 @@ class Definition:
         """The definition as in a TOML file, in one normal form: equal definitions make equal tables."""
         table: dict[str, Any] = {}
         for name, entries in _written(self).items():
-            short = name == "contacts" and self.short
+            short = name == "contacts" and self.is_short_form
             table |= {key: entry for key, entry in entries[0].items() if key != "name"} if short else {name: entries}
         return table
 

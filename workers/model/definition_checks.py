@@ -66,7 +66,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
 
 
 def _contact(definition: Definition, c: int) -> str:
-    return "system" if definition.short else f"system.contacts[{c}]"
+    return "system" if definition.is_short_form else f"system.contacts[{c}]"
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
@@ -255,7 +255,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
     most = np.sqrt(np.vecdot(rows, np.linalg.solve(machine.mass, rows.T).T))  # of a mode in each row
     seen = (rows @ free) / np.where(most > 0.0, most, 1.0)[:, None]
     if free.shape[1] and np.linalg.matrix_rank(seen, tol=UNSEEN) < free.shape[1]:
-        others = "" if definition.short else ", or let one coordinate drift: drift = NAME"
+        others = "" if definition.is_short_form else ", or let one coordinate drift: drift = NAME"
         raise DefinitionError(
             f"{where}: leaves a free motion that the gap does not see; tie it down by a spring, or take the "
             f"relative displacement as the coordinate{others}"

@@ -109,7 +109,7 @@ class Observable:
         return "rad" if self.kind == IMPACT_PHASE else "1"
 
     @property
-    def turn(self) -> float:
+    def modulus(self) -> float:
         """Modulus of its values, infinity if they have none."""
         return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
 

@@ -234,7 +234,7 @@ class System:
             table["axes"] = {name: [low, high] for name, low, high in self.axes}
         return table | {"parameters": {p.name: p.table() for p in self.parameters}}
 
-    def resolved(self) -> dict[str, Any]:
+    def to_resolved(self) -> dict[str, Any]:
         """The entry in a store, enough for ``from_resolved``: the name of a packaged system, else the whole definition.
 
         The version of a packaged system is included from the second on.

@@ -48,7 +48,7 @@ class Waveform:
     def _kept(self, number: float) -> float:
         return float(f"{number:.{DIGITS}g}") if abs(number) > ROUNDING * self.largest else 0.0
 
-    def at(self, shares: Array) -> Array:
+    def evaluate(self, shares: Array) -> Array:
         """Its values at these shares of the period."""
         return np.interp(shares, self._shares, self._values, period=1.0)
 
@@ -74,7 +74,7 @@ class Waveform:
             angles = 2.0 * np.pi * np.fmod(k * shares, 1.0)
             sums += sine * np.sin(angles) + cosine * np.cos(angles)
             bound += (2.0 * math.pi * k) ** 2 * math.hypot(sine, cosine)
-        r = sums - self.at(shares)
+        r = sums - self.evaluate(shares)
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
     def fewest(self, within: float, orders: Iterable[int], most: int) -> tuple[dict[int, HarmonicAmplitudes], float]:

@@ -86,7 +86,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
     seen, axes = sort_axes(seen)
     order = [variable.name for variable in handle.spec.variables]
     names = sorted(map(str, seen.data_vars), key=lambda name: order.index(name) if name in order else len(order))
-    maps, plane = list(coded_maps(ds, seen[names])), Plane.of(seen, ())
+    maps, plane = list(coded_maps(ds, seen[names])), Plane.from_dataset(seen, ())
     lines, regions = lines_of(ds, seen)
     described = about.described(ds, handle, (axes[0], axes[1])) | {
         "block": list(block),
@@ -125,7 +125,7 @@ def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict
     view = MapView(
         KIND_TABLE["period"],
         ds,
-        Plane.of(seen, [LARGEST.name] if LARGEST.name in seen else []),
+        Plane.from_dataset(seen, [LARGEST.name] if LARGEST.name in seen else []),
         PictureRequest(STANDARD),
     )
     lines, arrays = dict[str, Any](), dict[str, Any]()

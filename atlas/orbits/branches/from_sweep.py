@@ -103,7 +103,7 @@ def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
 
 def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
     """Whether a section state (2d,) lies on a branch or its mirror image, straight lines taken between its points."""
-    for k, share in branch.passes(value):
+    for k, share in branch.crossings(value):
         for sections in (branch.sections, branch.mirrored):
             if sections is not None:
                 states = sections[k] + share * (sections[k + 1] - sections[k])

@@ -50,7 +50,7 @@ class BranchTable:
         return f"<{type(self).__name__} of {reach}: {', '.join(counts)}>"
 
     @classmethod
-    def of(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
+    def from_tree(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
         """The branches of a tree that has grown."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
         return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
@@ -155,38 +155,38 @@ class BranchTable:
             if states is not None:
                 first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
                 observed = observe_orbits(self.system.definition, given, first, periods, name, MAX_VALUES)
-                yield align_rows(observed[self.observable.variable], self.observable.turn)
+                yield align_rows(observed[self.observable.variable], self.observable.modulus)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
         """Lines (N, 2) of the plotted values over the parameter, of mirror images too, each after its stability."""
-        jump = math.inf if self.observable is None else 0.5 * self.observable.turn
+        jump = math.inf if self.observable is None else 0.5 * self.observable.modulus
         for branch in self.traced:
             for values in self.plotted_values(branch):
-                for stable, part in branch.parts:
+                for stable, part in branch.stability_parts:
                     for one in values[part].T:
                         line = np.column_stack([branch.values[part], one])
                         for piece in np.split(line, np.flatnonzero(~(np.abs(np.diff(one)) < jump)) + 1):
                             if len(piece) > 1:
                                 yield stable, piece
 
-    def places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    def event_places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
         for branch in self.traced:
             for values in self.plotted_values(branch):
-                for k, event in zip(branch.places, branch.run.events, strict=True):
+                for k, event in zip(branch.event_indices, branch.run.events, strict=True):
                     yield event.kind, np.column_stack([np.full(values.shape[1], branch.values[k]), values[k]])
 
     @property
-    def decided_by(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, Any]:
         """All that decides these branches: the system, where they are followed, and from which orbit."""
         start = self.traced[0].sections[0].tolist()
         where = {"parameters": dict(self.parameters), "along": self.along, "window": list(self.window)}
-        return identity(self.system.resolved()) | where | {"start": start, "branches": len(self.traced)}
+        return identity(self.system.to_resolved()) | where | {"start": start, "branches": len(self.traced)}
 
     @property
     def digest(self) -> str:
         """Digest of all that decides these branches."""
-        return digest_of(self.decided_by)
+        return digest_of(self.identity)
 
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):
@@ -209,7 +209,7 @@ class BranchTable:
 
         leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
         for number, branch in enumerate(self.traced):
-            for k, event in zip(branch.places, branch.run.events, strict=True):
+            for k, event in zip(branch.event_indices, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()
                 own = self._pattern_values(point, point.orbit.itinerary)
                 left, alone = leaving.get(id(event), -1), list[float]()

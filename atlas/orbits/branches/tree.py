@@ -71,7 +71,7 @@ class Branch:
         return np.array([point.values[0] for point in self.run.points])
 
     @property
-    def places(self) -> list[int]:
+    def event_indices(self) -> list[int]:
         """The number of the point that each event of the run is."""
         numbers = {id(point): k for k, point in enumerate(self.run.points)}
         return [numbers[id(event.point)] for event in self.run.events]
@@ -90,14 +90,14 @@ class Branch:
         return any(self.run.points[end] is event.point and self.run.ends[end] == event.kind for end in (0, -1))
 
     @property
-    def parts(self) -> Iterator[tuple[bool, slice]]:
+    def stability_parts(self) -> Iterator[tuple[bool, slice]]:
         """Stretches of points that are all stable, or all unstable, each joined to the next at the point between."""
         unstable = np.array([point.unstable for point in self.run.points]) > 0
         steps = unstable[1:] | unstable[:-1]
         ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
         return ((not steps[first], slice(first, last + 1)) for first, last in pairwise(ends) if last > first)
 
-    def passes(self, value: float) -> Iterator[tuple[int, float]]:
+    def crossings(self, value: float) -> Iterator[tuple[int, float]]:
         """Where it passes a value of the parameter: after which point, and at which share of the step to the next."""
         values = self.values
         for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
@@ -114,7 +114,7 @@ class Branch:
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
         """The orbits at a value of the parameter, each between two neighbouring points."""
-        for k, share in self.passes(value):
+        for k, share in self.crossings(value):
             with suppress(ValueError):
                 yield self.orbit_after(family, k, share, value)
 

@@ -62,7 +62,7 @@ class BorderSchedule:
                 chosen += wanted[(2 * np.arange(count) + 1) * len(wanted) // (2 * count)].tolist()
         return chosen[: max(0, min(EDGES_PER_STAGE, room))]
 
-    def tried(self, edge: int, fruitful: bool) -> None:
+    def record_attempt(self, edge: int, fruitful: bool) -> None:
         """An edge was looked beside, and events were found or not."""
         k = self.number[self.which[edge]]
         self.looked[k] += 1

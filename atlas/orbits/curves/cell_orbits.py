@@ -43,14 +43,14 @@ class CellOrbits(StoredOrbits):
         """
         verdicts = np.full(len(pairs), CEASES)
         regions = self.plane.regions[pairs]
-        for rows, orbits in self.alike(pairs[:, 0]):
+        for rows, orbits in self.group_by_itinerary(pairs[:, 0]):
             if self.are_still(pairs[rows[0], :1])[0]:
                 verdicts[rows] = [
                     self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)
                 ]
                 continue
             here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
-            reached = self.follow(orbits, here, there, steps=2, attracting=True)
+            reached = self.continue_orbits(orbits, here, there, steps=2, attracting=True)
             verdicts[rows[reached.converged]] = PERSISTS
             for k, row in enumerate(rows):
                 if (
@@ -67,13 +67,13 @@ class CellOrbits(StoredOrbits):
         """
         if is_equilibrium(orbit, self.plane.system):
             return self._stands(orbit, cell)
-        reached = self.follow([orbit], values[None], self.plane.values(np.array([cell])), attracting=True)
+        reached = self.continue_orbits([orbit], values[None], self.plane.values(np.array([cell])), attracting=True)
         if not reached.converged[0]:
             return CEASES
         return IS if self._is_of(cell, reached.orbit(0)) else PERSISTS
 
     def _is_of(self, cell: int, orbit: Orbit) -> bool:
-        own, values = self.of(int(cell)), self.plane.values(np.array([cell]))
+        own, values = self.orbit_of_row(int(cell)), self.plane.values(np.array([cell]))
         return own is not None and is_same_orbit(own, orbit, float(self.omega(values)[0]))
 
     def belong_to_cells(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
@@ -85,9 +85,9 @@ class CellOrbits(StoredOrbits):
                 belongs[rows] = self.are_still(cells[rows])
                 continue
             own = [points[row] for row in rows]
-            reached = self.follow(own, values[rows], self.plane.values(cells[rows]))
+            reached = self.continue_orbits(own, values[rows], self.plane.values(cells[rows]))
             self.find(cells[rows[reached.converged]])
             for k, row in enumerate(rows):
-                of_cell = self.of(int(cells[row])) if reached.converged[k] else None
+                of_cell = self.orbit_of_row(int(cells[row])) if reached.converged[k] else None
                 belongs[row] = of_cell is not None and is_same_orbit(of_cell, reached.orbit(k), omega[row])
         return belongs

@@ -53,10 +53,10 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
     where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
-    own = orbits.of(number)
+    own = orbits.orbit_of_row(number)
     if own is None:
         raise InputError(f"the cell at {where} is {cell['regime']}: only a proven periodic orbit has events")
-    reached = orbits.follow([own], plane.values(np.array([number])), here[None], attracting=True)
+    reached = orbits.continue_orbits([own], plane.values(np.array([number])), here[None], attracting=True)
     if not reached.converged[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")
     return reached.orbit(0)

@@ -84,7 +84,7 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
     ``cells`` cells; in order along its branch.
     """
-    plane, orbit = orbits.plane, orbits.of(start)
+    plane, orbit = orbits.plane, orbits.orbit_of_row(start)
     if orbit is None:
         return EdgeSearchResult([], "no orbit is found from the state of a cell")
     here, there = plane.values(np.array([start, beyond]))
@@ -123,7 +123,7 @@ def _towards(
     """The branch of ``events_towards``, and these events."""
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
-    family, value = orbits.along(axis, here), float(here[axis])
+    family, value = orbits.family_along(axis, here), float(here[axis])
     if is_equilibrium(orbit, orbits.plane.system):
         run = equilibria(family, orbit, value, window, resolution=resolution).run
     else:
@@ -264,7 +264,7 @@ def _solved_at(
     row[-2:] = along / width**2
     row /= np.linalg.norm(row * equations.scale)
     try:
-        equations = equations.at(guess)
+        equations = equations.rebordered(guess)
         solved = solve(equations, guess, row)
     except (NoOscillatorError, np.linalg.LinAlgError):
         return None

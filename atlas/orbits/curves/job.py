@@ -35,7 +35,7 @@ class CurveJob:
 
 def run_and_store(job: CurveJob) -> PartReport:
     """Do a task and keep its result as a part of the store."""
-    handle = job.site.handle()
+    handle = job.site.open()
     compile_once(*kernels_for(handle.spec.record, ORBITS))
     begin = time.thread_time()
     orbits = _orbits(job.site, job.digest, job.settings)
@@ -44,7 +44,7 @@ def run_and_store(job: CurveJob) -> PartReport:
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         result = {"trouble": f"{type(error).__name__}: {error}"}
-    job.site.keep(handle, CURVES, job.name, json.dumps(result).encode())
+    job.site.write_part(handle, CURVES, job.name, json.dumps(result).encode())
     return PartReport(job.index, job.name, time.thread_time() - begin)
 
 
@@ -56,12 +56,12 @@ def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)  # one curve passes many edges
 def _curve(site: StoreRef, digest: str, name: str) -> FollowedCurve:
-    return curve_from_json(read_part(site.handle(), name)["curve"])
+    return curve_from_json(read_part(site.open(), name)["curve"])
 
 
 @lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
 def _orbits(site: StoreRef, digest: str, settings: CurveSettings) -> CellOrbits:
-    plane = plane_of(site.handle())
+    plane = plane_of(site.open())
     if settings.digest(plane) != digest:
         text = "its cells differ from those of the search; is the path the same on all hosts?"
         raise WorkerRefusedError(f"{site.store}: {text}")

@@ -97,7 +97,7 @@ class CurveSearch:
         """Edges about which there is nothing more to find out."""
         return int(np.sum(self.verdicts != OPEN))
 
-    def take(self, results: list[Result]) -> None:
+    def add_results(self, results: list[Result]) -> None:
         """The results of the last tasks, in their order."""
         self._results = results
 
@@ -139,7 +139,7 @@ class CurveSearch:
             if self.verdicts[edge] == OPEN:
                 self.verdicts[edge] = {PERSISTS: BASIN, IS: NONE}.get(result.get("there", CEASES), TRIED)
             self.why[edge] = result.get("why") or result.get("trouble") or FAR
-            self.groups.tried(edge, bool(result.get("events")))
+            self.groups.record_attempt(edge, bool(result.get("events")))
             self._note(result)
             for number, given in enumerate(result.get("events", [])):
                 event = event_from_json(given)

@@ -54,7 +54,7 @@ class AttractorOrbitTable(OrbitTable):
         row[self.cell, self.place] = np.arange(len(self))
         return row
 
-    def beside(self, away: int = 1) -> Rows:
+    def same_kind_pairs(self, away: int = 1) -> Rows:
         """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
         pairs = self.neighbour_pairs(away)
         return np.asarray(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])

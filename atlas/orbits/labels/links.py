@@ -66,12 +66,12 @@ def followed(attractors: AttractorOrbitTable) -> OrbitLinks:
     free, follower = np.flatnonzero(still), AttractorOrbits(attractors)
     cell, image = with_images(attractors)
     follower.find(range(len(attractors)))
-    known = still | np.array([follower.of(row) is not None for row in range(len(attractors))], dtype=np.bool_)
+    known = still | np.array([follower.orbit_of_row(row) is not None for row in range(len(attractors))], dtype=np.bool_)
     known |= (attractors.twin >= 0) & known[attractors.twin]
     pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
     one_way = np.zeros((0, 2), dtype=np.int64)
     for away in range(1, MAX_GAP_CELLS + 1):
-        wanted = attractors.beside(away)
+        wanted = attractors.same_kind_pairs(away)
         wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
         if away > 1:
             wanted = wanted[_apart(wanted, pairs, len(cell))]
@@ -132,7 +132,7 @@ class AttractorOrbits(StoredOrbits):
         away   cells from the one to the other
         """
         reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
-        for rows, orbits in self.alike(pairs[:, 0]):
+        for rows, orbits in self.group_by_itinerary(pairs[:, 0]):
             reached[rows], change[rows] = self._reach_alike(pairs[rows], orbits, away)
         return reached, change
 
@@ -140,12 +140,12 @@ class AttractorOrbits(StoredOrbits):
         """``reach`` of orbits of one itinerary."""
         own = self.attractors
         here, there = (own.values(pairs[:, k]) for k in (0, 1))
-        arrived = self.follow(orbits, here, there, STEPS[0] * away)
+        arrived = self.continue_orbits(orbits, here, there, STEPS[0] * away)
         arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, which is changed
         for steps in STEPS[1:]:
             again = np.flatnonzero(~arrived.converged)
             if len(again):
-                more = self.follow([orbits[r] for r in again], here[again], there[again], steps * away)
+                more = self.continue_orbits([orbits[r] for r in again], here[again], there[again], steps * away)
                 for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
                     field[again] = better
                 arrived.converged[again] = more.converged
@@ -181,13 +181,15 @@ class AttractorOrbits(StoredOrbits):
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
         """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""
-        own, orbit = self.attractors, self.of(row)
+        own, orbit = self.attractors, self.orbit_of_row(row)
         here, there = own.points[own.cell[row]], own.points[cell]
         axis = int(np.flatnonzero(here != there)[0])
         begin, end = float(here[axis]), float(there[axis])
         window = (min(begin, end), max(begin, end))
         try:
-            run = None if orbit is None else branch(self.along(axis, here), orbit, begin, window, resolution=STEP)
+            run = (
+                None if orbit is None else branch(self.family_along(axis, here), orbit, begin, window, resolution=STEP)
+            )
         except (ValueError, np.linalg.LinAlgError):
             return None
         if run is None:

@@ -136,7 +136,7 @@ def test_the_end_of_sticking_has_a_curve_through_points_that_are_known(
 def test_each_border_that_stays_unexplained_says_why(found: dict[str, Any]) -> None:
     search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
-        search.take([{} if isinstance(task, PersistTask) else found for task in tasks.values()])
+        search.add_results([{} if isinstance(task, PersistTask) else found for task in tasks.values()])
     report = finish_search(search).report
     assert report["edges"]["regions"]["unexplained"] == 6
     (border,) = report["unexplained"]
@@ -149,7 +149,7 @@ def test_each_border_that_stays_unexplained_says_why(found: dict[str, Any]) -> N
 def test_an_orbit_that_goes_on_beyond_a_border_makes_it_one_of_basins() -> None:
     search = CurveSearch(plane_of_two_regions(), CurveSettings())
     while tasks := search.tasks():
-        search.take(
+        search.add_results(
             [{} if isinstance(task, PersistTask) else {"events": [], "there": PERSISTS} for task in tasks.values()]
         )
     assert finish_search(search).report["edges"]["regions"] == {

@@ -40,7 +40,7 @@ class Led:
         self.cells = cells_of({name: np.array([value]) for name, value in params.items()}, settings)
         self.course, self.put, self.flown_then = AdaptiveSchedule(self.cells, is_known=self.nothing_known), put, 0
         with np.errstate(all="ignore"):
-            self.course.take()
+            self.course.run()
         self.found: dict[str, Any] = {name: values[0] for name, values in self.cells.results.items()}
 
     def nothing_known(self, rows: Rows) -> Mask:
@@ -189,8 +189,8 @@ def test_no_period_is_averaged_twice() -> None:
     with np.errstate(all="ignore"):
         while len(ready):
             course.begin(ready)
-            course.look(cells.run(cells.ready, to_end=True))
-            ready = cells.ready
+            course.judge(cells.run(cells.unfinished, to_end=True))
+            ready = cells.unfinished
             average, _ = combined_average(cells, ready)
             since = cells.flown[ready] - cells.since[ready] - WARM_UP
             assert not np.any(average.periods > np.maximum(since, 0))

@@ -121,7 +121,7 @@ def test_states_between_events_are_those_of_the_motion() -> None:
     """Truth: the oracle's state at the section of an orbit that sticks and impacts."""
     motion, record = solved("row 22"), RECORDS["row 22"]
     period = float(motion.span[0])
-    states, _ = motion.at(np.array([[0.0, period, -3.0 * period]]))
+    states, _ = motion.states_at(np.array([[0.0, period, -3.0 * period]]))
     assert states[0] == pytest.approx(np.tile(record["state"], (3, 1)), abs=1e-13)
 
 
@@ -168,7 +168,7 @@ def test_a_mode_and_its_mirror_image_are_each_others() -> None:
 
 def test_the_state_at_a_section_is_on_the_orbit_whatever_its_first_event() -> None:
     motion = solved("row 3")
-    states, _ = motion.at(2.0 * math.pi / motion.lin.omega[:, None] * np.arange(2.0))
+    states, _ = motion.states_at(2.0 * math.pi / motion.lin.omega[:, None] * np.arange(2.0))
     assert states[0, 0] == pytest.approx(RECORDS["row 3"]["state"], abs=1e-12)
 
 

@@ -47,7 +47,7 @@ def test_a_reference_point_is_found_again_with_its_digits(record: dict[str, Any]
     family, event, values = reference_event(record, tuple(record["free"]))
     square = ExtendedSystem(family, event.point.orbit, event.conditions, values, 0.2 * values)
     exact = square.pack(event.point.orbit, event.point.contacts, values)
-    square = square.at(exact)
+    square = square.rebordered(exact)
     moved = exact * (1.0 + 1e-4 * np.random.default_rng(0).standard_normal(len(exact)))
     found = solve(square, moved)
     assert found.converged
@@ -164,7 +164,7 @@ def test_a_turn_is_that_of_a_general_integrator(damping: float) -> None:
     system = general(damping, 2)
     motion, s = general_motion(system), np.array([1.0, 2.0, 2.3, 4.0, 6.0, 8.0])
     path, end = bounced(system, motion, s)
-    states, (found, _, low, high) = motion.at(s[None])
+    states, (found, _, low, high) = motion.states_at(s[None])
     assert states[0] == pytest.approx(path, abs=1e-10)
     assert found[0] == pytest.approx(path[:, :3] @ np.array([1.0, -0.4, 0.6]), abs=1e-10)
     assert high[0] - low[0] == pytest.approx(1.7, abs=1e-12)

@@ -125,9 +125,9 @@ def test_a_motion_beyond_a_stop_goes_nowhere_and_is_invalid_for_that_reason() ->
     found = empty_results(result_variables(settings), (1,), {"exponent": 4, "state": 4, "sample": 0})
     cells = CellBatch(many_of(osc), np.array([NO_REASON], dtype=np.int8), np.zeros((1, 4)), settings, found)
     cells.batch.motions.mode[0, 0] = BEYOND
-    cells.set_interval(cells.ready, 1)
-    cells.run(cells.ready)
-    assert cells.ready.size == 1 and end_stopped(cells, cells.ready).size == 0
+    cells.set_interval(cells.unfinished, 1)
+    cells.run(cells.unfinished)
+    assert cells.unfinished.size == 1 and end_stopped(cells, cells.unfinished).size == 0
     assert (found["regime"][0], found["reason"][0]) == (INVALID, BEYOND_STOP)
 
 

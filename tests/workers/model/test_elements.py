@@ -155,7 +155,7 @@ def test_nothing_of_a_definition_is_lost_on_the_way_through_toml_and_pickle(text
 
 def test_every_entry_enters_the_identity_and_its_spelling_does_not() -> None:
     def of(text: str) -> dict[str, Any]:
-        return identity(System.from_toml(text).resolved())
+        return identity(System.from_toml(text).to_resolved())
 
     changes = {
         'name = "wall"': 'name = "gate"', 'release = "force"': 'release = "displacement"', "belt = 0.5": "belt = 0.6",

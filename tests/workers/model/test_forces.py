@@ -173,7 +173,7 @@ def test_exponents_per_unit_time_know_the_longer_period() -> None:
     ds = xr.Dataset(
         {"spectrum": ("exponent", spectrum)},
         coords={"omega": 1.4},
-        attrs={"spec": json.dumps(system.resolved())},
+        attrs={"spec": json.dumps(system.to_resolved())},
     )
     assert per_unit_time(ds)["spectrum"].values.sum() == pytest.approx(-0.3 / 1.3, rel=1e-12)
 

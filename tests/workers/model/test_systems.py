@@ -266,7 +266,7 @@ def test_words_do_not_enter_the_identity_of_a_system_and_numbers_do() -> None:
     spelt = table(damping=[["2.0*z", "-2*z"], ["-2*z", "2*z*(1+k)"]])
     other = table(stiffness=[[1.0, -1.0], [-1.0, "2 + k"]])
     one, words, spelling, numbers = (
-        identity(System.from_mapping(table_of).resolved()) for table_of in (table(), other_words, spelt, other)
+        identity(System.from_mapping(table_of).to_resolved()) for table_of in (table(), other_words, spelt, other)
     )
     assert one == words == spelling
     assert one != numbers
