@@ -214,7 +214,7 @@ def left_by_workers(handle: AtlasStore, indices: Iterable[tuple[int, ...]]) -> d
     write_tile(handle, first, arrays)
     kept: dict[str, bytes] = {}
     for key_of in (partial(chunk_key, handle.regime), record_key):
-        data = handle.place.get(key_of(first))
+        data = handle.backend.get(key_of(first))
         assert data is not None
         kept |= {key_of(index): data for index in indices}
     return kept

@@ -151,7 +151,7 @@ def _differences(store: Path) -> tuple[str, ...]:
     spec, found = handle.spec, set()
     for tile in handle.tiling.tiles():
         stored = read_tile(handle, tile.index)
-        for name, values in solve_tile(spec.record, spec.cell_params(tile.slices), spec.settings).items():
+        for name, values in solve_tile(spec.system_def, spec.cell_params(tile.slices), spec.settings).items():
             if stored[name].dtype != values.dtype or stored[name].tobytes() != np.ascontiguousarray(values).tobytes():
                 found.add(name)
     return tuple(sorted(found))

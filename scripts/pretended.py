@@ -40,7 +40,7 @@ def pretend(seconds: float, draw: random.Random) -> None:
 
     async def sleep(_act: object, job: RunJob) -> batches.AttemptSuccess[Any]:
         if job.level:
-            await asyncio.to_thread(open_backend(job.site.store).put, level_key(job.level, REGIME, job.index), b"")
+            await asyncio.to_thread(open_backend(job.store_ref.store).put, level_key(job.level, REGIME, job.index), b"")
             return batches.AttemptSuccess(get_worker().address, DerivedReport(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))

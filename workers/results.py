@@ -130,11 +130,11 @@ class Variable:
     fill: float | int | bool
     long_name: str
     units: str = "1"
-    extra: tuple[str, ...] = ()
+    extra_dims: tuple[str, ...] = ()
     sparse: bool = False
     label: str = ""
     regimes: frozenset[int] = SOLVED
-    endless: bool = False
+    allows_infinite: bool = False
     codes: tuple[CodeMeaning, ...] = ()
 
     @property
@@ -160,27 +160,27 @@ ATTRACTOR = "attractor"
 
 
 def _number(name: str, long_name: str, *extra: str, label: str = "", regimes: frozenset[int] = SOLVED) -> Variable:
-    return Variable(name, "float64", float("nan"), long_name, extra=extra, label=label, regimes=regimes)
+    return Variable(name, "float64", float("nan"), long_name, extra_dims=extra, label=label, regimes=regimes)
 
 
 def _count(name: str, long_name: str, *extra: str, fill: int = 0, label: str = "") -> Variable:
-    return Variable(name, "int32", fill, long_name, extra=extra, label=label)
+    return Variable(name, "int32", fill, long_name, extra_dims=extra, label=label)
 
 
 def count_of_orbit(name: str, long_name: str, label: str = "", endless: bool = True) -> Variable:
     """A count along an orbit, a result if there is one; the number of impacts may be infinite."""
-    return Variable(name, "int32", 0, long_name, label=label, regimes=frozenset({PERIODIC}), endless=endless)
+    return Variable(name, "int32", 0, long_name, label=label, regimes=frozenset({PERIODIC}), allows_infinite=endless)
 
 
 def _flag(name: str, long_name: str, *extra: str, label: str = "") -> Variable:
-    return Variable(name, "bool", False, long_name, extra=extra, label=label)
+    return Variable(name, "bool", False, long_name, extra_dims=extra, label=label)
 
 
 LARGEST = _number("largest", f"largest Lyapunov exponent {PER_PERIOD}", label="largest exponent", regimes=OF_MOTIONS)
 ERROR = _number("error", f"error of the largest Lyapunov exponent {PER_PERIOD}", regimes=OF_MOTIONS)
 SPECTRUM = _number("spectrum", f"Lyapunov exponents {PER_PERIOD}, largest first", "exponent")
 AVERAGE = _number("average", f"mean growth of tangent vectors {PER_PERIOD} over the schedule")
-_ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra=("exponent",))
+_ALL_AVERAGES = replace(AVERAGE, long_name=f"{AVERAGE.long_name}, largest first", extra_dims=("exponent",))
 KAPLAN_YORKE = _number(
     "kaplan_yorke", "Kaplan-Yorke dimension of the attractor of the stroboscopic map", label="Kaplan–Yorke dimension"
 )
@@ -288,7 +288,7 @@ def result_variables(
     chosen += [REASON, REGIME]
     if basins or not attractors:
         return tuple(chosen)
-    of_each = [v if v.name == "periods_used" else replace(v, extra=(ATTRACTOR, *v.extra)) for v in chosen]
+    of_each = [v if v.name == "periods_used" else replace(v, extra_dims=(ATTRACTOR, *v.extra_dims)) for v in chosen]
     return (*_COEXISTENCE, *of_each)
 
 
@@ -336,12 +336,12 @@ def of_friction(variable: Variable, stops: bool) -> Variable:
 
 def of_one(variable: Variable) -> Variable:
     """The variable for a single attractor of a cell."""
-    return replace(variable, extra=tuple(dim for dim in variable.extra if dim != ATTRACTOR))
+    return replace(variable, extra_dims=tuple(dim for dim in variable.extra_dims if dim != ATTRACTOR))
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
     """Arrays over cells of ``dims`` dimensions, with the first attractor of each: views, not copies."""
-    many = {variable.name for variable in variables if ATTRACTOR in variable.extra}
+    many = {variable.name for variable in variables if ATTRACTOR in variable.extra_dims}
     first = (slice(None),) * dims + (0,)
     return {name: values[first] if name in many else values for name, values in arrays.items()}
 
@@ -356,4 +356,6 @@ def empty_results(
     variables: tuple[Variable, ...], shape: tuple[int, ...], sizes: dict[str, int]
 ) -> dict[str, np.ndarray]:
     """Arrays of the given cell shape, each filled with its variable's value for a cell without a result."""
-    return {v.name: np.full(shape + tuple(sizes[dim] for dim in v.extra), v.fill, dtype=v.dtype) for v in variables}
+    return {
+        v.name: np.full(shape + tuple(sizes[dim] for dim in v.extra_dims), v.fill, dtype=v.dtype) for v in variables
+    }

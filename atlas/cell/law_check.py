@@ -67,8 +67,8 @@ def finer(spec: Spec) -> FinerLaws:
     """
     if spec.points:
         raise InputError("points: found a table of parameter sets; check-law takes a plane, [axes.NAME]")
-    record = replace(spec.record, definition=_finer(spec.record.definition))
-    segments = _segments(spec.record, record)
+    record = replace(spec.system_def, definition=_finer(spec.system_def.definition))
+    segments = _segments(spec.system_def, record)
     if not segments:
         raise InputError(f"{spec.system}: no law is an expression; a law given as a table is exact")
     for where, (_, count) in segments.items():
@@ -91,7 +91,7 @@ def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
     ]
     grids = dict(zip((axis.name for axis in spec.axes), np.meshgrid(*lines), strict=True))
     params = {**spec.parameters, **{name: grid.ravel() for name, grid in grids.items()}}
-    here, there = (solve_tile(record, params, spec.settings) for record in (spec.record, fine.record))
+    here, there = (solve_tile(record, params, spec.settings) for record in (spec.system_def, fine.record))
     invalid = (here["regime"] == INVALID) | (there["regime"] == INVALID)
     other = np.any([here[name] != there[name] for name in CLASS], axis=0) & ~invalid
 

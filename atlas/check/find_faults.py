@@ -97,7 +97,7 @@ def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
     """The report on a store before anything is read."""
     done = len(done_tiles(handle))
     return VerifyReport(
-        str(handle.place), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
+        str(handle.backend), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
     )
 
 
@@ -138,7 +138,7 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
         sheets=sheet_count,
         faults=(*faults, *zoom_faults),
         doubts=(*doubts, *zoom_doubts),
-        leftovers=tuple(leftovers(handle.place)),
+        leftovers=tuple(leftovers(handle.backend)),
     )
     return VerifyFindings(handle, report, {index: row for index, row in rows.items() if index not in bad})
 
@@ -149,7 +149,7 @@ def _solve_again(
     """A fault for each cell of the sample whose results, solved again, differ: in any bit, or beyond their errors."""
     notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
     for k, one in enumerate(samples, 1):
-        notify(Progress(f"solving cell {k} of {len(samples)} again", passing=True))
+        notify(Progress(f"solving cell {k} of {len(samples)} again", transient=True))
         again = solve_again(spec, one)
         different = (
             find_bit_differences(one.stored, again) if exact else find_differences_beyond_error(spec, one.stored, again)
@@ -166,12 +166,12 @@ def _check_zoom(
     Of as many sheets as the sample has cells, one cell each is solved again.
     """
     known = list_metatiles(handle)
-    damage = {} if handle.place.only_read else plane_faults(handle)
+    damage = {} if handle.backend.read_only_reason else plane_faults(handle)
     solved = set(random.Random(seed).sample(known, min(sample, len(known))))
     faults, doubts = list[StoreFault](), list[StoreFault]()
     faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
     for k, (plane, sheet) in enumerate(known, 1):
-        notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", passing=True))
+        notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", transient=True))
         part = (ZOOM, plane, sheet)
         try:
             place = metatile_backend(handle, plane, sheet)

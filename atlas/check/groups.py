@@ -31,19 +31,19 @@ def check_groups(handle: AtlasStore) -> Iterator[StoreFault]:
     for key in (key for group in tables for key in damaged_parts(handle, group)):
         yield StoreFault(None, f"{key} is damaged", (PART, key))
     for key in host_keys(handle):
-        if read_host(handle.place, key) is None:
+        if read_host(handle.backend, key) is None:
             yield StoreFault(None, f"{key} is damaged", (MACHINE, key))
 
 
 def _group_faults(handle: AtlasStore, group: str) -> list[str]:
     try:
         # Arrays without the metadata of their group: the metadata are lost, or the writer was killed.
-        lost = read_group(handle, group) is None and any(handle.place.list_keys(f"{group}/"))
+        lost = read_group(handle, group) is None and any(handle.backend.list_keys(f"{group}/"))
     except ChunkError as error:
         return error.lines
     if lost:
         return [f"{group}/{ROOT} is missing"]
-    metadata = handle.place.get(f"{group}/{ROOT}")
+    metadata = handle.backend.get(f"{group}/{ROOT}")
     fault = metadata is not None and form_fault(
         without_consolidated(json.loads(metadata))
     )  # its copies: see copy_faults
@@ -51,4 +51,4 @@ def _group_faults(handle: AtlasStore, group: str) -> list[str]:
 
 
 def _remedy(handle: AtlasStore, group: str) -> str:
-    return f" ({REBUILD_COMMANDS[group]} {handle.place} makes it anew)" if group in REBUILD_COMMANDS else ""
+    return f" ({REBUILD_COMMANDS[group]} {handle.backend} makes it anew)" if group in REBUILD_COMMANDS else ""

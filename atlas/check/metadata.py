@@ -39,7 +39,7 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
         return [*faults, *error.lines]
     sizes, variables = spec.extra_sizes, handle.variables
     shapes = {name: coordinate.values.shape for name, coordinate in handle.coordinates.items()}
-    shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra) for v in variables}
+    shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra_dims) for v in variables}
     for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
         where = f"{name}/{ROOT}"
         if name not in own:
@@ -50,7 +50,7 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
     groups = (TILES, MACHINES, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped ones may be left
     tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
-    lost = sorted(top for top in tops if not handle.place.exists(f"{top}/{ROOT}"))
+    lost = sorted(top for top in tops if not handle.backend.exists(f"{top}/{ROOT}"))
     faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
     try:
         covered_variables(handle, handle.record["attributes"])
@@ -96,7 +96,7 @@ def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
             top = f"{where}{name}".partition("/")[0]
             if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
                 continue
-            if not handle.place.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
+            if not handle.backend.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
                 continue
             own = _json(handle, f"{where}{name}/{ROOT}")
             if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):
@@ -114,13 +114,13 @@ def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
 def _groups_with_copies(handle: AtlasStore) -> list[str]:
     """The keys of the metadata of tables and of levels of overviews."""
     levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
-    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if handle.place.exists(key)]
+    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if handle.backend.exists(key)]
 
 
 def _json(handle: AtlasStore, key: str) -> dict[str, Any] | None:
     """Stored metadata; None if they are missing or cannot be read."""
     try:
-        metadata = json.loads(handle.place.get(key) or b"")
+        metadata = json.loads(handle.backend.get(key) or b"")
     except (ValueError, RecursionError):
         return None
     return metadata if isinstance(metadata, dict) else None
@@ -140,7 +140,7 @@ def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> 
 def coordinate_faults(handle: AtlasStore) -> list[str]:
     """Coordinates and copies that cannot be read, or differ from the spec's in any bit, in a few words each."""
     arrays = open_arrays(handle)
-    faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.place.get(key) != data]
+    faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.backend.get(key) != data]
     for name, coordinate in handle.coordinates.items():
         try:
             values = np.asarray(arrays[name][...])

@@ -47,7 +47,7 @@ def _form_faults(handle: AtlasStore) -> list[str]:
     levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
         cells = levels.shape_of(level)
-        shapes = {v.name: cells + (CODES.size,) * len(v.extra) for v in pyramid.variables}
+        shapes = {v.name: cells + (CODES.size,) * len(v.extra_dims) for v in pyramid.variables}
         for name, expected in shapes.items():
             try:
                 shape = pyramid.array(level, name).shape

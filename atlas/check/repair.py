@@ -48,7 +48,7 @@ def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> Ver
     """
     if not findings.is_unreadable:
         return _repaired(findings)
-    written, first = _write_metadata(findings.handle.place), findings.report.faults
+    written, first = _write_metadata(findings.handle.backend), findings.report.faults
     findings = again()
     if findings.is_unreadable:
         faults = tuple(dict.fromkeys((*first, *findings.report.faults)))
@@ -82,13 +82,13 @@ def _repaired(findings: VerifyFindings) -> VerifyReport:
         drop_tile(handle, index)
     removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
     for key in removed:
-        handle.place.remove(key)
+        handle.backend.remove(key)
     mended = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
     return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, mended=tuple(mended))
 
 
 def _mend_spare(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    place = findings.handle.place
+    place = findings.handle.backend
     place.put(SPARE, encode_backup(place.get(ROOT) or b""))
     yield f"{SPARE} written again"
 
@@ -99,7 +99,7 @@ def _mend_coordinates(findings: VerifyFindings, _: Names) -> Iterator[str]:
     arrays, objects = open_arrays(handle), handle.copies
     for name, coordinate in handle.coordinates.items():
         objects |= encode_chunks(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
-    handle.place.put_all(objects)
+    handle.backend.put_all(objects)
     yield "coordinates written again"
 
 
@@ -110,13 +110,13 @@ def _drop_groups(findings: VerifyFindings, names: Names) -> Iterator[str]:
             drop_overviews(handle)
         else:
             drop_group(handle, group)
-            handle.place.remove_all(list(handle.place.list_keys(f"{group}/")))
-        command = f"{REBUILD_COMMANDS[group]} {handle.place}" if group in REBUILD_COMMANDS else "the next run"
+            handle.backend.remove_all(list(handle.backend.list_keys(f"{group}/")))
+        command = f"{REBUILD_COMMANDS[group]} {handle.backend}" if group in REBUILD_COMMANDS else "the next run"
         yield f"{group} dropped: {command} makes them anew"
 
 
 def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    place = findings.handle.place
+    place = findings.handle.backend
     for (key,) in names:
         place.remove(key)
         yield f"{key} dropped: {REBUILD_COMMANDS[key.split('/')[1]]} {place} finds it again"
@@ -127,7 +127,7 @@ def _mend_copies(findings: VerifyFindings, names: Names) -> Iterator[str]:
     copies = copy_faults(findings.handle)
     for (key,) in names:
         if key in copies:
-            findings.handle.place.put(key, json.dumps(without_consolidated(copies[key])).encode())
+            findings.handle.backend.put(key, json.dumps(without_consolidated(copies[key])).encode())
         yield f"{key} written again, as its copy has it"
 
 
@@ -135,14 +135,14 @@ def _mend_members(findings: VerifyFindings, names: Names) -> Iterator[str]:
     """Write the copies of the metadata of sound tables again."""
     handle = findings.handle
     for (group,) in names:
-        copy_members(handle.place, group, (group_attributes(handle, group) or {})[ARRAYS])
+        copy_members(handle.backend, group, (group_attributes(handle, group) or {})[ARRAYS])
         yield f"the copies of the metadata of {group} written again"
 
 
 def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (key,) in names:
-        if read_host(handle.place, key) is None:
+        if read_host(handle.backend, key) is None:
             whole = mend_record(handle, key)
             yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown machine"
 
@@ -168,8 +168,8 @@ def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
         yield f"{ZOOM}/{ROOT} written again"
     for plane, *sheets in folders:
         if not sheets:
-            handle.place.remove(f"{ZOOM}/{plane}/{ROOT}")
-            sheets = sorted({key.split("/")[2] for key in handle.place.list_keys(f"{ZOOM}/{plane}/")})
+            handle.backend.remove(f"{ZOOM}/{plane}/{ROOT}")
+            sheets = sorted({key.split("/")[2] for key in handle.backend.list_keys(f"{ZOOM}/{plane}/")})
         for sheet in sheets:
             drop_metatile(handle, plane, sheet)
     if folders:

@@ -56,7 +56,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
     """The rules of each attractor, and the rules of all together."""
-    many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra}
+    many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra_dims}
     shape = tuple(part.stop - part.start for part in slices)
     count, tried = arrays["attractors"], arrays["starts"]
     broken: dict[str, Any] = {}
@@ -101,7 +101,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     still, periodic, blank = regime == NO_IMPACT, regime == PERIODIC, (regime == INVALID) | (regime == FAILED)
     known = ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
 
-    for variable in spec.record.variables(spec.settings):
+    for variable in spec.system_def.variables(spec.settings):
         if variable.name in (REGIME.name, REASON.name, "periods_used") or variable.name not in arrays:
             continue
         values = arrays[variable.name].reshape(*regime.shape, -1)
@@ -137,7 +137,7 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     if "peak_to_peak" in arrays:
         yield "peak_to_peak is negative", arrays["peak_to_peak"] < 0
     if "kaplan_yorke" in arrays:
-        most = len(spec.record.states)
+        most = len(spec.system_def.states)
         yield f"kaplan_yorke is outside 0 to {most}", (arrays["kaplan_yorke"] < 0) | (arrays["kaplan_yorke"] > most)
     if "periods_used" in arrays:
         yield "periods_used is negative", arrays["periods_used"] < 0
@@ -294,7 +294,7 @@ def _law(spec: Spec, values: Mapping[str, float]) -> tuple[float, float]:
     from workers.cell.exponents import sum_of_exponents
 
     try:
-        oscillator = spec.record.build(values)
+        oscillator = spec.system_def.build(values)
         free = sum_of_exponents(oscillator, 0.0)
     except ValueError:
         return np.nan, np.nan

@@ -10,12 +10,12 @@ from atlas.store.zoom import ABOUT
 def plane_faults(handle: AtlasStore) -> dict[str, str]:
     """Damaged metadata of planes and of sheets, by their keys. Folders that are still being made are left out."""
     damage: dict[str, str] = {}
-    folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.place.list_keys(f"{ZOOM}/")}
+    folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.backend.list_keys(f"{ZOOM}/")}
     whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))
     for parts in sorted({folder[:n] for folder in whole for n in range(len(folder) + 1)}):
         key = "/".join([ZOOM, *parts, ROOT])
         try:
-            group = json.loads(handle.place.get(key) or b"")
+            group = json.loads(handle.backend.get(key) or b"")
             own = group["attributes"]
             wrong = {0: own != ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
             if wrong or form_fault(group):

@@ -62,7 +62,7 @@ def names_along(ctx: click.Context) -> Iterable[str]:
     """The parameters of the store's system; without a store, of the system on the command line."""
     if _store(ctx) is None:
         return [name.removesuffix("=") for name in parameters(ctx)]
-    return [parameter.name for parameter in _spec(ctx).record.parameters]
+    return [parameter.name for parameter in _spec(ctx).system_def.parameters]
 
 
 def variables(ctx: click.Context) -> Iterable[str]:

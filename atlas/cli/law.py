@@ -20,7 +20,7 @@ def check(spec: str, cells: int, as_json: bool) -> None:
     """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
     read = Spec.from_toml(spec)
     fine = finer(read)
-    with show_solving(read.record):
+    with show_solving(read.system_def):
         changes = check_law(read, fine, cells)
     if as_json:
         click.echo(to_json(changes.as_dict()))

@@ -59,7 +59,7 @@ class LogReporter(AbstractContextManager["LogReporter"]):
 
     def __call__(self, progress: Progress) -> None:
         """Print the snapshot if the last line is old enough."""
-        if progress.passing:
+        if progress.transient:
             return
         if progress.plan and not self._planned:
             self._planned = True

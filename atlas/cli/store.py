@@ -77,4 +77,4 @@ def cite(store: str) -> None:
     """Print BibTeX of what to cite for STORE: the software that computed it, the method, the sources of its machine."""
     handle = open_store(store)
     version = software_version(str(open_atlas(handle).attrs.get("software", "")))
-    click.echo(bibtex(handle.spec.record, version, handle.solver_version))
+    click.echo(bibtex(handle.spec.system_def, version, handle.solver_version))

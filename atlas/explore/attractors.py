@@ -50,7 +50,7 @@ class AttractorListing:
     starts: int = 0
     undecided: int = 0
     unseen: float = 1.0
-    own: int = -1
+    own_index: int = -1
     stored: bool = False
     trouble: str = ""
 
@@ -59,9 +59,9 @@ def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | 
     """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
     if not subject.can_search_attractors:
         return AttractorListing(trouble='all attractors are found by the method "adaptive" only')
-    if subject.every is None or not cell.of_atlas:
+    if subject.all_attractors is None or not cell.of_atlas:
         return None
-    results = at(subject.every, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
+    results = at(subject.all_attractors, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
     return _answer(results["coexisting"], results, stored=True)
 
 
@@ -69,14 +69,14 @@ def attractor_computation(subject: Subject, cell: CellResult) -> Computation[Att
     """All attractors of a cell to be found."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
-    return Computation(solve_patch, patch, partial(_solved, subject), cells=1)
+    return Computation(solve_patch, patch, partial(_solved, subject), n_cells=1)
 
 
 def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
     """The attractors of the one cell of these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
-    many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
+    many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
     return _answer(attractors_listed(cell, many), cell, stored=False)
 
 
@@ -143,7 +143,7 @@ def attractors_table(kept: AttractorListing, subject: Subject) -> str:
     heads = ["", "", "regime", "n-p-q", *([LARGEST.words] if exponents else []), "share, 95 %"]
     rows = [
         f'<tr><td style="color: {PALETTE[k % len(PALETTE)]}">●</td>'
-        + _cells("td", _attractor(attractor, k == kept.own, exponents, subject.system)).removeprefix("<tr>")
+        + _cells("td", _attractor(attractor, k == kept.own_index, exponents, subject.system)).removeprefix("<tr>")
         for k, attractor in enumerate(kept.listed)
     ]
     notes = [

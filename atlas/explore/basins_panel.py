@@ -60,7 +60,7 @@ class BasinsPanel(Panel[CellResult]):
         self._says.text = html.escape(f"basins: {why}")
 
     def _ask(self) -> None:
-        cell = self.about
+        cell = self.topic
         if cell is None:
             return
         first = first_compile_notice(self._subject.system, ATTRACTORS)

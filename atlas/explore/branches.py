@@ -60,7 +60,7 @@ class BranchDiagram:
 class BranchMarker(NamedTuple):
     """An event of a branch, or its end: the number of its point, its kind in words, and the parameter there."""
 
-    place: int
+    index: int
     kind: str
     value: float
 
@@ -70,7 +70,7 @@ class BranchPosition(NamedTuple):
     words of the event that it is, else empty.
     """
 
-    place: int
+    index: int
     value: float
     point: "SolutionPoint"
     kind: str = ""
@@ -86,7 +86,7 @@ class FollowedBranch:
     """The branch of an orbit, which a table has alone, and the number of the point that is the cell's own orbit."""
 
     table: BranchTable
-    own: int
+    own_index: int
 
     @property
     def branch(self) -> "Branch":
@@ -109,7 +109,7 @@ class FollowedBranch:
     def _family(self) -> "Family":
         from workers.continuation import family_of
 
-        return family_of(self.table.system, self._all(self.values[self.own]), (self.table.along,))
+        return family_of(self.table.system, self._all(self.values[self.own_index]), (self.table.along,))
 
     def _all(self, value: float) -> dict[str, float]:
         return {**self.table.parameters, self.table.along: value}
@@ -129,12 +129,12 @@ class FollowedBranch:
                 modes = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
                 point = SolutionPoint(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
                 return BranchPosition(place, value, point)
-        kind = next((mark.kind for mark in self.events if mark.place == place), "")
+        kind = next((mark.kind for mark in self.events if mark.index == place), "")
         return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
 
     def find_point(self, value: float, here: BranchPosition) -> int | None:
         """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
-        passes = [(abs(k + share - here.place), k + int(share == 1.0)) for k, share in self.branch.crossings(value)]
+        passes = [(abs(k + share - here.index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)]
         return min(passes)[1] if passes else None
 
     def neighbouring_events(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
@@ -145,10 +145,10 @@ class FollowedBranch:
         marks = [
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
         ]
-        marks = sorted({mark.place: mark for mark in (*marks, *self.events)}.values())
-        place = here.place if here.value == self.values[here.place] else here.place + 0.5
-        before = [mark for mark in marks if mark.place < place]
-        after = [mark for mark in marks if mark.place > place]
+        marks = sorted({mark.index: mark for mark in (*marks, *self.events)}.values())
+        place = here.index if here.value == self.values[here.index] else here.index + 0.5
+        before = [mark for mark in marks if mark.index < place]
+        after = [mark for mark in marks if mark.index > place]
         if "closed" in ends:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)
@@ -221,7 +221,7 @@ def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, fl
 
     def read(branch: FollowedBranch) -> FollowedBranch:
         # The first motion loads the kernels: here, not in the page's thread.
-        branch.motion(branch.position_at(branch.own, branch.values[branch.own]))
+        branch.motion(branch.position_at(branch.own_index, branch.values[branch.own_index]))
         return branch
 
     (along, low, high), axes = part, dict(zip(subject.axes, subject.spec.axes, strict=False))

@@ -33,7 +33,7 @@ class VisibleCells:
     ds: "xr.Dataset"
     sight: Viewport
     stages: NDArray[np.uint8]
-    of: str = ""
+    view_id: str = ""
 
 
 def compose_view(
@@ -87,8 +87,8 @@ def dataset(
         "digest": subject.digest(plane),
     }
     made = xarray.Dataset(arrays, coords, attrs)
-    if subject.stored is not None and plane == subject.plane:
-        attach_store(made, subject.stored)  # where its curves lie
+    if subject.store is not None and plane == subject.plane:
+        attach_store(made, subject.store)  # where its curves lie
     return made
 
 
@@ -132,7 +132,7 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneP
 def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Viewport, key: TileKey, arrays: Arrays) -> None:
     if not canvas.keys() <= arrays.keys() or not sight.contains(key):
         return
-    rows, columns = sight.place(key)
+    rows, columns = sight.backend(key)
     up = key.rows.position_of(sight.y.level, sight.y.index[rows])
     across = key.columns.position_of(sight.x.level, sight.x.index[columns])
     for name, values in canvas.items():

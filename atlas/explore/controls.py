@@ -30,7 +30,7 @@ class Controls:
 
     def __init__(self, subject: Subject, store: PageModel, go: Callable[..., None]) -> None:
         self.subject, self._store = subject, store
-        chosen = store.now.chosen
+        chosen = store.now.view
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.keep = Toggle(label="keep this plane too", visible=subject.handle is not None, **wide)
         tell = call("tell")
@@ -64,7 +64,7 @@ class Controls:
 
     def show(self, state: PageState, kept: bool = False) -> None:
         """Have the widgets show the state, and whether its plane is kept."""
-        chosen, own = state.chosen, self.subject.plane
+        chosen, own = state.view, self.subject.plane
         for name, value in chosen.plane.parameters:
             slider = self.sliders[name]
             if not slider.start <= value <= slider.end:
@@ -80,7 +80,7 @@ class Controls:
 
     def _set_parameter(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
         """Move to the plane of a slider, or of a number that was typed."""
-        plane = self._store.now.chosen.plane
+        plane = self._store.now.view.plane
         if new is None or float(new) == dict(plane.parameters)[name]:
             return
         try:
@@ -91,7 +91,7 @@ class Controls:
 
     def _axes(self, go: Callable[..., None]) -> list[Any]:
         """What chooses the axes, and the layer of a stack."""
-        subject, third, made = self.subject, self.subject.third, []
+        subject, third, made = self.subject, self.subject.stack_axis, []
         system = subject.system
         options = [(p.name, f"{symbol_of(system, p.name)} {p.meaning.split(':')[0]}") for p in system.parameters]
         for k, title in enumerate(("across", "up")):

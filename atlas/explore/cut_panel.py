@@ -101,7 +101,7 @@ class CutPanel(Panel[CutLine]):
 
     def show(self, state: PageState) -> None:
         """Show the diagrams along the line that is chosen, in the plane that is chosen."""
-        chosen, observe = state.chosen, self._possible[str(self._shows.value)]
+        chosen, observe = state.view, self._possible[str(self._shows.value)]
         self.set_topic(None if chosen.cut is None else CutLine(self._subject, chosen.plane, chosen.cut, observe))
 
     def clear(self) -> None:
@@ -147,10 +147,10 @@ class CutPanel(Panel[CutLine]):
         self._says.text = "; ".join(filter(None, (count, long, html.escape(self._note))))
 
     def _find_branches(self) -> None:
-        if self.about is None or self._cells is None:
+        if self.topic is None or self._cells is None:
             return
         try:
-            sweep = sweep_of(self.about, self._cells)
+            sweep = sweep_of(self.topic, self._cells)
         except InputError as error:
             self._ended(str(error))
             return
@@ -172,7 +172,7 @@ class CutPanel(Panel[CutLine]):
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the cell that was clicked or the middle of the view."""
-        chosen = self._store.now.chosen
+        chosen = self._store.now.view
         x, y = chosen.middle(self._subject)
         ends: Cut = (chosen.x[0], y, chosen.x[1], y) if along == 0 else (x, chosen.y[0], x, chosen.y[1])
         self._store.choose(cut=ends)

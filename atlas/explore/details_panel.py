@@ -112,7 +112,7 @@ class DetailsPanel(Panel[Point]):
         self.run_in_background(partial(self._detail, cell, self.progress_callback()))
 
     def _choose_nearest(self, point: tuple[float, float]) -> Show:
-        plane, sight = self._store.now.chosen.plane, self._sight()
+        plane, sight = self._store.now.view.plane, self._sight()
         at = point if sight is None else self._explorer.known.point(plane, sight, *point)
         return lambda: self._store.choose(cell=(plane, *at))
 

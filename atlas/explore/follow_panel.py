@@ -68,7 +68,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
     def offer_cell(self, cell: CellResult | None) -> None:
         """Offer to follow the orbit of a cell where it has one."""
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
-        self.panel.visible = there_is_one or self.about is not None
+        self.panel.visible = there_is_one or self.topic is not None
 
     def show(self, chosen: ViewState) -> None:
         """Follow the chosen orbit, and show where it is."""
@@ -104,14 +104,14 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
 
     def _follows(self) -> bool:
         """Whether the orbit is followed along the parameter in the menu."""
-        follow = self._store.now.chosen.follow
+        follow = self._store.now.view.follow
         return follow is not None and follow.along == self._along.value
 
     def _label(self) -> None:
         self._button.label = "end following" if self._follows() else "follow"
 
     def _press(self) -> None:
-        chosen = self._store.now.chosen
+        chosen = self._store.now.view
         if self._follows():
             self._store.choose(follow=None)
         elif chosen.cell is not None:
@@ -121,7 +121,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._say("")
         self._shown = _FollowControls(self._explorer, self._store, branch)
         self._body.children = self._shown.parts
-        self.show(self._store.now.chosen)
+        self.show(self._store.now.view)
 
     def _say(self, text: str) -> None:
         self._says.update(text=html.escape(text), visible=bool(text))
@@ -183,11 +183,11 @@ class _FollowControls:
         self.branch, self._subject, self._store = branch, explorer.subject, store
         self._symbol = symbol_of(self._subject.system, branch.table.along)
         self._at: FollowedOrbit | None = None
-        self._here = branch.position_at(branch.own, branch.values[branch.own])
+        self._here = branch.position_at(branch.own_index, branch.values[branch.own_index])
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         last = len(branch.values) - 1
         self._slider = Slider(
-            title="along the branch", start=0, end=last, value=branch.own, step=1, show_value=False, bar_color=INK,
+            title="along the branch", start=0, end=last, value=branch.own_index, step=1, show_value=False, bar_color=INK,
             **wide,
         )  # fmt: skip
         self._typed = NumericInput(
@@ -217,8 +217,8 @@ class _FollowControls:
         if follow == self._at:
             return self._here
         self._at = follow
-        self._here = here = self.branch.position_at(self.branch.own + follow.step, follow.value)
-        self._slider.value, self._typed.value, self._span.location = here.place, here.value, here.value
+        self._here = here = self.branch.position_at(self.branch.own_index + follow.step, follow.value)
+        self._slider.value, self._typed.value, self._span.location = here.index, here.value, here.value
         self._text.text = self._table()
         motion = self.branch.motion(here)
         gap = motion.moving[0][:: int(motion.per_period)]
@@ -228,13 +228,13 @@ class _FollowControls:
         return here
 
     def _go(self, place: int, value: float) -> None:
-        now = self._store.now.chosen.follow
+        now = self._store.now.view.follow
         if now is not None:
-            self._store.choose(follow=now._replace(step=place - self.branch.own, value=value))
+            self._store.choose(follow=now._replace(step=place - self.branch.own_index, value=value))
 
     def _slide(self, attribute: str, old: Any, new: Any) -> None:
         """Go to the point of the slider."""
-        if int(new) != self._here.place:
+        if int(new) != self._here.index:
             self._go(int(new), self.branch.values[int(new)])
 
     def _type(self, attribute: str, old: Any, new: Any) -> None:
@@ -272,8 +272,8 @@ class _FollowControls:
             if mark is not None:
                 text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
             rows.append((f"{side} next event", text))
-        folds = [f"{number(mark.value)} (point {mark.place + 1})" for mark in branch.events if mark.kind == "fold"]
+        folds = [f"{number(mark.value)} (point {mark.index + 1})" for mark in branch.events if mark.kind == "fold"]
         rows += [("turns back at", ", ".join(folds))] if folds else []
-        place = f"point {here.place + 1} of {len(branch.values)}"
+        place = f"point {here.index + 1} of {len(branch.values)}"
         body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, entry)) for entry in rows)
         return f"<table><caption>orbit followed, {place}</caption>{body}</table>"

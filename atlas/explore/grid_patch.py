@@ -28,7 +28,7 @@ class GridPatch:
     settings: Settings
     x: tuple[str, tuple[float, ...]]
     y: tuple[str, tuple[float, ...]]
-    wanted: bytes = b""
+    mask_bits: bytes = b""
     starts: AttractorSettings | None = None
     solver_version: int = SOLVER_VERSION
 
@@ -36,9 +36,9 @@ class GridPatch:
     def mask(self) -> NDArray[np.bool_]:
         """The cells (y, x) to be solved."""
         shape = len(self.y[1]), len(self.x[1])
-        if not self.wanted:
+        if not self.mask_bits:
             return np.ones(shape, dtype=bool)
-        bits = np.frombuffer(self.wanted, dtype=np.uint8)
+        bits = np.frombuffer(self.mask_bits, dtype=np.uint8)
         return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(bool)
 
 

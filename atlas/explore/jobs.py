@@ -74,9 +74,9 @@ class Computation(Generic[A]):
     """
 
     function: Callable[[Any], Any]
-    value: Any
-    read: Callable[[Any], A] = lambda result: result
-    cells: int = 0
+    argument: Any
+    postprocess: Callable[[Any], A] = lambda result: result
+    n_cells: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +91,11 @@ class ComputationJob(ServiceJob):
 
     def build_task(self) -> tuple[Task, Take]:
         """See ``ServiceJob``."""
-        return (self.question.function, self.question.value), self._take
+        return (self.question.function, self.question.argument), self._take
 
     def _take(self, result: Any) -> int:
-        self.take(self.question.read(result))
-        return self.question.cells
+        self.take(self.question.postprocess(result))
+        return self.question.n_cells
 
     def on_failed(self, why: str) -> None:
         """See ``ServiceJob``."""
@@ -116,7 +116,7 @@ class JobOutput:
 
     index: tuple[int, ...]
     result: Any = None
-    refused: str = ""
+    error: str = ""
 
 
 def answer(sent: SubmittedJob) -> JobOutput:
@@ -125,7 +125,7 @@ def answer(sent: SubmittedJob) -> JobOutput:
     try:
         return JobOutput(sent.index, function(value))
     except InputError as error:
-        return JobOutput(sent.index, refused=str(error))
+        return JobOutput(sent.index, error=str(error))
 
 
 class JobQueue(Iterator[ServiceJob]):
@@ -291,8 +291,8 @@ class JobService:
         job, take = self._sent.pop(outcome.index)
         if isinstance(outcome, TileFailure):
             self._give_up(job, outcome.message)
-        elif outcome.refused:
-            self._give_up(job, outcome.refused)
+        elif outcome.error:
+            self._give_up(job, outcome.error)
         else:
             cells = self._tried(job, partial(take, outcome.result)) or 0
             with self._lock:

@@ -63,16 +63,16 @@ class Metatile:
     """
 
     handle: AtlasStore
-    first: tuple[int, int]
+    first_tile: tuple[int, int]
     arrays: dict[str, Any]
     done: set[tuple[int, ...]]
-    bad: set[tuple[int, ...]] = field(default_factory=set)
-    looked: float = 0.0
-    refused: float = float("-inf")
+    damaged: set[tuple[int, ...]] = field(default_factory=set)
+    listed_at: float = 0.0
+    refused_at: float = float("-inf")
 
     def index(self, key: TileKey) -> tuple[int, int]:
         """The tile's index in the sheet."""
-        return key.y - self.first[0], key.x - self.first[1]
+        return key.y - self.first_tile[0], key.x - self.first_tile[1]
 
 
 class MetatileCatalog:
@@ -105,10 +105,10 @@ class MetatileCatalog:
             if at in self._open:
                 self._open.move_to_end(at)
                 sheet = self._open[at]
-                if now - sheet.looked > RELIST_SECONDS:
-                    sheet.looked = now
+                if now - sheet.listed_at > RELIST_SECONDS:
+                    sheet.listed_at = now
                     try:
-                        sheet.done = done_tiles(sheet.handle) - sheet.bad
+                        sheet.done = done_tiles(sheet.handle) - sheet.damaged
                     except (OSError, RunError) as error:
                         self._was_refused(error)
                 return sheet
@@ -169,7 +169,7 @@ class MetatileCatalog:
             return (
                 sheet is not None
                 and sheet.index(key) in sheet.done
-                and time.monotonic() - sheet.refused > RELIST_SECONDS
+                and time.monotonic() - sheet.refused_at > RELIST_SECONDS
             )
 
     def load(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
@@ -199,7 +199,7 @@ class MetatileCatalog:
     def mark_written(self, sheet: Metatile, index: tuple[int, int]) -> None:
         """Note that a tile is written."""
         with self._lock:
-            sheet.bad.discard(index)
+            sheet.damaged.discard(index)
             sheet.done.add(index)
 
     def _read(self, sheet: Metatile, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
@@ -223,11 +223,11 @@ class MetatileCatalog:
         except Exception as error:  # a codec that meets bytes it never wrote may raise anything
             with self._lock:
                 if self._was_refused(error):
-                    sheet.refused = time.monotonic()
+                    sheet.refused_at = time.monotonic()
                     return {}
             tiles_read, bad = {}, {sheet.index(key) for key in tiles}
         with self._lock:
-            sheet.bad |= bad
+            sheet.damaged |= bad
             sheet.done -= bad
         return tiles_read
 
@@ -236,7 +236,7 @@ class MetatileCatalog:
         return any(
             not variable.sparse
             and is_blank(arrays[name], variable)
-            and not sheet.handle.place.exists(chunk_key(variable, index))
+            and not sheet.handle.backend.exists(chunk_key(variable, index))
             for name, variable in self._subject.variables.items()
             if name in arrays
         )
@@ -271,7 +271,7 @@ class MetatileCatalog:
         """Open a sheet, and keep it open; those not used for longest are closed."""
         handle, first = open_store(place), (span[0].start, span[1].start)
         self._open[at] = sheet = Metatile(
-            handle, first, open_arrays(handle), done_tiles(handle), looked=time.monotonic()
+            handle, first, open_arrays(handle), done_tiles(handle), listed_at=time.monotonic()
         )
         self._absent.pop(at, None)
         while len(self._open) > MAX_OPEN:

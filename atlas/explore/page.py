@@ -80,7 +80,7 @@ class ExplorerPage:
 
     def __init__(self, document: Document, explorer: Explorer, store: PageModel, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
-        self._folder, self._home, chosen = folder, home, store.now.chosen
+        self._folder, self._home, chosen = folder, home, store.now.view
         self._background = BackgroundTasks(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
         self._pane = PlanePane(explorer, self._background, chosen, self._note_picture, self._note_look)
@@ -127,7 +127,7 @@ class ExplorerPage:
         plot.js_on_event(RangesUpdate, call("tell"))  # before the event itself
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
-        controls.keep.on_click(lambda on: self._explorer.tiles.set_kept(store.now.chosen.plane, on))
+        controls.keep.on_click(lambda on: self._explorer.tiles.set_kept(store.now.view.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -153,23 +153,23 @@ class ExplorerPage:
 
     def _changed(self, old: PageState, new: PageState) -> None:
         """Show the new state."""
-        chosen = new.chosen
+        chosen = new.view
         self._controls.show(new, self._explorer.tiles.is_kept(chosen.plane))
         self._details.show(chosen)
         self._cut.show(new)
         if min(new.size) >= MIN_PLANE_PIXELS:
             self._address.text = place_query(self._home.subject, self._subject, chosen)
-            self._pane.show(chosen, new.size, new.rests)
+            self._pane.show(chosen, new.size, new.at_rest)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, at the cell clicked or else the middle of the view."""
-        subject, chosen = self._subject, self._store.now.chosen
+        subject, chosen = self._subject, self._store.now.view
         turned = self._home.explorer_for_axes(
             axes or subject.axes, subject.layer_value if layer is None else layer
         ).subject
         values = subject.values(chosen.plane, *chosen.middle(subject))
-        if layer is not None and turned.third is not None:
-            values[turned.third.name] = layer
+        if layer is not None and turned.stack_axis is not None:
+            values[turned.stack_axis.name] = layer
         there = carry_over(turned, chosen, values)
         there = there if axes else replace(there, x=chosen.x, y=chosen.y)
         query = place_query(self._home.subject, turned, there)
@@ -191,7 +191,7 @@ class ExplorerPage:
     def _note_look(self, query: str) -> None:
         """Take note of how the browser shows the plane."""
         try:
-            looks = apply_style_query(self._subject, self._store.now.chosen, query)
+            looks = apply_style_query(self._subject, self._store.now.view, query)
             self._store.choose(**{name: getattr(looks, name) for name in STYLE_FIELDS})
         except InputError as error:
             self._store.set(trouble=str(error))
@@ -202,11 +202,11 @@ class ExplorerPage:
             self._store.set(lacking=picture, shares=())
             return
         self._store.set(lacking=picture.note, shares=picture.shares)
-        self._details.show(self._store.now.chosen)  # a cell of the address, once there is a view to find it in
+        self._details.show(self._store.now.view)  # a cell of the address, once there is a view to find it in
 
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
-        trouble = "; ".join(filter(None, (now.trouble, now.lacking)))
+        trouble = "; ".join(filter(None, (now.trouble, now.missing_parts)))
         left = explorer.patches.n_remaining(self._pane.painter)
         text = progress(explorer.patches.state, left, [*self._notes(), explorer.tiles.keeper.trouble], now.shares)
         if trouble:
@@ -214,7 +214,7 @@ class ExplorerPage:
         self._line.text = f"<span>{text}</span>"
 
     def _notes(self) -> list[str]:
-        subject, chosen = self._subject, self._store.now.chosen
+        subject, chosen = self._subject, self._store.now.view
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
         keeper = self._explorer.tiles.keeper
         if keeper.handle is not None and not keeper.trouble and chosen.plane == subject.plane:
@@ -240,7 +240,7 @@ class ExplorerPage:
         sight = self._pane.painter.sight
         if sight is None:
             return
-        chosen = self._store.now.chosen
+        chosen = self._store.now.view
         ends = self._pane.painter.ends(chosen)
 
         def work() -> Callable[[], None]:
@@ -250,7 +250,7 @@ class ExplorerPage:
         self._background.run(work)
 
     def _make(self) -> None:
-        chosen, cells = self._store.now.chosen, int(self._controls.cells.value or 2)
+        chosen, cells = self._store.now.view, int(self._controls.cells.value or 2)
         x, y = self._store.now.box or (chosen.x, chosen.y)
         self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 

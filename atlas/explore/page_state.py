@@ -20,11 +20,11 @@ class PageState:
     trouble   other failures, and why
     """
 
-    chosen: ViewState
+    view: ViewState
     size: tuple[int, int] = (0, 0)
-    rests: bool = True
+    at_rest: bool = True
     box: tuple[Range, Range] | None = None
-    lacking: str = ""
+    missing_parts: str = ""
     shares: tuple[float, ...] = ()
     trouble: str = ""
 
@@ -52,8 +52,8 @@ class PageModel:
 
         An orbit is followed until another cell is chosen.
         """
-        old, chosen = self.now, replace(self.now.chosen, **fields)
-        before = old.chosen
+        old, chosen = self.now, replace(self.now.view, **fields)
+        before = old.view
         if chosen.cell != before.cell and "follow" not in fields:
             chosen = replace(chosen, follow=None)
         if chosen != before:
@@ -62,7 +62,7 @@ class PageModel:
 
     def escape(self) -> None:
         """Follow an orbit no further, or else close the cut."""
-        if self.now.chosen.follow is not None:
+        if self.now.view.follow is not None:
             self.choose(follow=None)
         else:
             self.choose(cut=None)

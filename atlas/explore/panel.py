@@ -19,7 +19,7 @@ class Panel(Generic[A]):
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks) -> None:
         self._explorer, self._subject, self._background = explorer, explorer.subject, background
-        self.about: A | None = None
+        self.topic: A | None = None
         self._turns = 0
 
     def start(self, about: A) -> None:
@@ -35,9 +35,9 @@ class Panel(Generic[A]):
 
     def set_topic(self, about: A | None) -> None:
         """Turn to another thing: earlier questions are dropped. Does nothing if it is the same."""
-        if about == self.about:
+        if about == self.topic:
             return
-        self.about = about
+        self.topic = about
         self._turns += 1
         self._explorer.patches.request(self, ())
         if about is None:

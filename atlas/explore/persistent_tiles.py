@@ -53,7 +53,7 @@ class PersistentTileCache:
         self._sizes: dict[tuple[str, str], int] = {}
         self.handle = subject.handle if wanted else None
         self._trouble, self._lost, self._lately = "" if self.handle is not None else "nothing is kept", 0, ""
-        if self.handle is not None and self.handle.place.only_read:
+        if self.handle is not None and self.handle.backend.read_only_reason:
             self.handle, self._trouble = None, "nothing is kept: a packed atlas is read only"
         self.sheets = None if self.handle is None else MetatileCatalog(subject, self.handle)
         self._thread = restarting_thread("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))
@@ -154,12 +154,12 @@ class PersistentTileCache:
 
     def _turn(self, handle: AtlasStore, batch: list[tuple[tuple[PlaneParameters, TileKey], Arrays]]) -> None:
         """Write some tiles under the store's claim; tiles that cannot be written wait for another turn."""
-        notes = sidecar_of(handle.place)
+        notes = sidecar_of(handle.backend)
         try:
-            if not handle.place.exists(ROOT):  # to claim it would make a folder of its name
-                raise RunError(f"{handle.place} is gone")
-            with hold_lease(notes, str(handle.place)) as claim:
-                handle = handle.with_backend(claim.fence_backend(handle.place))
+            if not handle.backend.exists(ROOT):  # to claim it would make a folder of its name
+                raise RunError(f"{handle.backend} is gone")
+            with hold_lease(notes, str(handle.backend)) as claim:
+                handle = handle.with_backend(claim.fence_backend(handle.backend))
                 for at, arrays in batch:
                     self._keep(handle, *at, arrays)
                     with self._lock:
@@ -190,8 +190,8 @@ class PersistentTileCache:
             return
         sheet = self.sheets.find(plane, of) or self.sheets.create(handle, plane, of, span)
         index = sheet.index(key)
-        if index not in done_tiles(sheet.handle) or index in sheet.bad:
-            write_tile(sheet.handle.with_backend(sheet.handle.place.with_fence(handle.place.fence)), index, arrays)
+        if index not in done_tiles(sheet.handle) or index in sheet.damaged:
+            write_tile(sheet.handle.with_backend(sheet.handle.backend.with_fence(handle.backend.fence)), index, arrays)
         self.sheets.mark_written(sheet, index)
         self.sheets.mark_viewed(plane, of)
         self._sizes.pop((self.sheets.digest(plane), of.name), None)

@@ -188,7 +188,7 @@ class PictureRenderer:
             return
         (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
         of = f"{id(self)}-{self._view}"
-        seen = replace(explorer.known.visible_cells(chosen.plane, sight, chosen.names), of=of)
+        seen = replace(explorer.known.visible_cells(chosen.plane, sight, chosen.names), view_id=of)
         stages = seen.stages
         maps = maps_of(seen, chosen, others=not stages.any())
         self._hold(chosen, [made.name for made in maps])

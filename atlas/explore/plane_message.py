@@ -79,7 +79,7 @@ def message(
         names[made.name] = names_on(made.layers, plane, size)
     packed.setdefault(REGIME.name, pack(seen.ds[REGIME.name].values))
     about = {
-        "of": seen.of,
+        "of": seen.view_id,
         "axes": [_axis(lattice, stretch) for lattice, stretch in zip((subject.x, subject.y), seen.sight, strict=True)],
         "maps": described,
         "lines": lines,

@@ -87,15 +87,15 @@ class Subject:
 
     spec: Spec
     settings: Settings
-    stored: AtlasStore | None = None
+    store: AtlasStore | None = None
     ds: "xr.Dataset | None" = None
     layer: int = 0
     attractors: AttractorSettings | None = None
-    third: Axis | None = None
-    of_layer: "Callable[[float], Subject] | None" = None
+    stack_axis: Axis | None = None
+    subject_of_layer: "Callable[[float], Subject] | None" = None
 
     @property
-    def every(self) -> "xr.Dataset | None":
+    def all_attractors(self) -> "xr.Dataset | None":
         """The plane of the store with all attractors of its cells; None where it does not have them."""
         return None if self.ds is None or self.attractors is None else self.ds
 
@@ -106,7 +106,7 @@ class Subject:
         """
         assert self.ds is not None
         part = self.ds.isel(cells)
-        return part if self.every is None else own(part)
+        return part if self.all_attractors is None else own(part)
 
     @property
     def starts(self) -> AttractorSettings:
@@ -121,12 +121,12 @@ class Subject:
     @property
     def handle(self) -> AtlasStore | None:
         """The handle of a store that cells of this program can be kept in."""
-        return self.stored if self.stored is not None and self.stored.solver_version == SOLVER_VERSION else None
+        return self.store if self.store is not None and self.store.solver_version == SOLVER_VERSION else None
 
     @property
     def system(self) -> System:
         """The system."""
-        return self.spec.record
+        return self.spec.system_def
 
     @cached_property
     def x(self) -> Lattice:
@@ -147,7 +147,7 @@ class Subject:
     @property
     def layer_value(self) -> float | None:
         """Where on the third axis of a stack it lies; None without one."""
-        return None if self.third is None else self.third.values[self.layer]
+        return None if self.stack_axis is None else self.stack_axis.values[self.layer]
 
     def with_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
         """The same machine over other axes, through the middle of those it has now; or another layer of a stack.
@@ -155,10 +155,10 @@ class Subject:
         Over other axes nothing is stored. InputError for axes that are no two parameters, and for an unknown layer.
         """
         if layer is not None and layer != self.layer_value:
-            if self.third is None or self.of_layer is None or layer not in self.third.values:
-                known = "none" if self.third is None else ", ".join(f"{v:g}" for v in self.third.values)
+            if self.stack_axis is None or self.subject_of_layer is None or layer not in self.stack_axis.values:
+                known = "none" if self.stack_axis is None else ", ".join(f"{v:g}" for v in self.stack_axis.values)
                 raise InputError(f"layer: found {layer:g}; possible: {known}")
-            return self.of_layer(layer).with_axes(axes)
+            return self.subject_of_layer(layer).with_axes(axes)
         if axes == self.axes:
             return self
         check_names("axis", axes, [parameter.name for parameter in self.system.parameters])
@@ -170,7 +170,7 @@ class Subject:
         made = {name: own.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
         fixed = {name: value for name, value in values.items() if name not in axes}
         spec = Spec(self.system, made, fixed, self.spec.settings)
-        return replace(self, spec=spec, stored=None, ds=None)
+        return replace(self, spec=spec, store=None, ds=None)
 
     @cached_property
     def plane(self) -> PlaneParameters:
@@ -180,13 +180,13 @@ class Subject:
     @property
     def name(self) -> str:
         """What is explored, in a word."""
-        return self.spec.system if self.stored is None else os.path.basename(str(self.stored.place).rstrip("/"))
+        return self.spec.system if self.store is None else os.path.basename(str(self.store.backend).rstrip("/"))
 
     @property
     def has_same_settings(self) -> bool:
         """Whether cells of the atlas itself are what exploring would make of them."""
         asked = replace(self.spec.settings, section_samples=0, observe="")
-        return self.handle is not None and self.every is None and asked == self.settings
+        return self.handle is not None and self.all_attractors is None and asked == self.settings
 
     def digest(self, plane: PlaneParameters) -> str:
         """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
@@ -215,7 +215,7 @@ class Subject:
     def numbers(self) -> list[str]:
         """The results of one number a cell, except the regime and its reason."""
         coded = REGIME.name, REASON.name
-        return [name for name, variable in self.variables.items() if not variable.extra and name not in coded]
+        return [name for name, variable in self.variables.items() if not variable.extra_dims and name not in coded]
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
         """Arrays of cells that have no results yet."""
@@ -299,12 +299,12 @@ def _subject(
         if ds is not None:
             ds = select(ds, {third.name: value})
         axes = {axis.name: axis for axis in spec.axes[:2]}
-        spec = Spec(spec.record, axes, spec.parameters | {third.name: value}, spec.settings)
+        spec = Spec(spec.system_def, axes, spec.parameters | {third.name: value}, spec.settings)
     elif chosen:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
     if attractors is None:
-        return Subject(spec, settings, handle, ds, layer, third=third, of_layer=of_layer)
-    alone = Spec(spec.record, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
+        return Subject(spec, settings, handle, ds, layer, stack_axis=third, subject_of_layer=of_layer)
+    alone = Spec(spec.system_def, {axis.name: axis for axis in spec.axes}, spec.parameters, spec.settings)
     return Subject(alone, settings, handle, ds, layer, attractors, third, of_layer)
 
 

@@ -107,7 +107,7 @@ def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
             name: {
                 "label": name if name in (REGIME.name, REASON.name) else variable.words,
                 "flag": isinstance(values[name], bool),
-                "endless": variable.endless,
+                "endless": variable.allows_infinite,
                 "regimes": sorted(variable.regimes),
             }
             for name, variable in meant.items()

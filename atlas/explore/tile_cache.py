@@ -177,17 +177,19 @@ class TileCache:
         In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
         """
         subject = self.subject
-        if subject.ds is None or subject.stored is None:
+        if subject.ds is None or subject.store is None:
             return None
         if time.monotonic() - self._looked > RELIST_SECONDS and not self._complete:
             self._looked = time.monotonic()
-            tiling = subject.stored.tiling
+            tiling = subject.store.tiling
             done = np.zeros(tiling.shape, dtype=bool)
-            for index in done_tiles(subject.stored):
+            for index in done_tiles(subject.store):
                 done[tiling.at(index).slices] = True
             done = done[subject.layer] if done.ndim > 2 else done
             self._complete = bool(done.all())
-            self._done = done if subject.every is None else done & (subject.part({})[REGIME.name].values != PENDING)
+            self._done = (
+                done if subject.all_attractors is None else done & (subject.part({})[REGIME.name].values != PENDING)
+            )
         return self._done
 
 

@@ -143,7 +143,7 @@ def kinds(subject: Subject) -> list[str]:
 
 def overlays(subject: Subject) -> list[str]:
     """The lines that may be drawn over its maps."""
-    without = {CURVES: subject.stored is None, "isolines": LARGEST.name not in subject.variables}
+    without = {CURVES: subject.store is None, "isolines": LARGEST.name not in subject.variables}
     return [name for name in MAP_OVERLAYS if not without.get(name, False)]
 
 

@@ -63,7 +63,7 @@ def must_be_finished(handle: AtlasStore) -> None:
     """InputError, with what to do, where a tile of a store is not done."""
     missing = handle.tiling.count - len(done_tiles(handle))
     if missing:
-        raise InputError(f"{handle.place}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+        raise InputError(f"{handle.backend}: {plural(missing, 'tile')} not done; complete it with atlas run first")
 
 
 def current_group(
@@ -110,5 +110,5 @@ def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, 
     given, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
     return {
         p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
-        for p in spec.record.parameters
+        for p in spec.system_def.parameters
     }

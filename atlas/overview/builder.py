@@ -67,7 +67,7 @@ class OverviewBuilder:
                     raise
                 except (OSError, ValueError) as error:
                     raise RunError(
-                        f"{self._handle.place}: the tiles done are kept, but the overviews could not be written "
+                        f"{self._handle.backend}: the tiles done are kept, but the overviews could not be written "
                         f"({error}); run again to make them"
                     ) from error
             made += len(missing)

@@ -70,7 +70,7 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
     """
     variables: list[Variable] = []
     for variable in map(of_one, results):
-        if variable.extra or variable.name in WITHOUT_MEAN:
+        if variable.extra_dims or variable.name in WITHOUT_MEAN:
             continue
         if variable.name in CLASSES:
             variables.append(variable)

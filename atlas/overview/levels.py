@@ -32,34 +32,34 @@ class OverviewLevels:
 
     shape: Index
     tile: Index
-    side: int = SIDE
-    least: int = MIN_SIDE
-    kept: int = 0
+    chunk_side: int = SIDE
+    min_side: int = MIN_SIDE
+    n_uncoarsened: int = 0
 
     @property
     def chunk(self) -> Index:
         """Cells of a level per chunk; the last chunks may hold fewer."""
-        return tuple(t if dim < self.kept else self._chunk_side(t) for dim, t in enumerate(self.tile))
+        return tuple(t if dim < self.n_uncoarsened else self._chunk_side(t) for dim, t in enumerate(self.tile))
 
     def _chunk_side(self, tile: int) -> int:
-        if tile > self.side and tile % 2 == 0:
+        if tile > self.chunk_side and tile % 2 == 0:
             return tile // 2  # a chunk of level 1 covers one such tile
-        return tile * max(1, self.side // tile)
+        return tile * max(1, self.chunk_side // tile)
 
     @property
     def coarsened(self) -> tuple[int, ...]:
         """The dimensions that each level halves."""
-        return tuple(range(self.kept, len(self.shape)))
+        return tuple(range(self.n_uncoarsened, len(self.shape)))
 
     def halvings(self, level: int) -> tuple[int, ...]:
         """Halvings of each dimension in a level."""
-        return tuple(0 if dim < self.kept else level for dim in range(len(self.shape)))
+        return tuple(0 if dim < self.n_uncoarsened else level for dim in range(len(self.shape)))
 
     @property
     def count(self) -> int:
         """Levels above the cells themselves; 0 for a small atlas."""
         count = 0
-        while max(self.shape_of(count)[self.kept :], default=0) > self.least:
+        while max(self.shape_of(count)[self.n_uncoarsened :], default=0) > self.min_side:
             count += 1
         return count
 

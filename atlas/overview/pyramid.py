@@ -76,9 +76,9 @@ class Pyramid:
         self.levels = OverviewLevels(
             handle.spec.shape,
             handle.tile,
-            side=shapes["side"],
-            least=shapes["least"],
-            kept=handle.spec.n_uncoarsened_dims,
+            chunk_side=shapes["side"],
+            min_side=shapes["least"],
+            n_uncoarsened=handle.spec.n_uncoarsened_dims,
         )
 
     @property
@@ -96,7 +96,7 @@ class Pyramid:
         """The widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
         levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
-            before, kept = levels[-1], self.levels.kept
+            before, kept = levels[-1], self.levels.n_uncoarsened
             levels.append((*before[:kept], *map(halve_widths, before[kept:])))
         return levels
 
@@ -120,7 +120,7 @@ class Pyramid:
     def stored(self, level: int, mark: Variable) -> set[Index]:
         """Indices of the existing chunks of a level, by one of MARKS; from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
-        keys = self.handle.place.whole_keys(self.handle.place.list_keys(root))
+        keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(root))
         indices = (chunk_index(key.removeprefix(root), grid) for key in keys)
         return {index for index in indices if index is not None}
 
@@ -129,9 +129,9 @@ class Pyramid:
         if self.made:
             return
         self._arrays.clear()
-        shapes = {"side": self.levels.side, "least": self.levels.least, "classes": int(CODES.size)}
+        shapes = {"side": self.levels.chunk_side, "least": self.levels.min_side, "classes": int(CODES.size)}
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
-        with detached_root(self.handle.place, GROUP) as root:
+        with detached_root(self.handle.backend, GROUP) as root:
             top = root.create_group(GROUP, attributes=shapes | about)
             for level in range(1, self.levels.count + 1):
                 self._create_level(top, level)
@@ -152,7 +152,7 @@ class Pyramid:
                 break
             time.sleep(_PAUSE)
         else:
-            raise RunError(f"{self.handle.place}: overview {level}, chunk {index}: cells below it are missing")
+            raise RunError(f"{self.handle.backend}: overview {level}, chunk {index}: cells below it are missing")
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def build_chunk_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
@@ -172,10 +172,10 @@ class Pyramid:
         coarse, objects = coarsen(below, widths, self.levels.coarsened), dict[str, bytes]()
         for variable in self.variables:
             if variable.name == REGIME.name:
-                self.handle.place.put_all(objects)
+                self.handle.backend.put_all(objects)
                 objects = {}
             objects |= encode_chunks(self.array(level, variable.name), block, coarse[variable.name])
-        self.handle.place.put_all(objects)
+        self.handle.backend.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles, before any of them is written."""
@@ -192,7 +192,7 @@ class Pyramid:
             # Both marks: a kill during writing may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):
-                    self.handle.place.remove(level_key(level, mark, index))
+                    self.handle.backend.remove(level_key(level, mark, index))
                     dropped.add((level, index))
         return len(dropped)
 
@@ -215,14 +215,14 @@ class Pyramid:
             attributes |= {"long_name": variable.long_name, "units": variable.units}
             if fixed:
                 attributes["coordinates"] = fixed
-            extra = tuple(CODES.size for _ in variable.extra)
+            extra = tuple(CODES.size for _ in variable.extra_dims)
             group.create_array(
                 variable.name,
                 shape=shape + extra,
                 chunks=tuple(map(min, self.levels.chunk, shape)) + extra,
                 dtype=variable.dtype,
                 fill_value=variable.fill,
-                dimension_names=level_dims(spec) + variable.extra,
+                dimension_names=level_dims(spec) + variable.extra_dims,
                 compressors=codecs(),
                 attributes=attributes,
             )
@@ -230,9 +230,9 @@ class Pyramid:
 
 def pyramid_of(handle: AtlasStore) -> Pyramid:
     """The cells and overviews of a store as they are, opened once for all views of its handle."""
-    with handle.kept.lock:
-        pyramid = handle.kept.get(GROUP) or Pyramid(handle)
-        handle.kept[GROUP] = pyramid
+    with handle.cache.lock:
+        pyramid = handle.cache.get(GROUP) or Pyramid(handle)
+        handle.cache[GROUP] = pyramid
     through = copy(pyramid)  # shares open arrays, with the handle of the place to write
     through.handle = handle
     return through
@@ -240,7 +240,7 @@ def pyramid_of(handle: AtlasStore) -> Pyramid:
 
 def drop_overviews(handle: AtlasStore) -> None:
     """Drop all overviews: without its own metadata the group counts as absent."""
-    handle.place.remove(f"{GROUP}/{ROOT}")
+    handle.backend.remove(f"{GROUP}/{ROOT}")
 
 
 @contextmanager
@@ -251,7 +251,7 @@ def _named(handle: AtlasStore, path: str) -> Iterator[None]:
     except (OSError, MemoryError, RunError):
         raise
     except Exception as error:  # a codec, or a parser of metadata, may raise anything
-        raise ChunkError(handle.place, {path: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.backend, {path: f"is damaged ({message_of(error)})"}) from None
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:

@@ -42,10 +42,10 @@ class VerifyingStore(WrapperStore[Any]):
     """Zarr's store of an atlas, read only; ``get`` raises ChunkError. Counts the chunks read."""
 
     def __init__(self, handle: AtlasStore) -> None:
-        super().__init__(zarr_store(handle.place, read_only=True))
+        super().__init__(zarr_store(handle.backend, read_only=True))
         levels = level_variables(handle.variables)
-        self.place, self.chunks_read = handle.place, 0
-        self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra)
+        self.backend, self.chunks_read = handle.backend, 0
+        self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra_dims)
         self._complete = {variable.name for variable in (*handle.variables, *levels) if not variable.sparse}
         self._parts = {name: parts_of(array) for name, array in handle.arrays.items()}
         self._sizes = {name: chunk_bytes(array) for name, array in handle.arrays.items()}
@@ -61,7 +61,7 @@ class VerifyingStore(WrapperStore[Any]):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
         array, asked = folder[1:], _asked.get()
         if asked is not None:
-            asked.add((self.place, array))
+            asked.add((self.backend, array))
             return None
         try:
             data = await self._store.get(key, prototype, byte_range)
@@ -116,7 +116,7 @@ class VerifyingStore(WrapperStore[Any]):
 
     def _error(self, key: str, fault: str) -> ChunkError:
         _loops.add(asyncio.get_running_loop())
-        return ChunkError(self.place, {key: fault})
+        return ChunkError(self.backend, {key: fault})
 
 
 @contextmanager

@@ -56,7 +56,7 @@ def table(ds: "xr.Dataset") -> "xr.Dataset":
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
     handle = handle_of(ds)
     if group_attributes(handle, ATTRACTORS) is None:
-        raise InputError(f"{handle.place}: has no table of attractors yet; run it to its end")
+        raise InputError(f"{handle.backend}: has no table of attractors yet; run it to its end")
     return open_table(handle, ATTRACTORS).load()
 
 

@@ -71,7 +71,7 @@ def _walk_part(part: StoreBlock, names: list[str], codes: Collection[int]) -> It
                 regime = part.pyramid.read(0, REGIME.name, piece)
             else:
                 regime = np.full(tuple(p.stop - p.start for p in piece), state, np.int8)
-            yield CellBlock(cells[1:] if part.plane else cells, part.as_given(regime), values)
+            yield CellBlock(cells[1:] if part.drops_stack_dim else cells, part.as_given(regime), values)
 
 
 def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:

@@ -52,8 +52,8 @@ class Comparison:
     ``differing`` has the fixed parameters that differ, by name, here and there. Cells are read at first use.
     """
 
-    one: "xr.Dataset"
-    other: "xr.Dataset"
+    first: "xr.Dataset"
+    second: "xr.Dataset"
     differing: dict[str, tuple[float, float]]
     weights: tuple[NDArray[np.float64], ...]
 
@@ -73,14 +73,14 @@ class Comparison:
     @property
     def has_exponents(self) -> bool:
         """Whether both atlases hold exponents."""
-        return LARGEST.name in self.one and LARGEST.name in self.other
+        return LARGEST.name in self.first and LARGEST.name in self.second
 
     def planes(self, pixels: tuple[int, int]) -> list[Plane]:
         """Both planes, of the same cells: overviews for these pixels where both have them, else the cells."""
         names = [LARGEST.name] if self.has_exponents else []
-        read = [view(ds, names, pixels=pixels) for ds in (self.one, self.other)]
+        read = [view(ds, names, pixels=pixels) for ds in (self.first, self.second)]
         if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
-            read = [view(ds, names) for ds in (self.one, self.other)]
+            read = [view(ds, names) for ds in (self.first, self.second)]
         return [Plane.from_dataset(ds, names) for ds in read]
 
     @cached_property
@@ -93,7 +93,7 @@ class Comparison:
 
         if not self.has_exponents:
             raise InputError("one of the two atlases holds no exponents to compare")
-        one = self.one[LARGEST.name]
+        one = self.first[LARGEST.name]
         values = np.concatenate([difference for _, _, _, difference in self._strips()])
         meaning = f"difference of the largest Lyapunov exponents {rate_of(one)}, there minus here"
         attrs = {"long_name": meaning, "units": LARGEST.units}
@@ -169,14 +169,14 @@ class Comparison:
 
     def _strips(self) -> Iterator[tuple[int, NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]]:
         """Some rows at a time: the first of them, the regimes here and there, and the differences."""
-        regime = self.one[REGIME.name]
+        regime = self.first[REGIME.name]
         chunk = (regime.encoding.get("chunks") or (1,))[0]
         rows = max(1, _CELLS_PER_BLOCK * regime.shape[0] // max(1, regime.size) // chunk) * chunk
         names = [LARGEST.name] if self.has_exponents else []
         for first in range(0, regime.shape[0], rows):
             part = {regime.dims[0]: slice(first, first + rows)}
             here, there = (
-                view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.one, self.other)
+                view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.first, self.second)
             )  # fmt: skip
             codes = here[REGIME.name].values, there[REGIME.name].values
             if names:
@@ -186,9 +186,9 @@ class Comparison:
             yield first, *codes, difference
 
     def _place(self, first: int, at: list[int]) -> dict[str, float]:
-        index = dict(zip(self.one[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
-        place = {name: float(axis_values(self.one, name)[index[name]]) for name in axis_names(self.one)}
-        return place | {name: float(axis_values(self.one, name)[index[POINT]]) for name in columns(self.one)}
+        index = dict(zip(self.first[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
+        place = {name: float(axis_values(self.first, name)[index[name]]) for name in axis_names(self.first)}
+        return place | {name: float(axis_values(self.first, name)[index[POINT]]) for name in columns(self.first)}
 
 
 def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:

@@ -45,7 +45,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
     best: dict[int, _ExtremeTracker] = {}
     for block in iter_cell_blocks(part, needed, codes):
         counted = np.isin(block.regime, list(codes)) & np.isfinite(block.values[name])
-        if meant.endless:
+        if meant.allows_infinite:
             counted &= block.values[name] >= 0
         numbers = np.where(counted, 1 if classes is None else classes.number(block), 0)
         for number in np.unique(numbers[numbers > 0]).tolist():

@@ -46,10 +46,10 @@ def open_atlas(
     except (OSError, MemoryError, ChunkError):
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
-        raise ChunkError(handle.place, {ROOT: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.backend, {ROOT: f"is damaged ({message_of(error)})"}) from None
     stored = {name: tuple(opened[name].values.tolist()) for name in outline_names(handle.outline)}
-    if changed := changed_values(handle.place, handle.outline, stored, lambda: handle.values):
-        raise ChunkError(handle.place, {f"coordinate {name}": "is not the spec's" for name in changed})
+    if changed := changed_values(handle.backend, handle.outline, stored, lambda: handle.values):
+        raise ChunkError(handle.backend, {f"coordinate {name}": "is not the spec's" for name in changed})
     if handle.spec.coexistence and group_attributes(handle, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
     if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
@@ -63,7 +63,7 @@ def open_atlas(
 
 def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
     """Say of which store a dataset is."""
-    ds.encoding |= {SOURCE: str(handle.place), _HANDLE: handle}
+    ds.encoding |= {SOURCE: str(handle.backend), _HANDLE: handle}
 
 
 def handle_of(ds: "xarray.Dataset") -> AtlasStore:
@@ -82,7 +82,7 @@ def handle_of(ds: "xarray.Dataset") -> AtlasStore:
     else:
         raise InputError("this dataset does not name its store: use the one that atlas.open returns")
     if ds.attrs.get("run_id", handle.run_id) != handle.run_id:
-        raise InputError(f"{handle.place}: another store than the one that this dataset is of; open it again")
+        raise InputError(f"{handle.backend}: another store than the one that this dataset is of; open it again")
     return handle
 
 
@@ -101,7 +101,7 @@ def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
         raise
     except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
         read_group(handle, table)  # names what it is
-        raise ChunkError(handle.place, {table: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.backend, {table: f"is damaged ({message_of(error)})"}) from None
 
 
 def _guarded(handle: AtlasStore) -> Any:

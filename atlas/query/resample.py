@@ -68,7 +68,7 @@ def view(
     if part is None:
         return ds[wanted]
     known = {variable.name for variable in part.pyramid.variables}
-    kept = part.pyramid.levels.kept
+    kept = part.pyramid.levels.n_uncoarsened
     free = len(part.cells) - kept
     steps = [0] * kept + (_steps(ds, pixels)[-free:] if pixels and free and known.issuperset(wanted) else [0] * free)
     seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
@@ -111,7 +111,7 @@ def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: lis
         _blank(cells)
     coords: dict[str, Any] = {}
     for (axis, s), cut in zip(part.axes, cuts[-len(part.axes) :], strict=True):
-        if axis.name in part.handle.spec.dims[: part.pyramid.levels.kept]:
+        if axis.name in part.handle.spec.dims[: part.pyramid.levels.n_uncoarsened]:
             coords[axis.name] = ds[axis.name]
             continue
         log = axis.scale == "log"
@@ -120,7 +120,7 @@ def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: lis
         coords[axis.name] = (axis.name, centres(edges, log), {**ds[axis.name].attrs, "bounds": bounds})
         coords[bounds] = ((axis.name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
     arrays = {name: (ds[name].dims, part.as_given(cells[name]), ds[name].attrs) for name in names}
-    return _dataset(ds, arrays, coords, min(steps[part.pyramid.levels.kept :]))
+    return _dataset(ds, arrays, coords, min(steps[part.pyramid.levels.n_uncoarsened :]))
 
 
 def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
@@ -129,7 +129,7 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
     What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
     one dimension, some rows at a time; so is one that takes fewer pixels than the last level has cells.
     """
-    kept = part.pyramid.levels.kept
+    kept = part.pyramid.levels.n_uncoarsened
     level = min(*steps[kept:], part.pyramid.levels.count)
     more = [*steps[:kept], *(count - level for count in steps[kept:])]
     whole = part.pyramid.levels.shape_of(level)

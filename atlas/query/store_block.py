@@ -71,7 +71,7 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     else:
         with skip_chunk_reads() as asked:
             _ = variable[(0,) * variable.ndim].values
-        untouched = asked == {(handle.place, name)}
+        untouched = asked == {(handle.backend, name)}
     inner = list(variable.shape[ds[REGIME.name].ndim :])
     return untouched and inner == list(stored["shape"][len(handle.spec.shape) :])
 
@@ -96,23 +96,23 @@ class StoreBlock:
     handle: AtlasStore
     cells: Slices
     pyramid: Pyramid = field(repr=False)
-    plane: bool = False
-    before: int = field(default=0, repr=False)
+    drops_stack_dim: bool = False
+    chunks_before: int = field(default=0, repr=False)
 
     @property
     def chunks_read(self) -> int:
         """Chunks found and read since the part was found."""
-        return self.pyramid.chunks_read - self.before
+        return self.pyramid.chunks_read - self.chunks_before
 
     def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values over cells of the part in the dimensions of the dataset."""
-        return values[0] if self.plane else values
+        return values[0] if self.drops_stack_dim else values
 
     @property
     def axes(self) -> tuple[tuple[Axis, slice], ...]:
         """The axes of the dataset by its dimensions, and the cells that the part has along them."""
         axes = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
-        return tuple(axes)[1 if self.plane else 0 :]
+        return tuple(axes)[1 if self.drops_stack_dim else 0 :]
 
     @cached_property
     def records(self) -> TileRecords:
@@ -203,7 +203,7 @@ class StoreBlock:
         wanted, made = set(names), {}
         for variable in self.pyramid.variables:
             if variable.name in wanted:
-                shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra)
+                shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra_dims)
                 made[variable.name] = np.full(shape, variable.fill, dtype=variable.dtype)
         return made
 

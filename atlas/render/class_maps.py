@@ -243,7 +243,7 @@ def basins(view: MapView) -> MapLayers:
             periods = "natural periods" if unforced else "periods"
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"
             at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
-            legend.insert(at, LegendEntry("#c8c8c8", meaning, dark=SLOW))
+            legend.insert(at, LegendEntry("#c8c8c8", meaning, min_brightness=SLOW))
     entry = "attractor" if unforced else "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
     return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 

@@ -67,7 +67,7 @@ def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
     kind.require(seen, needs)
     wanted = PictureRequest(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
     view = MapView(kind, ds, Plane.from_dataset(seen, needs), wanted)
-    return _coded(name, text_of(text.variable_label(ds, variable)) if variable else kind.meaning, view, needs)
+    return _coded(name, text_of(text.variable_label(ds, variable)) if variable else kind.description, view, needs)
 
 
 def text_of(label: str) -> str:
@@ -118,7 +118,7 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
     keys, codes = np.unique(layers.codes * base + 2 * textures + outlined, return_inverse=True)
     entries, own = [], text.regime(view.ds)
     for key in keys.tolist():
-        rest, look = key % base, layers.looks[key // base]
+        rest, look = key % base, layers.styles[key // base]
         entry = _shown(layers, look) | (patterns[rest // 2 - 1] if rest > 1 else {})
         if rest % 2:
             entry["outlined"] = True
@@ -133,7 +133,7 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
         "entries": entries,
         "bars": [_bar(bar, view.plane[needs[0]], needs[0], bar is _main(layers)) for bar in layers.bars],
         "shade": _shade(layers, needs[0]),
-        "title": text_of(layers.beside or ""),
+        "title": text_of(layers.side_legend_title or ""),
         "legend": [_entry(entry) for entry in layers.entries],
     }
     kind = np.uint8 if len(entries) <= 256 else np.uint16
@@ -160,7 +160,12 @@ def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:
     """The shade that darkens colours, by a variable."""
     if layers.shade is None:
         return None
-    return {"variable": variable, "low": layers.shade.low, "high": layers.shade.high, "dark": layers.shade.dark}
+    return {
+        "variable": variable,
+        "low": layers.shade.low,
+        "high": layers.shade.high,
+        "dark": layers.shade.min_brightness,
+    }
 
 
 def _hex(color: Colors) -> str:
@@ -174,7 +179,10 @@ def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]
     textures = [
         (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
     ]
-    for cells, hatch, ink in [*textures, *((texture.cells, texture.hatch, texture.ink) for texture in layers.textures)]:
+    for cells, hatch, ink in [
+        *textures,
+        *((texture.cells, texture.hatch, texture.hatch_color) for texture in layers.textures),
+    ]:
         if cells.any():
             patterns.append({"hatch": hatch[0], "ink": to_hex(ink)})
             numbers[cells] = len(patterns)
@@ -205,6 +213,6 @@ def _table(colormap: Colormap) -> str:
 def _entry(entry: LegendEntry) -> dict[str, Any]:
     """An entry of a legend."""
     described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
-    if entry.dark < 1.0:
-        return described | {"dark": entry.dark}
-    return described | ({"hatch": entry.hatch[0], "ink": to_hex(entry.ink)} if entry.hatch else {})
+    if entry.min_brightness < 1.0:
+        return described | {"dark": entry.min_brightness}
+    return described | ({"hatch": entry.hatch[0], "ink": to_hex(entry.hatch_color)} if entry.hatch else {})

@@ -153,7 +153,7 @@ def _drawn(subject: "Subject", wanted: PictureRequest, titles: Sequence[str]) ->
 def _sources(subject: "Subject", wanted: PictureRequest) -> list[Any]:
     """The sources of the numbers of a picture: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
-        return [subject.one, subject.other]
+        return [subject.first, subject.second]
     if isinstance(subject, Sequence):
         return [select_dominant(ds) for ds in subject]
     return [subject, *([] if wanted.against is None else [wanted.against])]

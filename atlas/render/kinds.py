@@ -52,16 +52,16 @@ class PictureKind:
     name: str
     axes: int
     variables: tuple[str, ...]
-    meaning: str
+    description: str
     scale: ColorScale = CLASSES
     atlases: int = 1
-    lacking: str = ""
+    hint: str = ""
 
     def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
         """InputError with advice if an atlas lacks one of these variables."""
         for name in names:
             if name not in ds:
-                hint = f"; {self.lacking}" if self.lacking else ""
+                hint = f"; {self.hint}" if self.hint else ""
                 raise InputError(
                     f"kind {self.name!r} draws the variable {name!r}, which this atlas does not hold{hint}"
                 )
@@ -111,25 +111,25 @@ KIND_TABLE = {
              ColorScale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee"))),
         PictureKind(LABELS, 2, (LABEL.name,),
              "which branch the attractor shown is on, in colours that persist, by atlas attractors label",
-             lacking="label its attractors by atlas attractors label"),
+             hint="label its attractors by atlas attractors label"),
         PictureKind(BASINS, 2, (SETTLED.name, LABEL.name), "of a plane of initial states: which attractor each start goes to",
-             lacking="both axes must be initial states, and the spec have [attractors]"),
+             hint="both axes must be initial states, and the spec have [attractors]"),
         PictureKind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
-             ColorScale("return time [forcing periods]", _PALE_BLUE, log=True), lacking=_MEASURE),
+             ColorScale("return time [forcing periods]", _PALE_BLUE, log=True), hint=_MEASURE),
         PictureKind("reactivity", 2, ("reactivity",), "the largest log growth of a small deviation over one forcing period",
-             ColorScale("reactivity, log growth in a period", _VIOLET), lacking=_MEASURE),
+             ColorScale("reactivity, log growth in a period", _VIOLET), hint=_MEASURE),
         PictureKind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
-             ColorScale("amplification of a deviation", _PALE_BLUE, log=True), lacking=_MEASURE),
+             ColorScale("amplification of a deviation", _PALE_BLUE, log=True), hint=_MEASURE),
         PictureKind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
-             ColorScale("minimal fatal shock", _DARK_FIRST, log=True), lacking=f"{_MEASURE} --shocks"),
+             ColorScale("minimal fatal shock", _DARK_FIRST, log=True), hint=f"{_MEASURE} --shocks"),
         PictureKind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
-             ColorScale("distance to the nearest curve", _DARK_FIRST), lacking=f"{_MEASURE} --margin"),
+             ColorScale("distance to the nearest curve", _DARK_FIRST), hint=f"{_MEASURE} --margin"),
         PictureKind(SCALAR, 2, (), "any number of each cell, which --variable names", ColorScale("", _VIOLET)),
         PictureKind("coexistence", 1, ("share",), "of one axis: bifurcation diagram of all attractors above their shares",
              _EXPONENTS),
         PictureKind("sweep", 1, (REGIME.name,), "of one axis: bifurcation diagram above the largest exponent", _EXPONENTS),
         PictureKind("spectrum", 1, (SPECTRUM.name,), "of one axis: bifurcation diagram above all exponents",
-             _EXPONENTS, lacking='see [solve] exponents = "spectrum"'),
+             _EXPONENTS, hint='see [solve] exponents = "spectrum"'),
         PictureKind("hysteresis", 1, (REGIME.name,), "of one axis: two sweeps together, the other with --against",
              _EXPONENTS, atlases=2),
     )
@@ -141,7 +141,7 @@ KINDS = tuple(name for name in KIND_TABLE if name != SCALAR)
 MAPS = tuple(name for name in KINDS if KIND_TABLE[name].axes == 2 and name not in (BASINS, LABELS))
 """Kinds over two axes of a parameter plane, drawn from its cells alone."""
 
-KIND_MEANINGS = {name: kind.meaning for name, kind in KIND_TABLE.items()}
+KIND_MEANINGS = {name: kind.description for name, kind in KIND_TABLE.items()}
 """Content of each kind of picture, in the words of the command's help."""
 
 AXES = {1: "one axis", 2: "two axes"}

@@ -53,8 +53,8 @@ class LegendEntry:
     color: ColorType
     label: str
     hatch: str | None = None
-    ink: str = style.TEXTURE
-    dark: float = 1.0
+    hatch_color: str = style.TEXTURE
+    min_brightness: float = 1.0
     regime: int | None = None
 
     @classmethod
@@ -66,9 +66,9 @@ class LegendEntry:
 
     def to_artist(self) -> Patch:
         """The entry as a matplotlib artist."""
-        if self.dark < 1.0:
-            return style.GradientPatch(self.color, self.dark, self.label)
-        return style.swatch(self.color, self.label, self.hatch, self.ink)
+        if self.min_brightness < 1.0:
+            return style.GradientPatch(self.color, self.min_brightness, self.label)
+        return style.swatch(self.color, self.label, self.hatch, self.hatch_color)
 
 
 class CellStyle(NamedTuple):
@@ -87,7 +87,7 @@ class HatchLayer(NamedTuple):
 
     cells: Cells
     hatch: str
-    ink: str
+    hatch_color: str
     outlined: Cells | None = None
     entry: LegendEntry | None = None
 
@@ -142,18 +142,20 @@ class ShadingLayer(NamedTuple):
     values: Array
     low: float
     high: float
-    dark: float
+    min_brightness: float
 
     @property
     def brightness(self) -> Array:
         """The remaining brightness of each cell."""
-        return 1.0 - (1.0 - self.dark) * np.clip((self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0)
+        return 1.0 - (1.0 - self.min_brightness) * np.clip(
+            (self.values - self.low) / max(self.high - self.low, 1.0), 0.0, 1.0
+        )
 
 
 class PointLayer(NamedTuple):
     """Points (n, 2) over a map, as arguments of ``style.mark``."""
 
-    at: Array
+    points: Array
     look: tuple[str, float, str, str, float]
 
 
@@ -170,14 +172,14 @@ class MapLayers:
     """
 
     codes: NDArray[np.intp]
-    looks: Sequence[CellStyle]
+    styles: Sequence[CellStyle]
     legend: Sequence[LegendEntry]
     fields: Sequence[ScalarLayer] = ()
     textures: Sequence[HatchLayer] = ()
     shade: ShadingLayer | None = None
     points: Sequence[PointLayer] = ()
     point_entry: tuple[str, tuple[str, float, str, str, float]] | None = None
-    beside: str | None = None
+    side_legend_title: str | None = None
     names: Sequence[Class] = ()
 
     @property
@@ -192,11 +194,11 @@ class MapLayers:
 
     def cells_on_scalar(self, place: int) -> Cells:
         """The cells (y, x) whose look is a number in this field."""
-        return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.field == place])
+        return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.field == place])
 
     def as_regime(self, regime: int) -> Cells:
         """The cells (y, x) with the look of this regime."""
-        return np.isin(self.codes, [code for code, look in enumerate(self.looks) if look.regime == regime])
+        return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.regime == regime])
 
 
 def build_layers(
@@ -233,7 +235,7 @@ def build_layers(
 
 def paint(layers: MapLayers) -> Colors:
     """The colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the texture below."""
-    table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.looks]
+    table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.styles]
     rgba = np.array(table, np.uint8)[layers.codes]
     for place, field in enumerate(layers.fields):
         cells = layers.cells_on_scalar(place)

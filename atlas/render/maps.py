@@ -37,7 +37,7 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
         entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
         scalar_maps.draw_bars(drawn, [ax], layers.bars, page)
-        page.legend(drawn, entries, beside=layers.beside)
+        page.legend(drawn, entries, beside=layers.side_legend_title)
         if layers.names and wanted.names:
             page.finalize(drawn)
             name_regions(ax, view.plane, layers.names, [LABEL_SIZE * page.scale])
@@ -60,7 +60,7 @@ def lay(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> list[A
     """Draw the layers of a map into a plot, and return its legend entries."""
     enlarged = raster.draw_cells(ax, plane, layers, page)
     for texture in layers.textures:
-        raster.hatch(ax, plane, texture.cells, texture.hatch, texture.ink)
+        raster.hatch(ax, plane, texture.cells, texture.hatch, texture.hatch_color)
         if texture.outlined is not None:
             raster.outline(ax, plane, texture.outlined, "#1a2433", 0.3)
     for at, look in layers.points:

@@ -138,7 +138,7 @@ def scalar(view: MapView) -> MapLayers:
     regime, values = plane.regime, plane.known_values(name).astype(np.float64)
     # Counts of an orbit exist only for orbits that do not rest, where impacts are infinitely many.
     meant = variable_of(view.ds, name)
-    values[~np.isin(regime, list(meant.regimes)) | (meant.endless & (values < 0.0))] = np.nan
+    values[~np.isin(regime, list(meant.regimes)) | (meant.allows_infinite & (values < 0.0))] = np.nan
     if log and np.any(values < 0.0):
         raise InputError(f"{name!r} has values below zero, which a logarithmic scale cannot show")
     norm, known = color_norm(values, log, view.page), ~np.isnan(values)

@@ -43,10 +43,10 @@ def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
 
     Without exponents only the second map. InputError for atlases with one axis.
     """
-    count = len(axis_names(compared.one))
+    count = len(axis_names(compared.first))
     if count != 2:
         hint = "sweeps: atlas plot --against" if count == 1 else "pick a plane with .sel"
-        raise InputError(f"a comparison is drawn as a map, {found_axes(compared.one)}; {hint}")
+        raise InputError(f"a comparison is drawn as a map, {found_axes(compared.first)}; {hint}")
     if not compared.has_exponents:
         page.check_no_limits("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
@@ -55,9 +55,9 @@ def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
         here, there = compared.planes(own.map_pixels)
         page.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
         pending = (here.regime == PENDING) | (there.regime == PENDING)
-        shown = [(there, "another regime", _changes(here, there, pending, compared.other))]
+        shown = [(there, "another regime", _changes(here, there, pending, compared.second))]
         if compared.has_exponents:
-            label = text.in_its_unit(compared.one, rf"change of $\lambda_1$ [{PER_PERIOD}]")
+            label = text.in_its_unit(compared.first, rf"change of $\lambda_1$ [{PER_PERIOD}]")
             shown.append((here, "difference of exponents", _difference(here, there, pending, page, label)))
         entries: list[Artist] = []
         for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
@@ -168,8 +168,8 @@ def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
 
 def _title(compared: Comparison) -> str:
     """The common parameters, and below them the differing ones there and here."""
-    common = text.title_line(compared.one.drop_vars(compared.differing))
-    sides = [_values(ds, compared.differing) for ds in (compared.other, compared.one)]
+    common = text.title_line(compared.first.drop_vars(compared.differing))
+    sides = [_values(ds, compared.differing) for ds in (compared.second, compared.first)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 

@@ -69,7 +69,7 @@ class AttractorSearch:
         arrays = result_arrays(variables, self.settings, 1, size, self.starts.keep, self.record.exponents)
         self.table.write(arrays)
         cell = {name: array[0] for name, array in arrays.items()}
-        many = [variable.name for variable in variables if ATTRACTOR in variable.extra]
+        many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
         results = {name: values.tolist() for name, values in cell.items() if name not in many}
         listed = attractors_listed(cell, many)
         if not listed:

@@ -46,7 +46,7 @@ class MeasureJob:
     first: int
     last: int
     norm: tuple[tuple[str, float], ...]
-    site: StoreRef
+    store_ref: StoreRef
 
 
 def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
@@ -59,8 +59,8 @@ def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ..
 
 def measure_and_keep(job: MeasureJob) -> PartReport:
     """Measure some cells and keep the measures as a part of the store."""
-    handle = job.site.open()
-    with translate_file_errors(job.site.store):
+    handle = job.store_ref.open()
+    with translate_file_errors(job.store_ref.store):
         cells = columns_of(handle, NEEDED, job.tile)
     compile_once(*kernels_of(handle.spec))
     begin = time.thread_time()
@@ -68,7 +68,7 @@ def measure_and_keep(job: MeasureJob) -> PartReport:
     arrays = _measured(handle.spec, job, params_of(handle.spec, slices), cells)
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
-    job.site.write_part(handle, STABILITY, job.name, file.getvalue())
+    job.store_ref.write_part(handle, STABILITY, job.name, file.getvalue())
     return PartReport(job.index, job.name, time.thread_time() - begin, job.last - job.first)
 
 
@@ -83,13 +83,13 @@ def check_store(handle: AtlasStore) -> None:
     spec = handle.spec
     if spec.basins:
         raise InputError(
-            f"{handle.place}: found basins of one machine; measure its attractors by atlas attractors stability --set"
+            f"{handle.backend}: found basins of one machine; measure its attractors by atlas attractors stability --set"
         )
-    must_have_force(spec.record, "stability measures")
+    must_have_force(spec.system_def, "stability measures")
     check_names(handle)
     held = {variable.name for variable in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
-        raise InputError(f"{handle.place}: lacks {lacking[0]!r}; measures need a spec with exponents")
+        raise InputError(f"{handle.backend}: lacks {lacking[0]!r}; measures need a spec with exponents")
     check_table_size(handle, of_family(LINEAR))  # no measure is larger
     must_be_finished(handle)
 
@@ -103,6 +103,6 @@ def _measured(
     params = {name: values[some].copy() for name, values in params.items()}
     cells = {name: values[some] for name, values in cells.items()}
     if job.family == LINEAR:
-        return linear_measures(spec.record, params, cells, dict(job.norm))
+        return linear_measures(spec.system_def, params, cells, dict(job.norm))
     assert spec.attractors is not None
-    return shock_measures(spec.record, params, cells, dict(job.norm), spec.settings, spec.attractors)
+    return shock_measures(spec.system_def, params, cells, dict(job.norm), spec.settings, spec.attractors)

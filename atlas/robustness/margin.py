@@ -72,7 +72,7 @@ def margins_of(handle: AtlasStore, scale: Mapping[str, float]) -> Arrays:
 def _curves(handle: AtlasStore) -> Curves:
     curves = read_curves(handle)
     if curves is None:
-        raise InputError(f"{handle.place}: has no curves to measure margins to; find them with atlas find curves")
+        raise InputError(f"{handle.backend}: has no curves to measure margins to; find them with atlas find curves")
     return curves
 
 

@@ -100,11 +100,11 @@ def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], 
     """
     from workers.attractors.basins import fixed_values
 
-    if not is_basin_atlas(ds) or len(spec.record.states) != 2 or spec.attractors is None:
+    if not is_basin_atlas(ds) or len(spec.system_def.states) != 2 or spec.attractors is None:
         raise InputError("overlay 'saddles' is drawn over basins of one mass")
-    values, order = fixed_values(spec.record, spec.parameters), [spec.record.states.index(name) for name in box]
+    values, order = fixed_values(spec.system_def, spec.parameters), [spec.system_def.states.index(name) for name in box]
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
-    asked = AttractorSearch(spec.record, values, spec.settings, spec.attractors)
+    asked = AttractorSearch(spec.system_def, values, spec.settings, spec.attractors)
     saddles = saddles_between(asked, manifolds=True, box=wide)["saddles"]
     lines = [np.array(line)[:, order] for entry in saddles for line in entry["manifold"] if len(line) > 1]
     return [np.array(entry["states"])[:, order] for entry in saddles], lines

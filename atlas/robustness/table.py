@@ -118,7 +118,7 @@ def check_names(handle: AtlasStore) -> None:
     """InputError if its machine has a parameter or a result with the name of a measure."""
     shared = {*handle.array_names} & MEASURES.keys()
     if shared:
-        raise InputError(f"{handle.place}: {min(shared)!r} is a name of its own, and that of a measure")
+        raise InputError(f"{handle.backend}: {min(shared)!r} is a name of its own, and that of a measure")
 
 
 def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:

@@ -57,9 +57,9 @@ class JobType(Generic[J, R]):
     """
 
     name: str
-    act: Callable[[J], R]
-    prepare: Callable[[], object]
-    forget: Callable[[], object]
+    run: Callable[[J], R]
+    setup: Callable[[], object]
+    teardown: Callable[[], object]
     memory: int = MIN_WORKER_MEMORY
 
 
@@ -103,11 +103,11 @@ def run_on_worker(act: Callable[[J], R], job: J) -> Result[R]:
     except WorkerRefusedError as error:
         return WorkerRefusal(here, str(error))
     except NetworkError as error:
-        return WorkerRefusal(here, str(error), passing=True)
+        return WorkerRefusal(here, str(error), temporary=True)
     except StoreFullError as error:
-        return AttemptFailure(here, str(error), full=True)
+        return AttemptFailure(here, str(error), store_full=True)
     except Exception as error:
-        return AttemptFailure(here, _in_words(error), trace=traceback.format_exc())
+        return AttemptFailure(here, _in_words(error), traceback=traceback.format_exc())
 
 
 class InFlightJobs(Generic[J, R]):

@@ -103,9 +103,11 @@ def find_curves(
         digest = settings.digest(search.plane)
         stored = _stored(handle, digest)
         if stored is not None:
-            return CurveSummary(str(handle.place), stored)
-        check_not_packed(handle.place)
-        crew = WorkerPool.open(handle, run_and_store, kernels_for(handle.spec.record, ORBITS), client, options, stack)
+            return CurveSummary(str(handle.backend), stored)
+        check_not_packed(handle.backend)
+        crew = WorkerPool.open(
+            handle, run_and_store, kernels_for(handle.spec.system_def, ORBITS), client, options, stack
+        )
         return _CurveRun(crew.handle, search, digest, crew).run()
 
 
@@ -117,7 +119,7 @@ def _stored(handle: AtlasStore, digest: str) -> Curves | None:
         return None  # they are found anew
     if stored is None or stored.report.get("digest") != digest:
         return None
-    if not handle.place.only_read and any(part_names(handle, CURVES)):
+    if not handle.backend.read_only_reason and any(part_names(handle, CURVES)):
         drop_parts(handle, CURVES)  # left by a run that was killed at its very end
     return stored
 
@@ -129,25 +131,25 @@ class _CurveRun:
     handle: AtlasStore
     search: CurveSearch
     digest: str
-    crew: WorkerPool[CurveJob, PartReport]
+    pool: WorkerPool[CurveJob, PartReport]
 
     def run(self) -> CurveSummary:
         """Do the stages that are due, and write the curves."""
         kept = finished_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
-            self.crew.run_jobs(jobs, self._progress)
+            self.pool.run_jobs(jobs, self._progress)
             self.search.add_results([read_part(self.handle, name) for name in tasks])
         curves = finish_search(self.search)
         drop_family(self.handle, MARGIN)  # margins to the previous curves
         write_curves(self.handle, curves)
         drop_parts(self.handle, CURVES)
-        crew, seconds = self.crew, time.monotonic() - self.crew.begin
-        return CurveSummary(str(self.handle.place), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
+        crew, seconds = self.pool, time.monotonic() - self.pool.begin
+        return CurveSummary(str(self.handle.backend), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number
-        return CurveJob(index, name, task, self.search.settings, self.digest, self.crew.store_ref)
+        return CurveJob(index, name, task, self.search.settings, self.digest, self.pool.store_ref)
 
     def _progress(self) -> Progress:
         search = self.search

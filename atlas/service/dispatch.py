@@ -47,7 +47,7 @@ class WorkerStatus:
     """The workers of a run: number of threads, excluded workers with the reason, and why no job has ended lately."""
 
     threads: int
-    left_out: Mapping[str, str]
+    excluded: Mapping[str, str]
     trouble: str = ""
 
 
@@ -73,9 +73,9 @@ class Dispatcher(Generic[J, R]):
         self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int, ahead: float = QUEUED_SECONDS
     ) -> None:
         self.client, self.timing, self.memory, self.ahead = client, timing, memory, ahead
-        self.waiting: Iterator[J] = iter(())
-        self.running: InFlightJobs[J, R] = InFlightJobs(client, act, timing.connect)
-        self.again: deque[JobAttempt[J]] = deque()
+        self.pending: Iterator[J] = iter(())
+        self.in_flight: InFlightJobs[J, R] = InFlightJobs(client, act, timing.connect)
+        self.retries: deque[JobAttempt[J]] = deque()
         self.doubtful: list[JobAttempt[J]] = []
         self.fitness = WorkerHealth()
         self.threads: dict[str, int] = {}
@@ -83,7 +83,7 @@ class Dispatcher(Generic[J, R]):
         self.thread_seconds = 0.0
         self.longest: float | None = None
         self.heard: dict[str, float] = {}
-        self.last_good = self.last_end = self.looked = time.monotonic()
+        self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
 
     def iter_outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
@@ -92,8 +92,8 @@ class Dispatcher(Generic[J, R]):
         room. ``tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop.
         Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
         """
-        self.waiting, ticked = iter(jobs), -math.inf
-        self.last_good = self.last_end = self.looked = time.monotonic()
+        self.pending, ticked = iter(jobs), -math.inf
+        self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
         self.done, self.thread_seconds = 0, 0.0
         try:
             while True:
@@ -102,25 +102,25 @@ class Dispatcher(Generic[J, R]):
                     tick(self.worker_status())
                     ticked = time.monotonic()
                 self.submit_jobs()
-                if not (self.running or self.again):
+                if not (self.in_flight or self.retries):
                     yield from self.judge_doubtful()
-                    if not self.again:
+                    if not self.retries:
                         tick(self.worker_status())  # shows workers excluded since the last tick
                         return
                     continue
-                for attempt, result in self.running.ended():
+                for attempt, result in self.in_flight.ended():
                     outcome = self.handle_result(attempt, result)
                     if outcome is not None:
                         yield outcome
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing to cancel
-                self.running.cancel(lambda _: True)
+                self.in_flight.cancel(lambda _: True)
 
     def refresh_workers(self) -> None:
         """Look at the cluster, which may grow and shrink during the run."""
         threads, now = worker_threads(self.client), time.monotonic()
-        self.thread_seconds += sum(self.threads.values()) * (now - self.looked)
-        self.looked = now
+        self.thread_seconds += sum(self.threads.values()) * (now - self.refreshed_at)
+        self.refreshed_at = now
         if threads.keys() - self.threads.keys():
             self.require_memory(self.memory)
         if threads != self.threads:
@@ -128,28 +128,28 @@ class Dispatcher(Generic[J, R]):
         self.threads = threads
         self.most_workers = max(self.most_workers, len(self.threads))
         # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
-        lost = self.running.cancel(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
+        lost = self.in_flight.cancel(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         if lost:
             LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
-        self.again.extend(lost)
+        self.retries.extend(lost)
         for worker in threads:
             self.heard.setdefault(worker, now)
         self.move_jobs(now)
 
     def move_jobs(self, now: float) -> None:
         """Take jobs from workers that hang, and give workers that hang no more jobs again."""
-        for worker in self.running.returned():
+        for worker in self.in_flight.returned():
             LOG.debug("%s has ended the tiles that were taken from it", worker)
             self.fitness.readmit(worker)
             self.heard[worker] = now
         if self.longest is None:
             return
         limit = max(self.timing.hung, SLOW * self.longest)
-        if now - self.running.oldest <= limit:
+        if now - self.in_flight.oldest <= limit:
             return
         willing = self.threads.keys() - self.fitness.excluded.keys()
         hung = {}
-        for worker, attempts in self.running.held().items():
+        for worker, attempts in self.in_flight.held().items():
             old = [attempt for attempt in attempts if not attempt.is_moved and now - attempt.since > limit]
             if worker in willing and old and now - self.heard[worker] > limit:
                 hung[worker] = [attempt for attempt in attempts if not attempt.is_moved]
@@ -158,8 +158,8 @@ class Dispatcher(Generic[J, R]):
             reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
             LOG.debug("%s hangs: %s", worker, reason)
             self.fitness.record_refusal(WorkerRefusal(worker, f"{reason}; others do them"))
-            self.running.set_apart(worker, attempts)
-            self.again.extend(replace(attempt, is_moved=True) for attempt in attempts)
+            self.in_flight.set_apart(worker, attempts)
+            self.retries.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
     def require_memory(self, memory: int) -> None:
         """Set the bytes that jobs need from now on: workers with less memory are excluded."""
@@ -177,14 +177,14 @@ class Dispatcher(Generic[J, R]):
 
     def describe_trouble(self) -> str:
         """Why no job has ended for a while, empty if nothing is known to be wrong."""
-        silent = time.monotonic() - self.last_end
-        if silent < self.timing.stalled or not self.running:
+        silent = time.monotonic() - self.last_finished_at
+        if silent < self.timing.stall_after or not self.in_flight:
             return ""
         memory = worker_memory(self.client)
         paused = [f"{worker} (limit {byte_size(limit)})" for worker, (limit, stopped) in memory.items() if stopped]
         if not paused:
             usual = self.timing.hung if self.longest is None else 2.0 * self.longest
-            held = self.running.held() if silent >= usual else {}
+            held = self.in_flight.held() if silent >= usual else {}
             shown = [f"{worker} has {_tiles(attempts)}" for worker, attempts in held.items()]
             more = ", ..." if len(shown) > MAX_NAMED_WORKERS else ""
             return (
@@ -203,9 +203,10 @@ class Dispatcher(Generic[J, R]):
         left_out = self.fitness.excluded
         willing = [worker for worker in self.threads if worker not in left_out]
         if willing or not left_out:
-            self.last_good = time.monotonic()
-        elif not self.running and (
-            len(self.threads) >= self.most_workers or time.monotonic() - self.last_good > self.timing.worker
+            self.last_fit_worker_at = time.monotonic()
+        elif not self.in_flight and (
+            len(self.threads) >= self.most_workers
+            or time.monotonic() - self.last_fit_worker_at > self.timing.replacement_worker
         ):
             if not self.fitness.readmit_failed():
                 worker, reason = next(iter(left_out.items()))
@@ -217,16 +218,16 @@ class Dispatcher(Generic[J, R]):
             return  # a worker that did jobs is gone, and may come back
         if self.client.status != "running":
             raise RunError(CLUSTER_LOST_MESSAGE)
-        room = max(0, self.window_size(max(1, sum(self.threads[worker] for worker in willing))) - len(self.running))
+        room = max(0, self.window_size(max(1, sum(self.threads[worker] for worker in willing))) - len(self.in_flight))
         anywhere = _some(willing, room) if left_out else None
         attempts = []
         for _ in range(room):
-            attempt = self.again.popleft() if self.again else next(map(JobAttempt, self.waiting), None)
+            attempt = self.retries.popleft() if self.retries else next(map(JobAttempt, self.pending), None)
             if attempt is None:
                 break
             workers = _elsewhere(willing, attempt.failures) if attempt.failures and willing else anywhere
             attempts.append(replace(attempt, workers=workers))
-        self.running.submit(attempts)
+        self.in_flight.submit(attempts)
 
     def window_size(self, threads: int) -> int:
         """The number of jobs to keep under way for this number of threads, by the times of jobs so far."""
@@ -237,8 +238,8 @@ class Dispatcher(Generic[J, R]):
 
     def cancel_stale(self, stale: Callable[[J], bool]) -> list[J]:
         """Take back jobs that are no longer wanted, and return them; a job that a worker has begun is finished."""
-        dropped = self.running.cancel(lambda attempt: stale(attempt.job), waiting=True)
-        for attempts in (self.again, self.doubtful):
+        dropped = self.in_flight.cancel(lambda attempt: stale(attempt.job), waiting=True)
+        for attempts in (self.retries, self.doubtful):
             gone = [attempt for attempt in attempts if stale(attempt.job)]
             for attempt in gone:
                 attempts.remove(attempt)
@@ -247,9 +248,9 @@ class Dispatcher(Generic[J, R]):
 
     def handle_result(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
         """The outcome of a job; None if it is to be tried again, or is in doubt."""
-        self.last_end = time.monotonic()
+        self.last_finished_at = time.monotonic()
         if result.worker:
-            self.heard[result.worker] = self.last_end
+            self.heard[result.worker] = self.last_finished_at
         if isinstance(result, AttemptSuccess):
             self.fitness.finish(result.worker)
             self.done += 1
@@ -258,11 +259,11 @@ class Dispatcher(Generic[J, R]):
         if isinstance(result, WorkerRefusal):
             LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
             self.fitness.record_refusal(result)
-            self.again.append(attempt)
+            self.retries.append(attempt)
             return None
-        if result.full:
+        if result.store_full:
             raise RunError(f"{result.reason}; finished tiles are kept; make room and give the same command again")
-        where, trace = result.worker or "a worker that died", f"\n{result.trace}".rstrip()
+        where, trace = result.worker or "a worker that died", f"\n{result.traceback}".rstrip()
         LOG.debug("tile %s failed on %s: %s%s", attempt.job.index, where, result.reason, trace)
         self.fitness.fail(attempt.job.index, result, attempt.failures)
         attempt = replace(attempt, failures=(*attempt.failures, result))
@@ -272,7 +273,7 @@ class Dispatcher(Generic[J, R]):
         LOG.debug(
             "tile %s is tried again, %s", attempt.job.index, "later" if at_fault is None else "elsewhere if possible"
         )
-        (self.again if at_fault is False else self.doubtful).append(attempt)
+        (self.retries if at_fault is False else self.doubtful).append(attempt)
         return None
 
     def judge_doubtful(self) -> Iterator[TileFailure]:
@@ -281,7 +282,7 @@ class Dispatcher(Generic[J, R]):
             self.fitness.readmit_failed()
         for attempt in self.doubtful:
             if self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS) is False:
-                self.again.append(attempt)
+                self.retries.append(attempt)
             else:
                 yield _given_up(attempt)
         self.doubtful.clear()
@@ -310,4 +311,4 @@ def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
 def _given_up(attempt: JobAttempt[J]) -> TileFailure:
     last = attempt.failures[-1]
     LOG.debug("tile %s is given up after %s", attempt.job.index, plural(len(attempt.failures), "attempt"))
-    return TileFailure(attempt.job.index, last.reason, last.worker, last.trace)
+    return TileFailure(attempt.job.index, last.reason, last.worker, last.traceback)

@@ -55,20 +55,22 @@ def extend(
         validate_type("spec", spec, Spec, "an atlas.Spec")
     old = handle_from(store, options.storage_options)
     if old.spec.points or (spec is not None and spec.points):
-        raise InputError(f"{old.place}: a table of points is not extended: run the new table into a store of its own")
+        raise InputError(f"{old.backend}: a table of points is not extended: run the new table into a store of its own")
     if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
-        raise InputError(f"{old.place}: an atlas of all attractors is not extended: run the new one into its own store")
+        raise InputError(
+            f"{old.backend}: an atlas of all attractors is not extended: run the new one into its own store"
+        )
     if (spec is None) == (refine is None):
         raise InputError("give either a spec or by how much to refine")
-    grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.place))
+    grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.backend))
     place = place_from(old, into, options.storage_options)
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
-        raise InputError(f"{old.place}: no finished cell of it lies on the new grid; compute that by atlas run")
+        raise InputError(f"{old.backend}: no finished cell of it lies on the new grid; compute that by atlas run")
     with progress_reporter(options.on_progress) as report:
         options = replace(options, on_progress=report)
-        options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.place}"))
-        return complete(grown, place, client, options, Origin(str(old.place), old.run_id))
+        options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
+        return complete(grown, place, client, options, Origin(str(old.backend), old.run_id))
 
 
 def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:
@@ -79,13 +81,13 @@ def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] 
 def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] | None = None) -> StoreBackend:
     """The place of a new store that reuses the cells of an old one; InputError if it cannot reuse any."""
     place = open_backend(into, storage_options=storage_options)
-    if place == old.place:
+    if place == old.backend:
         raise InputError(f"{place}: is the store to take cells from; the new one needs another path")
-    if sibling_backend(place, str(old.place)) != old.place:
-        raise InputError(f"{old.place}: workers reach it by its name, as they reach {place}; give both alike")
+    if sibling_backend(place, str(old.backend)) != old.backend:
+        raise InputError(f"{old.backend}: workers reach it by its name, as they reach {place}; give both alike")
     if old.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{old.place}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
+            f"{old.backend}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
             "their numbers do not mix: compute the new atlas by atlas run"
         )
     return place

@@ -58,14 +58,14 @@ def label_attractors(
     with open_store_call(store, None, merge_options(options, fields)) as (handle, options, _):
         stored = stored_count(handle)
         if stored is not None:
-            return LabelSummary(str(handle.place), stored)
-        check_not_packed(handle.place)
-        must_offer(handle.spec.record, "labels")
+            return LabelSummary(str(handle.backend), stored)
+        check_not_packed(handle.backend)
+        must_offer(handle.spec.system_def, "labels")
         check_table_size(handle, [LABEL])
         begin = time.monotonic()
-        with hold_store_lease(handle.place, options) as claim:
-            prepare_kernels(options.report, *kernels_for(handle.spec.record, ORBITS))
+        with hold_store_lease(handle.backend, options) as claim:
+            prepare_kernels(options.report, *kernels_for(handle.spec.system_def, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             labels = labels_of(handle)
-            write_labels(handle.with_backend(claim.fence_backend(handle.place)), labels)
-        return LabelSummary(str(handle.place), labels.count, time.monotonic() - begin)
+            write_labels(handle.with_backend(claim.fence_backend(handle.backend)), labels)
+        return LabelSummary(str(handle.backend), labels.count, time.monotonic() - begin)

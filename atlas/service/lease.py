@@ -96,7 +96,7 @@ class Lease:
 
     def __init__(self, notes: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
         self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
-        self._advanced, self._most_silent = time.monotonic(), max(timing.dead, patience)
+        self._advanced, self._most_silent = time.monotonic(), max(timing.expire_after, patience)
         self.lost = ""
         self._failure: OSError | None = None
         self._released, self._one_beat = threading.Event(), threading.Lock()
@@ -121,7 +121,7 @@ class Lease:
 
         While it is unknown whether another run has replaced the claim, wait; ``waiting`` is called before each pause.
         """
-        while (silent := time.monotonic() - self._advanced) > self._timing.dead and not self.lost:
+        while (silent := time.monotonic() - self._advanced) > self._timing.expire_after and not self.lost:
             if silent > self._most_silent or isinstance(self._failure, PermissionError):  # which does not pass
                 reason = f" ({self._failure.strerror or self._failure})" if self._failure else ""
                 self.lost = (
@@ -130,7 +130,7 @@ class Lease:
                 )
                 break
             waiting()
-            time.sleep(self._timing.look)
+            time.sleep(self._timing.lease_poll)
         if self.lost:
             raise RunError(self.lost)
         if self._record.cancelled:
@@ -159,7 +159,7 @@ class Lease:
             self._notes.compare_and_remove(LEASE_NAME, self._data)
 
     def _beat_on(self) -> None:
-        while not self._released.wait(self._timing.beat) and not self.lost:
+        while not self._released.wait(self._timing.heartbeat) and not self.lost:
             try:
                 self._beat()
             except OSError as error:  # a disk that is away comes back, or another run replaces the claim
@@ -237,10 +237,10 @@ class LeaseObservation:
             return "the claim is damaged; the next run replaces it"
         if self.alive is False:
             return f"{self.record} is gone without releasing its claim; the next run replaces it"
-        if self.alive is None and self.silence >= self.timing.silent:
+        if self.alive is None and self.silence >= self.timing.warn_after:
             return (
                 f"no sign of life of {self.record} for {self.silence:.0f} s; "
-                f"if it is dead, the next run replaces its claim after {self.timing.dead:.0f} s"
+                f"if it is dead, the next run replaces its claim after {self.timing.expire_after:.0f} s"
             )
         return ""
 
@@ -262,7 +262,7 @@ class LeaseObserver:
         begin = time.monotonic()
         data = self._notes.read(LEASE_NAME)
         mark, now = None if data is None else _mark(data), time.monotonic()
-        if mark != self.mark or now - begin > self._timing.dead / 4:  # the store was away, for the holder too
+        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # the store was away, for the holder too
             self.mark, self._since = mark, now
         if data is None:
             return None
@@ -273,7 +273,7 @@ class LeaseObserver:
         """The claim, once it is known to move, to stand still, or to be gone."""
         seen, first = self.observe(), self.mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
-            self._sleep(self._timing.look)
+            self._sleep(self._timing.lease_poll)
             seen = self.observe()
         return seen
 
@@ -309,7 +309,7 @@ def cancel(
             return record
         if seen.trouble:
             raise RunError(f"{name}: {seen.trouble}")
-        time.sleep(timing.look)
+        time.sleep(timing.lease_poll)
     raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next beat")
 
 
@@ -338,10 +338,10 @@ def _is_abandoned(notes: Sidecar, name: str, data: bytes, say: Callable[[str], N
                 f"{name}: another run is at work on it ({seen.record or record}); wait for it to end, or stop it: "
                 f"atlas cancel {name}"
             )
-        if seen.silence >= timing.dead:
+        if seen.silence >= timing.expire_after:
             say("replacing a claim without a sign of life")
             return True
-        time.sleep(min(timing.look, timing.dead / 4))
+        time.sleep(min(timing.lease_poll, timing.expire_after / 4))
     return False  # released meanwhile
 
 

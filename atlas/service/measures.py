@@ -108,7 +108,7 @@ def measure_attractors(
     """
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)
-        weights = validate_weights(norm, handle.spec.record)
+        weights = validate_weights(norm, handle.spec.system_def)
         for name, flag in (("shocks", shocks), ("margin", margin)):
             validate_flag(name, flag)
         of_margin = margin_request(handle, validate_scale(handle, scale)) if margin else None
@@ -117,15 +117,15 @@ def measure_attractors(
         stored = _still_true(handle, before, wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
         if not missing and stored.requests == before.requests:
-            return MeasureSummary(str(handle.place), summary_of(stored.arrays), stored.requests)
-        check_not_packed(handle.place)
+            return MeasureSummary(str(handle.backend), summary_of(stored.arrays), stored.requests)
+        check_not_packed(handle.backend)
         begin = time.monotonic()
         families = [family for family in missing if family != MARGIN]
         kernels = kernels_of(handle.spec)
         crew = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
         handle = crew.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
-            raise RunError(f"{handle.place}: another run has measured it meanwhile; run the same command again")
+            raise RunError(f"{handle.backend}: another run has measured it meanwhile; run the same command again")
         measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
@@ -138,7 +138,7 @@ def measure_attractors(
         for family in families:
             drop_parts(handle, group_of(family))
         seconds, busy = time.monotonic() - begin, crew.processor_seconds
-        return MeasureSummary(str(handle.place), summary_of(ordered), measured.requests, seconds, busy, crew.tasks)
+        return MeasureSummary(str(handle.backend), summary_of(ordered), measured.requests, seconds, busy, crew.tasks)
 
 
 def _requests(
@@ -146,7 +146,7 @@ def _requests(
 ) -> dict[str, Request]:
     """The request of each family; ``content`` is a digest of the cells that its measures depend on."""
     if shocks and not handle.spec.coexistence:
-        raise InputError(f"{handle.place}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
+        raise InputError(f"{handle.backend}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
     content = _content(handle)
     requests: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
@@ -185,7 +185,7 @@ class _MeasureRun:
     """The measuring of attractors in a claimed store."""
 
     handle: AtlasStore
-    crew: WorkerPool[MeasureJob, PartReport]
+    pool: WorkerPool[MeasureJob, PartReport]
     norm: tuple[tuple[str, float], ...]
     cells: int = 0
     done: int = 0
@@ -202,11 +202,11 @@ class _MeasureRun:
         self.cells = sum(last - first for *_, first, last in parts)
         self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
         jobs = [
-            MeasureJob((k,), name, family, tile, first, last, self.norm, self.crew.store_ref)
+            MeasureJob((k,), name, family, tile, first, last, self.norm, self.pool.store_ref)
             for k, (family, name, tile, first, last) in enumerate(parts)
             if name not in kept
         ]
-        self.crew.run_jobs(jobs, self._progress, self._count)
+        self.pool.run_jobs(jobs, self._progress, self._count)
         many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
         arrays: Arrays = {}
         for family in families:

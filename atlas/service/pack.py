@@ -77,14 +77,14 @@ def pack(
     if target.is_dir():
         raise InputError(f"{file}: is a folder")
     handle = open_store(store)
-    if open_backend(target) == handle.place:
+    if open_backend(target) == handle.backend:
         raise InputError(f"{file}: is the store itself")
     if target.exists() and not force:
         raise InputError(f"{file}: exists already; --force (force=True) replaces it")
     _refuse_running(handle, timing)
-    if handle.place.local is not None:
-        _refuse_links(handle.place.local)
-    tiles, keys = done_tiles(handle), sorted(handle.place.whole_keys(handle.place.list_keys()))
+    if handle.backend.local is not None:
+        _refuse_links(handle.backend.local)
+    tiles, keys = done_tiles(handle), sorted(handle.backend.whole_keys(handle.backend.list_keys()))
     _refuse_lost(handle, tiles, set(keys))
     with progress_reporter(on_progress) as report:
         size = _pack(handle, keys, target, report or (lambda _: None), timing)
@@ -97,13 +97,13 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
     def members() -> Iterator[tuple[str, bytes]]:
         notify(Progress(f"packing {plural(len(keys), 'object')}"))
         for k, key in enumerate(keys, 1):
-            data = handle.place.get(key)
+            data = handle.backend.get(key)
             if data is None:
                 raise InputError(
-                    f"{handle.place}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
+                    f"{handle.backend}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
                 )
             yield key, data
-            notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", passing=True))
+            notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", transient=True))
         _refuse_running(handle, timing)  # a run may have begun meanwhile
 
     try:
@@ -127,12 +127,12 @@ def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]
     needed = [v for v in handle.variables if not v.sparse]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
-        raise ChunkError(handle.place, dict.fromkeys(lost[:SHOWN], "is missing"))
+        raise ChunkError(handle.backend, dict.fromkeys(lost[:SHOWN], "is missing"))
     for group in groups_of(handle):
         read_group(handle, group)
 
 
 def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
-    seen = LeaseObserver(sidecar_of(handle.place), timing).observe_until_settled()
+    seen = LeaseObserver(sidecar_of(handle.backend), timing).observe_until_settled()
     if seen is not None and seen.alive is not False and not seen.trouble:
-        raise InputError(f"{handle.place}: {seen.record} is at work on it; pack it when that has ended")
+        raise InputError(f"{handle.backend}: {seen.record} is at work on it; pack it when that has ended")

@@ -84,17 +84,17 @@ class Plan:
         """
         spec, tiling = self.spec, self.tiling
         results = _chunks(spec, tiling.tile)
-        sizes = {v.name: len(v.extra) for v in spec.variables}
+        sizes = {v.name: len(v.extra_dims) for v in spec.variables}
         total = sum(_array_bytes(tiling.grid, size, sizes[name]) for name, size in results.items())
         total += _array_bytes(tiling.grid, 8 * WIDTH) + _array_bytes((1,), 8 * WIDTH * tiling.count)
         coordinates = len(coordinate_names(spec))
         total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
-        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.n_uncoarsened_dims)
+        levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
         for level in range(1, levels.count + 1):
             cells = math.prod(map(min, levels.chunk, levels.shape_of(level)))
             for variable in level_variables(spec.variables):
-                size = cells * np.dtype(variable.dtype).itemsize * len(REGIMES) ** len(variable.extra)
-                total += _array_bytes(levels.grid(level), size, len(variable.extra))
+                size = cells * np.dtype(variable.dtype).itemsize * len(REGIMES) ** len(variable.extra_dims)
+                total += _array_bytes(levels.grid(level), size, len(variable.extra_dims))
             total += (coordinates + 2 * len(spec.axes)) * _array_bytes((1,), 0) + 3 * 8 * sum(levels.shape_of(level))
         return total + OTHER_BYTES
 
@@ -102,7 +102,7 @@ class Plan:
     def objects(self) -> int:
         """About how many files or objects the store has: chunks and records of tiles, and chunks of overviews."""
         spec, tiling = self.spec, self.tiling
-        levels = OverviewLevels(spec.shape, tiling.tile, kept=spec.n_uncoarsened_dims)
+        levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
         chunks = sum(
             math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
             for level in range(1, levels.count + 1)
@@ -119,7 +119,7 @@ class Plan:
                 f"about {count_of(self.objects)} objects are more than some providers take in a bucket: larger tiles "
                 "(store.tile) make fewer"
             )
-        return "; ".join([*notes, *unused_lines(self.spec.record)])
+        return "; ".join([*notes, *unused_lines(self.spec.system_def)])
 
     @property
     def seconds(self) -> float | None:
@@ -269,6 +269,6 @@ def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
     return {
         variable.name: np.dtype(variable.dtype).itemsize
         * math.prod(tile)
-        * math.prod(sizes[dim] for dim in variable.extra)
+        * math.prod(sizes[dim] for dim in variable.extra_dims)
         for variable in spec.variables
     }

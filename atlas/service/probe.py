@@ -79,7 +79,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
     measured in short segments of lines. With all attractors, the cost above the probed budget is unknown and left out.
     """
-    warm_up(*kernels_for(spec.record, settings=spec.settings))
+    warm_up(*kernels_for(spec.system_def, settings=spec.settings))
     starts, length = spread_cells(spec)
     settings, share = brief(spec.settings)
     if spec.attractors is not None:
@@ -172,7 +172,7 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
     if spec.continuation is None:
         return params, solve_independent(spec, params, settings)
-    return params, solve_lines(spec.record, params, settings, backward=spec.continuation[1])
+    return params, solve_lines(spec.system_def, params, settings, backward=spec.continuation[1])
 
 
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
@@ -202,8 +202,8 @@ def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few
     from workers.cell.schedule import relaxation_periods, survival_share
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
-    flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.record.parameters}
-    oscillators, _ = spec.record.build_many(flat)
+    flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.system_def.parameters}
+    oscillators, _ = spec.system_def.build_many(flat)
     with np.errstate(divide="ignore", invalid="ignore"):  # cells without an oscillator are not chaotic
         part = survival_share(relaxation_periods(oscillators, np.arange(hits.size), hits)).reshape(survived.shape)
     required = np.where(survived >= few, 1.0, part) * spec.settings.survival

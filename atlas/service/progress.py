@@ -37,7 +37,7 @@ class Progress:
     seconds: float = 0.0
     counts: Mapping[str, int] = field(default_factory=dict)
     failures: int = 0
-    passing: bool = False
+    transient: bool = False
     note: str = ""
 
     @property

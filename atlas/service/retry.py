@@ -93,10 +93,10 @@ def prepare_retry(
     """
     old = handle_from(store, storage_options)
     if old.spec.attractors is not None:
-        raise InputError(f"{old.place}: an atlas of all attractors cannot be retried: run it again with more periods")
+        raise InputError(f"{old.backend}: an atlas of all attractors cannot be retried: run it again with more periods")
     if old.spec.continuation is not None:
         raise InputError(
-            f"{old.place}: a continued sweep cannot be retried: each cell of it depends on those before it"
+            f"{old.backend}: a continued sweep cannot be retried: each cell of it depends on those before it"
         )
     names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
     wanted = validate_retry(old, tuple(names), max_periods, survival)
@@ -104,10 +104,10 @@ def prepare_retry(
     status = read_status(old)
     if status.fraction < 1:
         done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
-        raise InputError(f"{old.place}: {done} done: complete it first, by the command that began it")
+        raise InputError(f"{old.backend}: {done} done: complete it first, by the command that began it")
     count = sum(status.regimes.get(name, 0) for name in wanted.regimes)
-    report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.place} again"
-    return old.spec.in_tiles(old.tile), place, Origin(str(old.place), old.run_id, wanted), report
+    report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"
+    return old.spec.in_tiles(old.tile), place, Origin(str(old.backend), old.run_id, wanted), report
 
 
 def validate_retry(

@@ -123,7 +123,7 @@ class _Run:
     """A run whose store is claimed: the tiles due, handing them out, and the end."""
 
     def __init__(self, handle: AtlasStore, crew: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
-        self.handle, self.crew, self.doing = handle, crew, "solving"
+        self.handle, self.pool, self.stage = handle, crew, "solving"
         self.stored = TileRecords(handle, done_tiles(handle))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
         retried = handle.origin is not None and handle.origin.retry is not None
@@ -134,8 +134,8 @@ class _Run:
         totals, stage = self.totals, "starting"
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
-            if self.handle.place.local is not None:
-                check_free_space(totals.plan, self.handle.place.local, int(self.due.sum()))
+            if self.handle.backend.local is not None:
+                check_free_space(totals.plan, self.handle.backend.local, int(self.due.sum()))
         self.report(stage)
         self.overviews = OverviewBuilder(self.handle)
         self.records = RunTileRecords(self.handle, self.stored, self.due)
@@ -149,22 +149,22 @@ class _Run:
         """Do one of the tiles due in this process. Its exceptions are not caught."""
         handle = self.handle
         if not self.due[index]:
-            raise InputError(f"{handle.place}: nothing is to be done in tile {index}")
-        prepare_kernels(self.crew.options.report, *self.crew.kernels)
+            raise InputError(f"{handle.backend}: nothing is to be done in tile {index}")
+        prepare_kernels(self.pool.options.report, *self.pool.kernels)
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_tile_job(RunJob(index, self.crew.store_ref))
+        receipt = run_tile_job(RunJob(index, self.pool.store_ref))
         self.records.add(receipt.index, receipt.record)
         self.totals.add(receipt)
 
     def hand_out(self) -> None:
         """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
-        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.crew.store_ref
-        force = self.crew.dispatcher
+        handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.pool.store_ref
+        force = self.pool.dispatcher
         totals.start()
         try:
-            for outcome in self.crew.iter_outcomes((RunJob(index, site) for index in order), self._tick):
+            for outcome in self.pool.iter_outcomes((RunJob(index, site) for index in order), self._tick):
                 if isinstance(outcome, TileReport):
                     order.record_cost(outcome.index, outcome.solve_seconds)
                     self.records.add(outcome.index, outcome.record)
@@ -172,10 +172,10 @@ class _Run:
                     totals.add(outcome)
                 self.report("solving")
             if handle.spec.basins:
-                self.doing = "labelling the attractors"
+                self.stage = "labelling the attractors"
                 force.require_memory(force.memory + labelling_bytes(handle))
                 self._make([RunJob((), site, LABELS)])
-            self.doing = "writing overviews"
+            self.stage = "writing overviews"
             for level in self.overviews.levels:
                 self._make([RunJob(index, site, level) for index in self.overviews.missing_chunks(level)])
         except KeyboardInterrupt:
@@ -184,7 +184,7 @@ class _Run:
 
     def _make(self, jobs: list[RunJob]) -> None:
         """Let workers do jobs other than tiles. A failed chunk of an overview is left to ``finish``, which raises."""
-        for outcome in self.crew.iter_outcomes(jobs, self._tick):
+        for outcome in self.pool.iter_outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
                 raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
             if isinstance(outcome, DerivedReport):
@@ -193,15 +193,15 @@ class _Run:
             failed = outcome.message if isinstance(outcome, TileFailure) else ""
             if fault := outcome.fault if isinstance(outcome, DerivedReport) else failed:
                 note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process makes it at the end"
-                self.crew.options.report(replace(self.totals.progress(self.doing), note=note))
+                self.pool.options.report(replace(self.totals.progress(self.stage), note=note))
 
     def _tick(self, workers: WorkerStatus) -> None:
         totals = self.totals
-        self.crew.claim.check(lambda: self.report("waiting for the store, which does not answer"))
-        totals.workers, totals.refused = max(totals.workers, workers.threads), workers.left_out
+        self.pool.lease.check(lambda: self.report("waiting for the store, which does not answer"))
+        totals.workers, totals.refused = max(totals.workers, workers.threads), workers.excluded
         totals.trouble = workers.trouble
-        self.crew.claim.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
-        self.report(workers.trouble or (self.doing if workers.threads else "no worker left: waiting for one"))
+        self.pool.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
+        self.report(workers.trouble or (self.stage if workers.threads else "no worker left: waiting for one"))
 
     def finish(self) -> None:
         """Make the overviews that no worker has made, and collect all records in one chunk."""
@@ -210,7 +210,7 @@ class _Run:
 
     def report(self, stage: str) -> None:
         """Report the stage of the run."""
-        self.crew.options.report(self.totals.progress(stage))
+        self.pool.options.report(self.totals.progress(stage))
 
 
 def memory_of(cells: int) -> int:

@@ -111,7 +111,7 @@ class StoreStatus:
         """What ``atlas status --json`` prints."""
         spec = self.handle.spec
         return {
-            "store": str(self.handle.place),
+            "store": str(self.handle.backend),
             "system": spec.system,
             "axes": [
                 {"name": a.name, "start": a.start, "stop": a.stop, "num": len(a), "scale": a.scale} for a in spec.axes
@@ -174,7 +174,7 @@ class StatusReader:
     def __init__(self, handle: AtlasStore, timing: Timing = TIMING) -> None:
         self.handle, self.timing = handle, timing
         self.tiles_read = 0
-        self.notes = sidecar_of(handle.place)
+        self.notes = sidecar_of(handle.backend)
         self.observer = LeaseObserver(self.notes, timing)
 
     def read(self, settled: bool = False) -> StoreStatus:
@@ -230,6 +230,6 @@ def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] =
         yield status
         alive = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
         idle, beat = 0.0 if alive else idle + seconds, status.run.beat if status.run else -1
-        if (status.fraction == 1 and not status.run) or idle > census.timing.dead:
+        if (status.fraction == 1 and not status.run) or idle > census.timing.expire_after:
             return
         sleep(seconds)

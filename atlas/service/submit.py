@@ -77,7 +77,7 @@ def submit(
     known = isinstance(place, LocalBackend) or getattr(place, "access", None) == BY_ENVIRONMENT
     if options.storage_options is not None or not known or open_backend(str(place)) != place:
         raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
-    options.report(Progress(f"connecting to {scheduler}", passing=True))
+    options.report(Progress(f"connecting to {scheduler}", transient=True))
     with connect_to_scheduler(scheduler, options.tls, timing) as client:
         count_threads(client, options.wait_for_first, options.wait, timing.poll)
         path, name = str(place), f"atlas-{uuid.uuid4().hex[:8]}"
@@ -139,7 +139,9 @@ def coordinate(task: Submission) -> WorkerRefusal | None:
                 if unwatched:
                     time.sleep(task.options.timing.poll)  # a busy worker may lose the task back to this one repeatedly
                     task = task.without(refusal)
-                    _start(client, task, _willing(client, task, task.options.timing.worker))  # one may be coming back
+                    _start(
+                        client, task, _willing(client, task, task.options.timing.replacement_worker)
+                    )  # one may be coming back
                 return refusal
             _run(task, client, begin)
         except BaseException as error:

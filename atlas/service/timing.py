@@ -23,15 +23,15 @@ class Timing:
     """
 
     connect: float = 5.0
-    worker: float = 30.0
+    replacement_worker: float = 30.0
     tick: float = 1.0
     poll: float = 0.5
-    beat: float = 2.0
-    look: float = 0.2
-    silent: float = 5.0
-    stalled: float = 30.0
+    heartbeat: float = 2.0
+    lease_poll: float = 0.2
+    warn_after: float = 5.0
+    stall_after: float = 30.0
     hung: float = 60.0
-    dead: float = 20.0
+    expire_after: float = 20.0
 
     __repr__ = short_repr
 

@@ -22,7 +22,7 @@ class WorkerRefusal:
 
     worker: str
     reason: str
-    passing: bool = False
+    temporary: bool = False
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class AttemptFailure:
 
     worker: str
     reason: str
-    full: bool = False
-    trace: str = ""
+    store_full: bool = False
+    traceback: str = ""
 
 
 class WorkerHealth:
@@ -51,7 +51,7 @@ class WorkerHealth:
     def record_refusal(self, refusal: WorkerRefusal) -> None:
         """A worker has refused a job."""
         self.refused[refusal.worker] = refusal.reason
-        if refusal.passing:
+        if refusal.temporary:
             self._away.add(refusal.worker)
 
     def readmit(self, worker: str) -> None:

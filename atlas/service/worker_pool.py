@@ -53,10 +53,10 @@ class WorkerPool(Generic[J, R]):
     """
 
     handle: AtlasStore
-    act: Callable[[J], R]
+    run: Callable[[J], R]
     kernels: tuple[str, ...]
     options: RunOptions
-    claim: Lease
+    lease: Lease
     stack: ExitStack
     threads: int
     client: "Client | None"
@@ -84,9 +84,16 @@ class WorkerPool(Generic[J, R]):
         """
         client = connect_client(client, options, stack) if needed else None
         threads = worker_count(client, options) if needed else 0
-        claim = stack.enter_context(hold_store_lease(handle.place, options))
+        claim = stack.enter_context(hold_store_lease(handle.backend, options))
         return cls(
-            handle.with_backend(claim.fence_backend(handle.place)), act, kernels, options, claim, stack, threads, client
+            handle.with_backend(claim.fence_backend(handle.backend)),
+            act,
+            kernels,
+            options,
+            claim,
+            stack,
+            threads,
+            client,
         )
 
     @cached_property
@@ -94,7 +101,7 @@ class WorkerPool(Generic[J, R]):
         """The store as jobs receive it."""
         handle = self.handle
         return StoreRef(
-            picklable_backend(handle.place), handle.run_id, SOLVER_VERSION, self.options.patience, self.claim.token
+            picklable_backend(handle.backend), handle.run_id, SOLVER_VERSION, self.options.patience, self.lease.token
         )
 
     @cached_property
@@ -106,7 +113,7 @@ class WorkerPool(Generic[J, R]):
         client = start_client(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
         labour = JobType(
-            str(site.store), self.act, partial(prepare_worker, site, self.kernels), site.evict, self.memory
+            str(site.store), self.run, partial(prepare_worker, site, self.kernels), site.evict, self.memory
         )
         return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
 
@@ -116,7 +123,7 @@ class WorkerPool(Generic[J, R]):
             yield from self.dispatcher.iter_outcomes(jobs, tick)
         except RunError:
             with suppress(OSError):  # a store that cannot be reached says nothing of its claim
-                self.handle.place.check_fence()  # if the claim was taken, workers refuse for that reason
+                self.handle.backend.check_fence()  # if the claim was taken, workers refuse for that reason
             raise
 
     def run_jobs(
@@ -131,7 +138,7 @@ class WorkerPool(Generic[J, R]):
         """
 
         def tick(workers: WorkerStatus) -> None:
-            self.claim.check()
+            self.lease.check()
             self.threads = max(self.threads, workers.threads)
             waiting = "" if workers.threads else "no worker left: waiting for one"
             self._report(doing(), workers.trouble or waiting)
@@ -153,7 +160,7 @@ class WorkerPool(Generic[J, R]):
         passing = now - self.reported < LOG_INTERVAL or stage == self.last
         if not passing:
             self.reported, self.last = now, stage
-        self.options.report(replace(progress, stage=stage, passing=passing))
+        self.options.report(replace(progress, stage=stage, transient=passing))
 
 
 @contextmanager
@@ -170,7 +177,7 @@ def open_store_call(
     with progress_reporter(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
         if isinstance(store, AtlasStore):
-            handle = store.with_backend(waiting(store.place, options.patience))
+            handle = store.with_backend(waiting(store.backend, options.patience))
         else:
             place = open_backend(store, storage_options=options.storage_options)
             handle = open_store(waiting(place, options.patience))

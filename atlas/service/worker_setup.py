@@ -74,9 +74,9 @@ def prepare_workers(client: "Client", labour: JobType[J, R], seconds: float) -> 
     does its jobs all the same, since every job checks what it needs.
     """
     name = labour.name
-    _asked(client, lambda: client.register_plugin(WorkerSetup(name, labour.prepare, labour.forget)), seconds)
+    _asked(client, lambda: client.register_plugin(WorkerSetup(name, labour.setup, labour.teardown)), seconds)
     try:
-        yield partial(run_after_setup, name, labour.act)
+        yield partial(run_after_setup, name, labour.run)
     finally:
         _asked(client, lambda: client.unregister_worker_plugin(name), seconds)
 

@@ -10,7 +10,7 @@ def differences(stored: Spec, given: Spec) -> list[str]:
     texts = []
     if stored.system != given.system:
         texts.append(f"system {stored.system} in the store, {given.system} in the spec")
-    elif identity(stored.record.to_resolved()) != identity(given.record.to_resolved()):
+    elif identity(stored.system_def.to_resolved()) != identity(given.system_def.to_resolved()):
         texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
     names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if stored.points or given.points:
@@ -44,7 +44,7 @@ def differences(stored: Spec, given: Spec) -> list[str]:
 
 def _defined_otherwise(stored: Spec, given: Spec) -> str:
     """The entries that differ between two systems of the same name."""
-    if stored.record.packaged or given.record.packaged:
+    if stored.system_def.packaged or given.system_def.packaged:
         return "only one of the two is in the package"
-    one, other = (identity(spec.record.to_resolved())["system"] for spec in (stored, given))
+    one, other = (identity(spec.system_def.to_resolved())["system"] for spec in (stored, given))
     return ", ".join(key for key in one | other if one.get(key) != other.get(key))

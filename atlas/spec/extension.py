@@ -80,7 +80,7 @@ def keep_values(stored: Axis, given: Axis) -> Axis:
 
 def _spec_of(stored: Spec, axes: Mapping[str, Axis], tile: tuple[int, ...] | None) -> Spec:
     store = {"tile": list(tile)} if tile else None
-    return Spec(stored.record, axes, stored.parameters, stored.settings, store)
+    return Spec(stored.system_def, axes, stored.parameters, stored.settings, store)
 
 
 def _names(spec: Spec) -> list[str]:

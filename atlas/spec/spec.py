@@ -81,7 +81,7 @@ class Spec:
     axes: tuple[Axis, ...]
     settings: Settings
     tile: tuple[int, ...] | None
-    record: System = field(repr=False)
+    system_def: System = field(repr=False)
     points: Columns = field(repr=False)
     attractors: AttractorSettings | None = None
 
@@ -132,7 +132,7 @@ class Spec:
         given = [
             f"{name} = {value:g}"
             for name, value in self.parameters.items()
-            if value != self.record.parameter(name).default
+            if value != self.system_def.parameter(name).default
         ]
         return f"<Spec of {self.system}: {'; '.join([' x '.join(self.axis_descriptions), *given])}>"
 
@@ -206,7 +206,9 @@ class Spec:
             cells = {"axes": [axis.outline() for axis in self.axes]}
         many = {} if self.attractors is None else {"attractors": attractors_to_json(self.attractors)}
         return (
-            self.record.to_resolved() | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)} | many
+            self.system_def.to_resolved()
+            | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)}
+            | many
         )
 
     @classmethod
@@ -260,20 +262,20 @@ class Spec:
     @property
     def variables(self) -> tuple[Variable, ...]:
         """The results of each cell, ``regime`` last."""
-        return self.record.variables(self.settings, attractors=self.coexistence, basins=self.basins)
+        return self.system_def.variables(self.settings, attractors=self.coexistence, basins=self.basins)
 
     @property
     def extra_sizes(self) -> dict[str, int]:
         """Lengths of the dimensions that a variable may have after the axes."""
         kept = {ATTRACTOR: self.attractors.keep} if self.attractors is not None and self.coexistence else {}
         asked = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
-        return {"exponent": self.record.exponents, "state": len(self.record.states)} | asked | kept
+        return {"exponent": self.system_def.exponents, "state": len(self.system_def.states)} | asked | kept
 
     def with_observables(self, observe: str) -> "Spec":
         """The same spec with these observables, see ``workers.Settings``."""
         other = copy(self)
         asked = replace(self.settings, observe=observe)
-        object.__setattr__(other, "settings", observable_settings(asked, self.record))
+        object.__setattr__(other, "settings", observable_settings(asked, self.system_def))
         return other
 
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
@@ -291,7 +293,7 @@ class Spec:
     def has_state_axes(self) -> bool:
         """Whether all its axes are components of the initial state, so that its cells belong to one machine."""
         names = [*self.points] if self.points else [axis.name for axis in self.axes]
-        return {*self.record.states}.issuperset(names)
+        return {*self.system_def.states}.issuperset(names)
 
     @property
     def coexistence(self) -> bool:

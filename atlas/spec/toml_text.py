@@ -13,7 +13,7 @@ from workers import Settings
 
 def spec_toml(spec: Spec) -> str:
     """The text of the file of a spec, without defaults. ``Spec.from_toml`` reads it."""
-    system, settings = spec.record, spec.settings
+    system, settings = spec.system_def, spec.settings
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
         "system": system.name if system.packaged else system.table(),

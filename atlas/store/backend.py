@@ -25,7 +25,7 @@ class StoreBackend:
     """
 
     fence: Fence | None = None
-    only_read = ""
+    read_only_reason = ""
     """The kind of place, in words, if it is read-only."""
 
     def with_fence(self, fence: Fence | None) -> Self:
@@ -102,7 +102,7 @@ class StoreBackend:
             self.remove(key)
 
     def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, f"{self.only_read} is read only", str(self))
+        return OSError(errno.EROFS, f"{self.read_only_reason} is read only", str(self))
 
 
 @dataclass(frozen=True)

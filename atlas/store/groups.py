@@ -40,7 +40,7 @@ def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
     for variable in variables:
         if (size := count * np.dtype(variable.dtype).itemsize) > LARGEST_CHUNK:
             raise InputError(
-                f"{handle.place}: {variable.name} would take {size} bytes in one chunk, at most {LARGEST_CHUNK} are "
+                f"{handle.backend}: {variable.name} would take {size} bytes in one chunk, at most {LARGEST_CHUNK} are "
                 "possible; take an atlas of fewer cells"
             )
 
@@ -50,7 +50,7 @@ def write_group(
 ) -> None:
     """Write a group, replacing an existing one."""
     drop_group(handle, group)
-    root = open_group(handle.place, "r+")
+    root = open_group(handle.backend, "r+")
     for name in set(_names(handle, group)).difference(arrays):
         del root[f"{group}/{name}"]  # readers read every array in a group
     for name, array in arrays.items():
@@ -61,7 +61,7 @@ def write_group(
         "node_type": "group",
         "attributes": own | {CHECKSUM: _checksum(handle, group, arrays, own)},
     }
-    handle.place.put(f"{group}/{ROOT}", json.dumps(whole).encode())
+    handle.backend.put(f"{group}/{ROOT}", json.dumps(whole).encode())
 
 
 def write_table(
@@ -71,24 +71,24 @@ def write_table(
     dims = {dim for column in columns.values() for dim in column.dims}
     known = {name: array for name, array in coordinates(handle.spec).items() if name in dims and array.dims == (name,)}
     write_group(handle, table, known | dict(columns), {**attributes, "digest": handle.digest})
-    root = open_group(handle.place, "r+")
+    root = open_group(handle.backend, "r+")
     consolidate(root, table)
     consolidate(root)  # xarray finds the group by the root's copy
 
 
 def drop_group(handle: AtlasStore, group: str) -> None:
     """Make a group absent."""
-    handle.place.remove(f"{group}/{ROOT}")
+    handle.backend.remove(f"{group}/{ROOT}")
 
 
 def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
     """The attributes of a group, None if it does not exist. ChunkError if they cannot be read."""
     key = f"{group}/{ROOT}"
-    stored = handle.place.get(key)
+    stored = handle.backend.get(key)
     try:
         return None if stored is None else dict(json.loads(stored)["attributes"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.backend, {key: f"is damaged ({message_of(error)})"}) from None
 
 
 def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
@@ -112,13 +112,13 @@ def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]],
     if not faults and attributes.get(CHECKSUM) != _checksum(handle, group, names, own):
         faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
     if faults:
-        raise ChunkError(handle.place, faults)
+        raise ChunkError(handle.backend, faults)
     return arrays, attributes
 
 
 def _names(handle: AtlasStore, group: str) -> list[str]:
     """The names of the arrays of a group, from a listing of its objects."""
-    keys = (key.split("/") for key in handle.place.list_keys(f"{group}/"))
+    keys = (key.split("/") for key in handle.backend.list_keys(f"{group}/"))
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
 
@@ -126,9 +126,9 @@ def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
     """An array of one chunk, or its fault, by key."""
     key = f"{path}/{ROOT}"
     try:
-        array: Any = open_group(handle.place, "r")[path]
+        array: Any = open_group(handle.backend, "r")[path]
         key = "/".join([path, "c", *("0" for _ in array.shape)])
-        if array.size and not handle.place.exists(key):
+        if array.size and not handle.backend.exists(key):
             return {key: "is missing"}
         return np.asarray(array[...])
     except OSError:
@@ -143,6 +143,6 @@ def _checksum(handle: AtlasStore, group: str, names: Iterable[str], attributes: 
     """A digest of a group: its attributes, and all objects of its arrays."""
     digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in names:
-        for key in sorted(handle.place.list_keys(f"{group}/{name}/")):
-            digest.update(f"{key} ".encode() + hashlib.sha256(handle.place.get(key) or b"").digest())
+        for key in sorted(handle.backend.list_keys(f"{group}/{name}/")):
+            digest.update(f"{key} ".encode() + hashlib.sha256(handle.backend.get(key) or b"").digest())
     return digest.hexdigest()

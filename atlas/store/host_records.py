@@ -13,7 +13,7 @@ from atlas.store.store import ROOT, AtlasStore
 
 def record_host(handle: AtlasStore, machine: HostInfo) -> None:
     """Add a machine to the list of machines that solved this store's tiles."""
-    _recorded(handle.place, handle.run_id, machine)
+    _recorded(handle.backend, handle.run_id, machine)
 
 
 @lru_cache(maxsize=64)  # once for each process and store
@@ -32,12 +32,12 @@ def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
 
 def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:
     """The machines that solved tiles of this store, in no order; UNKNOWN for a damaged record."""
-    return tuple(read_host(handle.place, key) or UNKNOWN for key in host_keys(handle))
+    return tuple(read_host(handle.backend, key) or UNKNOWN for key in host_keys(handle))
 
 
 def host_keys(handle: AtlasStore) -> list[str]:
     """The keys of the records of the machines."""
-    keys = handle.place.list_keys(f"{MACHINES}/")
+    keys = handle.backend.list_keys(f"{MACHINES}/")
     return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
 
 
@@ -50,11 +50,11 @@ def read_host(place: StoreBackend, key: str) -> HostInfo | None:
 
 def mend_record(handle: AtlasStore, key: str) -> bool:
     """Write a damaged record again from its facts; False if the facts are damaged: then it is an unknown machine's."""
-    if (machine := _machine(_group(handle.place, key), key)) is not None:
-        handle.place.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
+    if (machine := _machine(_group(handle.backend, key), key)) is not None:
+        handle.backend.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
         return True
     record_host(handle, UNKNOWN)  # verification still has to know that there was another machine
-    handle.place.remove(key)
+    handle.backend.remove(key)
     return False
 
 

@@ -16,12 +16,12 @@ _CHECKSUM_BYTES = 32
 
 def put_part(handle: AtlasStore, group: str, name: str, data: bytes) -> None:
     """Keep a finished part of a search; it appears whole or not at all."""
-    handle.place.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
+    handle.backend.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
 
 
 def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:
     """A part; None if it is missing or damaged, and has to be computed again."""
-    stored = handle.place.get(f"{PARTS}/{group}/{name}") or b""
+    stored = handle.backend.get(f"{PARTS}/{group}/{name}") or b""
     checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
     return data if hashlib.sha256(data).digest() == checksum else None
 
@@ -29,7 +29,7 @@ def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:
 def part_names(handle: AtlasStore, group: str) -> Iterator[str]:
     """The names of all parts."""
     root = f"{PARTS}/{group}/"
-    return (key.removeprefix(root) for key in handle.place.list_keys(root))
+    return (key.removeprefix(root) for key in handle.backend.list_keys(root))
 
 
 def damaged_parts(handle: AtlasStore, group: str) -> list[str]:
@@ -40,7 +40,7 @@ def damaged_parts(handle: AtlasStore, group: str) -> list[str]:
 
 def drop_parts(handle: AtlasStore, group: str) -> None:
     """Remove all parts."""
-    handle.place.remove_all(list(handle.place.list_keys(f"{PARTS}/{group}/")))
+    handle.backend.remove_all(list(handle.backend.list_keys(f"{PARTS}/{group}/")))
 
 
 def finished_parts(handle: AtlasStore, group: str, digest: str) -> set[str]:

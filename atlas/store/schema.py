@@ -50,7 +50,7 @@ def coordinate_names(spec: Spec) -> list[str]:
 
 def coordinates(spec: Spec) -> dict[str, StoredArray]:
     """The coordinates by name: axes, or the rows and columns of a table; fixed parameters; the names of the states."""
-    record = spec.record
+    record = spec.system_def
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
     if spec.points:
         rows: dict[str, Any] = {"long_name": "row of the table of points, from 0 on", "units": "1"}
@@ -75,10 +75,10 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
     There are at least ten, so a notebook shows them folded, and the spec does not fill the screen.
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
-    references = {"references": spec.record.source} if spec.record.source else {}
+    references = {"references": spec.system_def.source} if spec.system_def.source else {}
     return {
         "Conventions": "CF-1.11",
-        "title": f"Impact atlas: {spec.record.title}",
+        "title": f"Impact atlas: {spec.system_def.title}",
         "source": f"impact-atlas {package_version('impact-atlas')}, solver version {SOLVER_VERSION}",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -125,7 +125,7 @@ def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
 
 def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
     """Make the array of a result, one object a tile: a chunk, or for a large tile a shard of smaller chunks."""
-    extra = tuple(spec.extra_sizes[dim] for dim in variable.extra)
+    extra = tuple(spec.extra_sizes[dim] for dim in variable.extra_dims)
     part = tuple(map(part_side, tiling.tile))
     group.create_array(
         variable.name,
@@ -134,7 +134,7 @@ def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling:
         shards=tiling.tile + extra if part != tiling.tile else None,
         dtype=variable.dtype,
         fill_value=variable.fill,
-        dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra),
+        dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra_dims),
         compressors=codecs(),
         attributes=variable_attributes(variable, [*spec.parameters, *spec.points]),
     )

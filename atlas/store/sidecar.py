@@ -282,24 +282,24 @@ class ObjectSidecar:
     request right after a look at it, or is left empty, which counts as absent.
     """
 
-    place: ObjectBackend
+    backend: ObjectBackend
 
     def read(self, name: str) -> bytes | None:
-        return self.place.get(name) or None
+        return self.backend.get(name) or None
 
     def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        if expected is None and self.place.put_new(name, data):
+        if expected is None and self.backend.put_new(name, data):
             return True
-        tagged = self.place.get_tagged(name)
-        return tagged is not None and tagged[0] == (expected or b"") and self.place.put_if(name, data, tagged[1])
+        tagged = self.backend.get_tagged(name)
+        return tagged is not None and tagged[0] == (expected or b"") and self.backend.put_if(name, data, tagged[1])
 
     def compare_and_remove(self, name: str, expected: bytes) -> bool:
         if self.read(name) != expected:
             return False
-        return self.place.remove_once(name) or self.compare_and_set(name, b"", expected)
+        return self.backend.remove_once(name) or self.compare_and_set(name, b"", expected)
 
     def clear(self, keep: str) -> None:
-        self.place.remove_all(name for name in self.place.list_keys() if name != keep)
+        self.backend.remove_all(name for name in self.backend.list_keys() if name != keep)
 
 
 def object_sidecar(store: ObjectBackend) -> ObjectSidecar:

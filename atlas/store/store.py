@@ -68,7 +68,7 @@ class AtlasStore:
     is read or opened at its first use, and ``kept`` in this process.
     """
 
-    place: StoreBackend
+    backend: StoreBackend
     outline: Mapping[str, Any]
     digest: str
     run_id: str
@@ -76,7 +76,7 @@ class AtlasStore:
     nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
     origin: Origin | None = None
     state: str = field(default="", repr=False, compare=False)
-    kept: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
+    cache: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {entry.name: getattr(self, entry.name) for entry in fields(self)} | {"kept": None}
@@ -92,9 +92,9 @@ class AtlasStore:
 
         It takes one request, fewer than opening the store.
         """
-        with os_errors_as_input_errors(self.place, "read"):
-            same = self.state and _state(self.place.get(ROOT)) == self.state
-        return self if same else open_store(self.place)
+        with os_errors_as_input_errors(self.backend, "read"):
+            same = self.state and _state(self.backend.get(ROOT)) == self.state
+        return self if same else open_store(self.backend)
 
     def with_backend(self, place: StoreBackend) -> "AtlasStore":
         """The same handle for another view of its place; both share everything that is read and opened."""
@@ -105,9 +105,9 @@ class AtlasStore:
     @property
     def path(self) -> Path:
         """The store's folder; RunError if it lies at a URL."""
-        if self.place.local is None:
-            raise RunError(f"{self.place}: not a folder of this machine")
-        return self.place.local
+        if self.backend.local is None:
+            raise RunError(f"{self.backend}: not a folder of this machine")
+        return self.backend.local
 
     @SharedCachedProperty
     def arrays(self) -> Mapping[str, Mapping[str, Any]]:
@@ -134,17 +134,17 @@ class AtlasStore:
         try:
             spec = Spec.from_outline(self.outline, lambda: self.values)
         except (InputError, KeyError, TypeError) as error:
-            raise InputError(f"{self.place}: its spec cannot be read by this version: {error}") from None
+            raise InputError(f"{self.backend}: its spec cannot be read by this version: {error}") from None
         shape = self.arrays[REGIME.name].get("shape")
         if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
             damage = f"{REGIME.name} has shape {brief_repr(shape)}, must be {spec.shape}"
-            raise InputError(f"{self.place}: its metadata are damaged: {damage}: {remedy(self.place)}")
+            raise InputError(f"{self.backend}: its metadata are damaged: {damage}: {remedy(self.backend)}")
         return spec
 
     @SharedCachedProperty
     def values(self) -> Values:
         """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
-        return read_values(self.place, self.outline, self.digest)
+        return read_values(self.backend, self.outline, self.digest)
 
     @property
     def copies(self) -> dict[str, bytes]:
@@ -276,7 +276,7 @@ def handle_by(place: StoreBackend, root: Mapping[str, Any], regime: Mapping[str,
     if fault := copy_difference(regime, nodes[REGIME.name]):
         raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
     handle = AtlasStore(
-        place=place,
+        backend=place,
         outline=json.loads(attrs["spec"]),
         digest=attrs["digest"],
         run_id=attrs["run_id"],
@@ -306,9 +306,9 @@ def is_free(place: StoreBackend) -> bool:
 
 def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
     """Indices of the finished tiles, whose regime chunk exists, from these keys or from one listing."""
-    root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra)
-    keys = handle.place.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
-    keys = handle.place.whole_keys(keys)
+    root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra_dims)
+    keys = handle.backend.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
+    keys = handle.backend.whole_keys(keys)
     ours = (key.removeprefix(root).removesuffix(end) for key in keys if key.endswith(end))
     indices = (chunk_index(key, handle.tiling.grid) for key in ours)
     return {index for index in indices if index is not None}
@@ -316,12 +316,12 @@ def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[t
 
 def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:
     """Whether one tile is finished; see ``done_tiles`` for all of them."""
-    return handle.place.exists(chunk_key(handle.regime, index))
+    return handle.backend.exists(chunk_key(handle.regime, index))
 
 
 def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     """The key of a tile's chunk in a variable's array."""
-    return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra)])
+    return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra_dims)])
 
 
 def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[str, Any]:
@@ -335,7 +335,7 @@ def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[
         if fault := copy_difference(own.get(name), handle.nodes.get(name)):
             faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
     if faults:
-        raise ChunkError(handle.place, faults)
+        raise ChunkError(handle.backend, faults)
     return arrays_by(handle, own)
 
 
@@ -345,9 +345,9 @@ def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
     for name in handle.array_names:
         try:
             if name in nodes:
-                arrays[name] = array_by(handle.place, name, nodes[name])
+                arrays[name] = array_by(handle.backend, name, nodes[name])
         except Exception as error:  # Zarr may raise anything for damaged metadata
-            raise ChunkError(handle.place, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
+            raise ChunkError(handle.backend, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
     return arrays
 
 
@@ -364,11 +364,11 @@ def array_by(place: StoreBackend, path: str, node: Any) -> Any:
 def read_array_nodes(handle: AtlasStore, names: Iterable[str]) -> dict[str, Any]:
     """The own metadata of arrays of the store's root, by name. ChunkError if they are damaged."""
     nodes = {}
-    for key, data in handle.place.get_all(f"{name}/{ROOT}" for name in names).items():
+    for key, data in handle.backend.get_all(f"{name}/{ROOT}" for name in names).items():
         try:
             nodes[key.removesuffix(f"/{ROOT}")] = json.loads(data)
         except (ValueError, RecursionError) as error:
-            raise ChunkError(handle.place, {key: f"is damaged ({message_of(error)})"}) from None
+            raise ChunkError(handle.backend, {key: f"is damaged ({message_of(error)})"}) from None
     return nodes
 
 

@@ -95,7 +95,7 @@ class TileRecords:
     @cached_property
     def _whole(self) -> Rows | None:
         """The compaction, if it has all tiles and no record is newer; None on a disk, where listing is cheap."""
-        on_disk = self.handle.place.local is not None
+        on_disk = self.handle.backend.local is not None
         if on_disk or self._listed is not None or single_records(self.handle):
             return None
         rows = self._compacted()
@@ -122,7 +122,7 @@ class TileRecords:
             for index in self.single:
                 rows[index], without[index] = 0.0, False
             wanted = {record_key(index): index for index in self.single if done[index]}
-            stored = self.handle.place.get_all(wanted)
+            stored = self.handle.backend.get_all(wanted)
             if stored.keys() == wanted.keys():
                 break
         if empty and without.any():
@@ -186,9 +186,9 @@ def compact_records(handle: AtlasStore) -> None:
 
 def write_compaction(handle: AtlasStore, rows: Rows, settled: NDArray[np.bool_]) -> None:
     """Write all rows as one chunk, then remove the single records of ``settled`` tiles with a row in the chunk."""
-    handle.place.put_all(encode_chunks(_compaction(handle), tuple(map(slice, rows.shape)), rows))
+    handle.backend.put_all(encode_chunks(_compaction(handle), tuple(map(slice, rows.shape)), rows))
     counts = settled & add_up(rows, handle.tiling.sizes())
-    handle.place.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
+    handle.backend.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
 
 
 EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
@@ -202,7 +202,7 @@ def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
 
 def read_record(handle: AtlasStore, index: Index) -> Rows | None:
     """The single record of a tile, None if there is none or it is damaged."""
-    data = handle.place.get(record_key(index))
+    data = handle.backend.get(record_key(index))
     return None if data is None else decode_row(data)
 
 
@@ -212,7 +212,7 @@ def single_records(handle: AtlasStore) -> list[Index]:
     None on a server without listings: a finished atlas has no such record, and no other atlas can be counted there.
     """
     try:
-        indices = [record_index(key, handle.tiling.grid) for key in handle.place.list_keys(f"{RECORD}/")]
+        indices = [record_index(key, handle.tiling.grid) for key in handle.backend.list_keys(f"{RECORD}/")]
     except UnlistedError:
         return []
     return sorted(index for index in indices if index is not None)
@@ -247,7 +247,7 @@ def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
 
 
 def _compaction(handle: AtlasStore) -> Any:
-    return array_by(handle.place, RECORDS, handle.nodes[RECORDS])
+    return array_by(handle.backend, RECORDS, handle.nodes[RECORDS])
 
 
 def _indices(mask: NDArray[np.bool_]) -> list[Index]:

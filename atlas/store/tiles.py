@@ -38,9 +38,9 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
         made = encode_chunks(array, block(array, index), values, variable.sparse)
         (done if variable.name == REGIME.name else objects).update(made)
     row = _begin_tile(handle, index, whole)
-    handle.place.put_all(objects)
+    handle.backend.put_all(objects)
     put_record(handle, index, row)
-    handle.place.put_all(done)
+    handle.backend.put_all(done)
     return row
 
 
@@ -51,9 +51,9 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
     """
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
-    handle.place.copy_all(origin.place, keys)
+    handle.backend.copy_all(origin.backend, keys)
     put_record(handle, index, row)
-    handle.place.copy_all(origin.place, [last])
+    handle.backend.copy_all(origin.backend, [last])
     return row
 
 
@@ -63,7 +63,7 @@ def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str,
     sparse = (variable for variable in _written(handle) if variable.sparse)
     absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
     if absent:
-        handle.place.remove_all(absent)
+        handle.backend.remove_all(absent)
     return record_of(handle, index, arrays)
 
 
@@ -84,7 +84,7 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
     """
     array = handle.declared[LABEL.name]
     put_record(handle, index, np.zeros(WIDTH))
-    handle.place.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
+    handle.backend.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
     put_record(handle, index, record_of(handle, index, arrays))
 
 
@@ -112,7 +112,7 @@ def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, n
 
 def put_record(handle: AtlasStore, index: tuple[int, ...], row: Rows) -> None:
     """Write the record of a tile."""
-    handle.place.put(record_key(index), encode_row(row))
+    handle.backend.put(record_key(index), encode_row(row))
 
 
 def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
@@ -121,7 +121,7 @@ def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
     Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
     """
     put_record(handle, index, np.zeros(WIDTH))
-    handle.place.remove(chunk_key(handle.regime, index))
+    handle.backend.remove(chunk_key(handle.regime, index))
 
 
 def read_tile(
@@ -156,7 +156,7 @@ def read_tile(
         else:
             values[variable.name] = chunk
     if faults:
-        raise ChunkError(handle.place, faults)
+        raise ChunkError(handle.backend, faults)
     return values
 
 
@@ -198,8 +198,8 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
 def _lost(handle: AtlasStore, array: Any, key: str) -> str:
     """The fault of an object that reads as fill values: missing, or an empty shard."""
     if not array.shards:
-        return "" if handle.place.exists(key) else "is missing"
-    data = handle.place.get(key)
+        return "" if handle.backend.exists(key) else "is missing"
+    data = handle.backend.get(key)
     return "is missing" if data is None else "" if data else "is damaged (it is empty)"
 
 

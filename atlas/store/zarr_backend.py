@@ -34,7 +34,7 @@ class ZarrBackend(StoreBackend):
 
     store: Any
 
-    only_read = "a Zarr store object"
+    read_only_reason = "a Zarr store object"
 
     def __str__(self) -> str:
         return str(self.store).splitlines()[0]

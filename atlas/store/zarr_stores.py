@@ -31,7 +31,7 @@ def _again(
     async def persisting(self: "RetryingObjectStore", /, *args: _P.args, **named: _P.kwargs) -> _T:
         async def attempt() -> _T:
             if changes:
-                await _confirm(self.place)
+                await _confirm(self.backend)
             return await once(self, *args, **named)
 
         return await self._persist(attempt)
@@ -49,13 +49,13 @@ class RetryingObjectStore(ObjectStore[Any]):
 
     def __init__(self, place: ObjectBackend, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)
-        self.place = place
+        self.backend = place
 
     def with_read_only(self, read_only: bool = False) -> Self:
         return type(self)(self.place, read_only)
 
     def __str__(self) -> str:
-        return str(self.place)
+        return str(self.backend)
 
     get = _again(ObjectStore.get)
     exists = _again(ObjectStore.exists)
@@ -89,7 +89,7 @@ class RetryingObjectStore(ObjectStore[Any]):
             yield key
 
     async def _persist(self, call: Callable[[], Awaitable[_T]]) -> _T:
-        return await retry_call_async(call, self.place.url, self.place.patience)
+        return await retry_call_async(call, self.backend.url, self.backend.patience)
 
 
 class ZipReadStore(ZipStore):
@@ -161,7 +161,7 @@ def zarr_store(
     place: StoreBackend, read_only: bool
 ) -> "LocalStore | RetryingObjectStore | ZipReadStore | FencedStore | ReadOnlyStore":
     """Zarr's store of a place; OSError if a read-only place, such as a zip file, is to be written."""
-    if place.only_read and not read_only:
+    if place.read_only_reason and not read_only:
         place.remove("")
     if isinstance(place, ZipBackend):
         return ZipReadStore(place)

@@ -35,7 +35,7 @@ class ZipBackend(StoreBackend):
 
     path: Path
 
-    only_read = "a zip file"
+    read_only_reason = "a zip file"
 
     def __str__(self) -> str:
         return str(self.path)
@@ -94,9 +94,9 @@ def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
 
 def check_not_packed(place: StoreBackend) -> None:
     """InputError if a place that is to be written is read-only, such as a zip file."""
-    if place.only_read:
+    if place.read_only_reason:
         name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipBackend) else "path or a URL"
-        raise InputError(f"{place}: {place.only_read} is read only; give a {name}")
+        raise InputError(f"{place}: {place.read_only_reason} is read only; give a {name}")
 
 
 @contextmanager

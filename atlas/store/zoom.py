@@ -22,19 +22,19 @@ FILE_BLOCK = 4096
 
 def metatile_backend(handle: AtlasStore, plane: str, sheet: str) -> StoreBackend:
     """The place of a sheet of a plane, made or not; ValueError for a store that cannot have sheets."""
-    return handle.place.subfolder(f"{ZOOM}/{plane}/{sheet}")
+    return handle.backend.subfolder(f"{ZOOM}/{plane}/{sheet}")
 
 
 def make_plane(handle: AtlasStore, plane: str, described: Mapping[str, Any]) -> None:
     """Make the group of a plane, and the group of all planes, if they are missing."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
-        if not handle.place.exists(f"{key}/{ROOT}"):
-            handle.place.put_new(f"{key}/{ROOT}", _group(attributes))
+        if not handle.backend.exists(f"{key}/{ROOT}"):
+            handle.backend.put_new(f"{key}/{ROOT}", _group(attributes))
 
 
 def describe_planes(handle: AtlasStore) -> None:
     """Write the metadata of the group of all planes again."""
-    handle.place.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
+    handle.backend.put(f"{ZOOM}/{ROOT}", _group(ABOUT))
 
 
 def _group(attributes: Mapping[str, Any]) -> bytes:
@@ -43,24 +43,24 @@ def _group(attributes: Mapping[str, Any]) -> bytes:
 
 def list_metatiles(handle: AtlasStore) -> list[tuple[str, str]]:
     """The planes and the names of all sheets; none for a read-only store."""
-    if handle.place.only_read:
+    if handle.backend.read_only_reason:
         return []
-    local = handle.place.local
+    local = handle.backend.local
     if local is not None:  # without listing the sheets' contents
         keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
     else:
-        keys = [key for key in handle.place.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
+        keys = [key for key in handle.backend.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
     return sorted((key.split("/")[1], key.split("/")[2]) for key in keys)
 
 
 def metatile_bytes(handle: AtlasStore, plane: str, sheet: str) -> int:
     """The bytes of a sheet on its disk, in whole blocks; at a URL, a lower bound."""
     total = 0
-    for key in handle.place.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
+    for key in handle.backend.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
         size = 1
-        if handle.place.local is not None:
+        if handle.backend.local is not None:
             with suppress(FileNotFoundError):
-                size = (handle.place.local / key).stat().st_size
+                size = (handle.backend.local / key).stat().st_size
         total += -(-size // FILE_BLOCK) * FILE_BLOCK
     return total
 
@@ -82,26 +82,26 @@ def write_view_times(handle: AtlasStore, seen: Mapping[tuple[str, str], float]) 
         noted = {sheet: when for (of, sheet), when in seen.items() if of == plane}
         if group and group["attributes"].get(_SEEN) != noted:
             group["attributes"][_SEEN] = noted
-            handle.place.put(key, json.dumps(group).encode())
+            handle.backend.put(key, json.dumps(group).encode())
 
 
 def drop_metatile(handle: AtlasStore, plane: str, sheet: str) -> None:
     """Remove a sheet, beginning with the regimes: a kill then leaves unfinished tiles, none that lacks an array."""
     root = f"{ZOOM}/{plane}/{sheet}/"
-    keys = list(handle.place.list_keys(root))
+    keys = list(handle.backend.list_keys(root))
     done = [key for key in keys if f"/{REGIME.name}/c/" in key]
     last = [key for key in keys if key.endswith(ROOT)]
     for some in (done, {*keys} - {*done, *last}, last):
-        handle.place.remove_all(some)
-    if handle.place.local is not None:
-        handle.place.check_fence()
-        shutil.rmtree(handle.place.local / root, ignore_errors=True)
+        handle.backend.remove_all(some)
+    if handle.backend.local is not None:
+        handle.backend.check_fence()
+        shutil.rmtree(handle.backend.local / root, ignore_errors=True)
 
 
 def _plane_group(handle: AtlasStore, plane: str) -> dict[str, Any]:
     """The metadata of a plane, empty if they are missing or damaged."""
     try:
-        group = json.loads(handle.place.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
+        group = json.loads(handle.backend.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
         return group if isinstance(group.get("attributes"), dict) else {}
     except (ValueError, AttributeError, RecursionError):
         return {}

@@ -43,18 +43,18 @@ def run_tile_job(job: RunJob) -> TileReport:
     them in one run the tile counts as one that kills its process. RunError then names the last attempt, and the note
     stays, so that only another run tries again.
     """
-    with translate_file_errors(job.site.store):
+    with translate_file_errors(job.store_ref.store):
         handle = job.handle()
-        notes = sidecar_of(handle.place)
+        notes = sidecar_of(handle.backend)
         if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
             receipt = make_report(handle, job.index, stored_tile(handle, job.index), solved)
             return replace(receipt, record=stored_record(handle, job.index))
-        attempt = start_attempt(notes, job.attempt_key, job.site.claim, MAX_DEATHS)
+        attempt = start_attempt(notes, job.attempt_key, job.store_ref.lease, MAX_DEATHS)
     try:
         job = replace(job, attempt=attempt.token)
-        return solve_and_write(job, job.site.with_fences(handle, job.attempt_key, job.attempt))
+        return solve_and_write(job, job.store_ref.with_fences(handle, job.attempt_key, job.attempt))
     finally:
         if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
-            with translate_file_errors(job.site.store):
+            with translate_file_errors(job.store_ref.store):
                 attempt.remove(notes, job.attempt_key)

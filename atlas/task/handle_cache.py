@@ -28,9 +28,9 @@ def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) ->
 
 def cached_records(handle: AtlasStore) -> TileRecords:
     """The records of the tiles of a store that no longer changes."""
-    if handle.place not in _records:
-        _records[handle.place] = TileRecords(handle)
-    return _records[handle.place]
+    if handle.backend not in _records:
+        _records[handle.backend] = TileRecords(handle)
+    return _records[handle.backend]
 
 
 def evict_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> None:

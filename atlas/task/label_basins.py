@@ -42,9 +42,9 @@ def complete_basins(handle: AtlasStore) -> None:
         return
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
-    defaults = {p.name: p.default for p in spec.record.parameters}
-    values = fixed_values(spec.record, defaults | params)
-    table = AttractorTable(spec.record, values, spec.settings, spec.attractors)
+    defaults = {p.name: p.default for p in spec.system_def.parameters}
+    values = fixed_values(spec.system_def, defaults | params)
+    table = AttractorTable(spec.system_def, values, spec.settings, spec.attractors)
     reference, solved = len(table.attractors), 0
     hits: Counter[int] = Counter()
     for _, band in itertools.groupby(tiles, lambda index: index[: _leading(handle.tile)]):
@@ -60,7 +60,7 @@ def labelling_bytes(handle: AtlasStore) -> int:
     """Most memory of ``complete_basins`` besides a tile: for a whole band beyond the table."""
     place = _leading(handle.tile)
     cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
-    return cells * (2 * 8 * len(handle.spec.record.states) + BYTES_OF_LABEL)
+    return cells * (2 * 8 * len(handle.spec.system_def.states) + BYTES_OF_LABEL)
 
 
 def _leading(tile: tuple[int, ...]) -> int:
@@ -128,8 +128,8 @@ def _columns(
     }
     for variable in table.record.variables(table.settings):
         values: list[Any] = [attractor.result[variable.name] for attractor in table.attractors]
-        dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra))
-        shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra)
+        dims = (ATTRACTOR, *(DIMENSIONS.get(dim, dim) for dim in variable.extra_dims))
+        shape = np.shape(values[0]) if values else tuple(0 for _ in variable.extra_dims)
         array = np.array(values, dtype=variable.dtype).reshape(count, *shape)
         columns[variable.name] = StoredArray(array, dims, variable_attributes(variable, []))
     return columns

@@ -37,7 +37,7 @@ class ReusedCells(NamedTuple):
 
     arrays: dict[str, np.ndarray]
     regime: NDArray[np.int8]
-    due: NDArray[np.bool_]
+    missing: NDArray[np.bool_]
     source: AtlasStore | None = None
 
 
@@ -82,7 +82,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
                 record_host(handle, machine)
         known = read_tile(origin, index, arrays=origin.readable)
         if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
-            raise ChunkError(origin.place, {chunk_key(origin.regime, index): EXCHANGED})
+            raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
         if not handle.allowances:  # a cell with an allowance above the spec's has other results here
             for allowance in ALLOWANCES:
                 known[REGIME.name][known.pop(allowance.name) != allowance.from_spec(origin.spec)] = PENDING
@@ -106,18 +106,18 @@ def _meetings(
 
 def _origin_of(handle: AtlasStore) -> AtlasStore:
     assert handle.origin is not None
-    done, otherwise = "extended", f"extend {handle.place} into a new store"
+    done, otherwise = "extended", f"extend {handle.backend} into a new store"
     if handle.origin.retry is not None:
         done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
     try:
-        origin = cached_handle(sibling_backend(handle.place, handle.origin.store))
+        origin = cached_handle(sibling_backend(handle.backend, handle.origin.store))
     except InputError as error:
         trouble = str(error)
     else:
         if origin.run_id == handle.origin.run_id:
             return origin
         trouble = f"{handle.origin.store}: another store than the one that was {done}"
-    raise RunError(f"{trouble}; {handle.place} copies cells of it: put it back, or {otherwise}")
+    raise RunError(f"{trouble}; {handle.backend} copies cells of it: put it back, or {otherwise}")
 
 
 def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> int:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
     """The kernels needed by cells of the spec, see compile.kernels_for."""
-    return kernels_for(spec.record, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
+    return kernels_for(spec.system_def, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
 
 
 def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":
@@ -28,14 +28,14 @@ def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings)
     if spec.basins:
         from workers.attractors.basins import solve_basins
 
-        return solve_basins(spec.record, params, settings, spec.attractors)
+        return solve_basins(spec.system_def, params, settings, spec.attractors)
     if spec.coexistence:
         from workers.attractors.coexistence import solve_attractors
 
-        return solve_attractors(spec.record, params, settings, spec.attractors)
+        return solve_attractors(spec.system_def, params, settings, spec.attractors)
     from workers.tile import solve_tile
 
-    return solve_tile(spec.record, params, settings)
+    return solve_tile(spec.system_def, params, settings)
 
 
 def solve_block(spec: Spec, slices: Slices) -> "Results":
@@ -51,7 +51,7 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
         raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
     from workers.sweep import solve_lines
 
-    return solve_lines(spec.record, params, spec.settings, axis=axis, backward=backward)
+    return solve_lines(spec.system_def, params, spec.settings, axis=axis, backward=backward)
 
 
 def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":

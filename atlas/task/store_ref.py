@@ -39,7 +39,7 @@ class StoreRef:
     run_id: str
     solver_version: int
     patience: float = LONG_PATIENCE
-    claim: str = ""
+    lease: str = ""
 
     def open(self, note: str = "", attempt: str = "") -> AtlasStore:
         """The handle of the store, see ``open_checked``, behind the fence of the run's claim.
@@ -52,7 +52,7 @@ class StoreRef:
 
     def with_fences(self, handle: AtlasStore, note: str = "", attempt: str = "") -> AtlasStore:
         """The same handle behind these fences."""
-        return handle.with_backend(self._guarded(handle.place, note, attempt))
+        return handle.with_backend(self._guarded(handle.backend, note, attempt))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
         """Store a part of a group."""
@@ -70,9 +70,9 @@ class StoreRef:
         worker.
         """
         fences: list[Fence] = []
-        if self.claim:
+        if self.lease:
             lost = "the run of this job has lost its claim of the store; nothing more is written"
-            fences.append(token_fence(place, LEASE_NAME, self.claim, WorkerRefusedError, lost))
+            fences.append(token_fence(place, LEASE_NAME, self.lease, WorkerRefusedError, lost))
         if attempt:
             lost = "another attempt at this tile has begun; nothing more is written"
             fences.append(token_fence(place, note, attempt, RunError, lost))
@@ -144,5 +144,5 @@ def stored_part(handle: AtlasStore, group: str, name: str) -> bytes:
     """A part stored by a job; RefusedError if there is none."""
     data = get_part(handle, group, name)
     if data is None:
-        raise WorkerRefusedError(f"{handle.place}: has no part {name}; is the path the same on all hosts?")
+        raise WorkerRefusedError(f"{handle.backend}: has no part {name}; is the path the same on all hosts?")
     return data

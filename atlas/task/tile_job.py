@@ -37,7 +37,7 @@ class RunJob:
     """
 
     index: tuple[int, ...]
-    site: StoreRef
+    store_ref: StoreRef
     level: int = 0
     attempt: str = ""
 
@@ -48,7 +48,7 @@ class RunJob:
 
     def handle(self) -> AtlasStore:
         """The handle of the store in its present state, behind the fences of the run and of the attempt."""
-        return self.site.open(self.attempt_key, self.attempt)
+        return self.store_ref.open(self.attempt_key, self.attempt)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class DerivedReport:
 
 def make_chunk(job: RunJob) -> DerivedReport:
     """Make a chunk of the overviews."""
-    with translate_file_errors(job.site.store):
+    with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         try:
             pyramid_of(handle).build_chunk(job.level, job.index)
@@ -105,7 +105,7 @@ def make_chunk(job: RunJob) -> DerivedReport:
 
 def label_basins(job: RunJob) -> DerivedReport:
     """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
-    with translate_file_errors(job.site.store):
+    with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         complete_basins(handle)
         # All tiles: a dead attempt may have written one again.
@@ -116,23 +116,23 @@ def label_basins(job: RunJob) -> DerivedReport:
 
 def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
     """Solve the cells of a tile that are unknown in the store's origin, and write it."""
-    with translate_file_errors(job.site.store):
+    with translate_file_errors(job.store_ref.store):
         slices = handle.tiling.at(job.index).slices
         known = reuse_cells(handle, slices)
     compile_once(*kernels_of(handle.spec))  # its own disk may be full, which is not the store's fault
     begin, busy = time.perf_counter(), time.thread_time()
-    arrays = solve_cells(handle.spec, slices, known.arrays, known.due)
+    arrays = solve_cells(handle.spec, slices, known.arrays, known.missing)
     middle, processor = time.perf_counter(), time.thread_time() - busy
-    with translate_file_errors(job.site.store):
+    with translate_file_errors(job.store_ref.store):
         handle = job.handle()  # the store may have been replaced
         if is_done(handle, job.index):  # another attempt has finished it: the stored tile stays
             arrays, record = stored_tile(handle, job.index), stored_record(handle, job.index)
         else:
-            record = commit(handle, job, arrays, known.source if not known.due.any() else None)
-    before, after = known.regime[known.due], handle.dominant_arrays(arrays)[REGIME.name][known.due]
+            record = commit(handle, job, arrays, known.source if not known.missing.any() else None)
+    before, after = known.regime[known.missing], handle.dominant_arrays(arrays)[REGIME.name][known.missing]
     return replace(
-        make_report(handle, job.index, arrays, known.due, record),
-        reused=int((~known.due).sum()),
+        make_report(handle, job.index, arrays, known.missing, record),
+        reused=int((~known.missing).sum()),
         changed=int(((before != PENDING) & (before != after)).sum()),
         solve_seconds=middle - begin,
         processor_seconds=processor,
@@ -180,7 +180,7 @@ def make_report(
     handle: AtlasStore, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> TileReport:
     """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
-    leading, system = handle.dominant_arrays(arrays), handle.spec.record
+    leading, system = handle.dominant_arrays(arrays), handle.spec.system_def
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}
     return TileReport(

@@ -240,7 +240,7 @@ def test_what_is_not_done_is_no_damage(whole: store.AtlasStore) -> None:
 
 
 def test_the_message_survives_the_way_between_processes(whole: store.AtlasStore) -> None:
-    error = ChunkError(whole.place, {"regime/c/0/0": "is missing"})
+    error = ChunkError(whole.backend, {"regime/c/0/0": "is missing"})
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 

@@ -66,7 +66,7 @@ def whole(solved: Path, tmp_path: Path) -> Path:
 
 
 def chunk(path: Path, name: str, tile: str = "0/1") -> Path:
-    extra = {v.name: len(v.extra) for v in result_variables(SPEC.settings)}.get(name, 0)
+    extra = {v.name: len(v.extra_dims) for v in result_variables(SPEC.settings)}.get(name, 0)
     return path.joinpath(name, "c", tile, *["0"] * extra)
 
 

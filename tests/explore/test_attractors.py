@@ -63,14 +63,14 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
     assert found.count == int(alone["attractors"]) > 1
     assert [row["share"] for row in found.listed] == alone["share"][: found.count].tolist()
     assert [row["largest"] for row in found.listed] == alone["largest"][: found.count].tolist()
-    assert (found.starts, found.own, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
+    assert (found.starts, found.own_index, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
 
 
 def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
     subject = subject_of(str(coexistence))
-    assert subject.every is not None
+    assert subject.all_attractors is not None
     point = {"omega": 4.0, "R": 0.7}
-    found = at(subject.every, point)
+    found = at(subject.all_attractors, point)
     cell = CellResult(dict(subject.plane.parameters) | point, at(subject.part({}), point), of_atlas=True)
     shown = stored_attractors(subject, cell)
     assert shown is not None and shown.stored
@@ -80,7 +80,7 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
 
 def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_state(coexistence: Path) -> None:
     subject = subject_of(str(coexistence))
-    every, ds = subject.every, subject.part({})
+    every, ds = subject.all_attractors, subject.part({})
     assert every is not None
     for place, own in np.ndenumerate(every["own"].values):
         if own < 0:

@@ -180,7 +180,7 @@ def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they
 def test_those_who_listen_to_a_store_get_each_change_once_with_what_was_before() -> None:
     subject = subject_of("omega-b")
     store, came = PageModel(PageState(from_address(subject, {}), trouble="old")), []
-    store.subscribe(lambda old, new: came.append((old.chosen.kind, new.chosen.kind, new.trouble)))
+    store.subscribe(lambda old, new: came.append((old.view.kind, new.view.kind, new.trouble)))
     store.choose(kind="period")
     store.choose(kind="period")
     assert came == [("exponent", "period", "")]

@@ -154,8 +154,8 @@ def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subje
     grid = BasinGrid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
                 ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
     question = label_computation(grid, slice(1, 3))
-    rows, found = question.read(question.function(question.value))
-    assert (rows, question.cells) == (slice(1, 3), 10)
+    rows, found = question.postprocess(question.function(question.argument))
+    assert (rows, question.n_cells) == (slice(1, 3), 10)
     states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
     periods = [atlas.point({**grid.parameters, **state}, settings=subject.settings)["period"] for state in states]
     labels = found.ravel().tolist()

@@ -36,8 +36,8 @@ def solved(line: CutLine, parts: list[tuple[int, ...]]) -> CutCells:
     found = None
     for part in parts:
         question = cut_computation(line, part)
-        assert question.cells == len(part)
-        found = question.read(question.function(question.value)).merged_with(found)
+        assert question.n_cells == len(part)
+        found = question.postprocess(question.function(question.argument)).merged_with(found)
     assert found is not None
     return found
 

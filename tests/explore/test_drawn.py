@@ -59,7 +59,7 @@ def seen_of(subject: Subject, chosen: ViewState) -> VisibleCells:
         arrays[REGIME.name][...] = regime
         arrays["largest"] *= np.where(regime == CHAOTIC, 1.0, -1.0)
         tiles.append((key, arrays))
-    return replace(compose_view(subject, chosen.plane, sight, tiles, chosen.names), of="one")
+    return replace(compose_view(subject, chosen.plane, sight, tiles, chosen.names), view_id="one")
 
 
 def sent(

@@ -55,7 +55,7 @@ def followed(subject: Subject, chosen: ViewState, along: str) -> FollowedBranch:
     """The branch of the cell that is chosen, found here."""
     assert chosen.cell is not None
     question = branch_computation(subject, chosen.cell, initial_follow(subject, chosen, chosen.cell, along)[:3])
-    return question.read(question.function(question.value))
+    return question.postprocess(question.function(question.argument))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def found(subject: Subject) -> FollowedBranch:
 
 @pytest.fixture(scope="module")
 def own(found: FollowedBranch) -> BranchPosition:
-    return found.position_at(found.own, CELL["omega"])
+    return found.position_at(found.own_index, CELL["omega"])
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
 def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: FollowedBranch, alone: Any) -> None:
     """In the order of the branch the parameter falls after the fold, and the impact is lost on the way down."""
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.position_at(fold.place + 3, found.values[fold.place + 3])
+    here = found.position_at(fold.index + 3, found.values[fold.index + 3])
     before, after = found.neighbouring_events(here)
     assert before == fold and after is not None and after.kind == "impact lost"
     assert after.value < here.value < fold.value
@@ -100,10 +100,10 @@ def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(
 ) -> None:
     """The view ends between the symmetry breaking at 1.60 and the fold at 1.758, which the branch passes twice."""
     near = followed(subject, at_cell(subject, x=(1.74, 1.79)), "omega")
-    assert near.values[near.own] == CELL["omega"]
+    assert near.values[near.own_index] == CELL["omega"]
     seen = [1.74 <= value <= 1.79 for value in near.values]
     assert sum(seen) > 50 > sum(1.74 <= value <= 1.79 for value in found.values)
-    assert seen[near.own] and not seen[0] and not seen[-1]
+    assert seen[near.own_index] and not seen[0] and not seen[-1]
     assert [mark.kind for mark in near.events] == [mark.kind for mark in found.events]
     assert [mark.value for mark in near.events] == pytest.approx([mark.value for mark in found.events], abs=1e-9)
     steps = np.abs(np.diff(next(near.table.gap_values(near.branch))[:, 0]))
@@ -112,7 +112,7 @@ def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(
 
 def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: FollowedBranch) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.position_at(fold.place, fold.value)
+    here = found.position_at(fold.index, fold.value)
     before, after = found.neighbouring_events(here)
     assert here.kind == "fold" and here.multiplier == pytest.approx(1.0, abs=1e-6)
     assert before is not None and after is not None and fold not in (before, after)
@@ -121,7 +121,7 @@ def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found
 def test_a_closed_branch_has_the_events_beside_it_all_around(found: FollowedBranch) -> None:
     branch = found.branch
     run = branch.run._replace(ends=("closed", "closed"))
-    ring = FollowedBranch(replace(found.table, traced=(replace(branch, run=run),)), found.own)
+    ring = FollowedBranch(replace(found.table, traced=(replace(branch, run=run),)), found.own_index)
     assert ring.neighbouring_events(ring.position_at(0, ring.values[0]))[0] == ring.events[-1]
 
 
@@ -148,11 +148,11 @@ def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: Bra
 
 def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: BranchPosition) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    there = found.position_at(fold.place + 5, found.values[fold.place + 5])
-    value = 0.5 * (there.value + found.values[fold.place + 6])
-    assert found.find_point(value, there) == fold.place + 5
+    there = found.position_at(fold.index + 5, found.values[fold.index + 5])
+    value = 0.5 * (there.value + found.values[fold.index + 6])
+    assert found.find_point(value, there) == fold.index + 5
     first = found.find_point(value, own)
-    assert first is not None and first < fold.place
+    assert first is not None and first < fold.index
     assert found.find_point(2.5, own) is None
 
 
@@ -161,7 +161,7 @@ def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
     found: FollowedBranch, beyond: int
 ) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    place = fold.place + beyond - 1
+    place = fold.index + beyond - 1
     here = found.position_at(place, found.values[place])
     motion = found.motion(here)
     assert here.point.unstable == (1 if beyond else 0)
@@ -183,9 +183,9 @@ def test_the_drawn_velocity_jumps_at_an_impact_by_the_law_of_restitution(
 def test_the_sections_of_an_orbit_of_several_periods_are_those_of_its_branch(subject: Subject) -> None:
     cell = {"omega": 2.5, "b": 0.125}
     found = followed(subject, at_cell(subject, cell, x=(2.4, 2.6)), "omega")
-    here = found.position_at(found.own, cell["omega"])
+    here = found.position_at(found.own_index, cell["omega"])
     motion = found.motion(here)
-    gap = next(found.table.gap_values(found.branch))[found.own]
+    gap = next(found.table.gap_values(found.branch))[found.own_index]
     assert gap.size == 2 and motion.per_period == 200
     assert motion.moving[0][::200] == pytest.approx(gap, abs=1e-10)
 
@@ -230,7 +230,7 @@ def test_the_label_of_an_arrow_lies_on_its_side_of_the_marker_where_there_is_roo
 def test_a_parameter_that_is_no_axis_has_events_but_no_arrows(subject: Subject) -> None:
     chosen = at_cell(subject)
     found = followed(subject, chosen, "R")
-    here = found.position_at(found.own, 0.8)
+    here = found.position_at(found.own_index, 0.8)
     assert found.table.window[0] < 0.8 < found.table.window[1]
     assert any(found.neighbouring_events(here)) and arrows(found, here, subject, chosen, cell_of(subject)) == []
 
@@ -263,8 +263,8 @@ def test_an_orbit_of_a_machine_with_modes_is_drawn_too() -> None:
     assert subject.axes == ("omega", "a")
     chosen = ViewState((0.85, 0.95), (0.4, 0.6), subject.plane, "period", cell=(subject.plane, 0.9, 0.5))
     found = followed(subject, chosen, "omega")
-    here = found.position_at(found.own, found.values[found.own])
-    motion, gap = found.motion(here), next(found.table.gap_values(found.branch))[found.own]
+    here = found.position_at(found.own_index, found.values[found.own_index])
+    motion, gap = found.motion(here), next(found.table.gap_values(found.branch))[found.own_index]
     assert motion.moving[0][:: int(motion.per_period)] == pytest.approx(gap, abs=1e-9)
     assert motion.y[-1] == pytest.approx(motion.y[0], abs=1e-8)
 
@@ -296,16 +296,16 @@ def test_an_address_that_cannot_be_followed_is_refused(subject: Subject, query: 
 def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Subject) -> None:
     follow = FollowedOrbit("omega", 1.2, 2.0, 0, 1.75)
     store = PageModel(PageState(at_cell(subject, follow=follow, cut=(1.2, 0.1, 2.0, 0.1))))
-    assert store.now.chosen.picture.follow is None
+    assert store.now.view.picture.follow is None
     store.choose(x=(1.3, 1.9))
-    assert store.now.chosen.follow == follow
+    assert store.now.view.follow == follow
     store.escape()
-    assert store.now.chosen.follow is None and store.now.chosen.cut is not None
+    assert store.now.view.follow is None and store.now.chosen.cut is not None
     store.escape()
-    assert store.now.chosen.cut is None
+    assert store.now.view.cut is None
     store.choose(follow=follow)
     store.choose(cell=(subject.plane, 1.8, 0.125))
-    assert store.now.chosen.follow is None
+    assert store.now.view.follow is None
 
 
 def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
@@ -317,7 +317,7 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
     )
     background: Any = SimpleNamespace(later=lambda act: act)
     panel = FollowPanel(explorer, background, store, figure())
-    store.subscribe(lambda _, now: panel.show(now.chosen))
+    store.subscribe(lambda _, now: panel.show(now.view))
     store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
     assert len(jobs[-1]) == 1 and "following" in panel.panel.children[1].text
     jobs[-1][0].take(found)
@@ -325,11 +325,11 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
         child.children if hasattr(child, "children") else child for child in panel._body.children[:2]
     )
     assert slider.end == len(found.values) - 1 and "1-2-2 symmetric" in text.text
-    slider.value = found.own + 4
-    assert store.now.chosen.follow == FollowedOrbit("omega", *WINDOW, 4, found.values[found.own + 4])
-    assert typed.value == found.values[found.own + 4]
+    slider.value = found.own_index + 4
+    assert store.now.view.follow == FollowedOrbit("omega", *WINDOW, 4, found.values[found.own_index + 4])
+    assert typed.value == found.values[found.own_index + 4]
     typed.value = 1.7312345
-    assert store.now.chosen.follow is not None and store.now.chosen.follow.value == 1.7312345
+    assert store.now.view.follow is not None and store.now.view.follow.value == 1.7312345
     assert found.values[slider.value] < 1.7312345 < found.values[slider.value + 1]
     store.escape()
     assert panel._body.children == [] and jobs[-1] == ()
@@ -343,5 +343,5 @@ def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subj
     made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, PageModel(PageState(chosen))]
     details = DetailsPanel(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]
     details.show(chosen)
-    assert details.about == chosen.cell and len(works) == 1
+    assert details.topic == chosen.cell and len(works) == 1
     assert [errand.question.function for errand in wanted[FollowPanel]] == [follow_orbit]

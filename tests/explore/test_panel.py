@@ -76,14 +76,14 @@ def test_an_answer_to_a_question_before_last_about_the_same_is_dropped_too(panel
 
 def test_what_was_asked_about_something_else_is_wanted_no_more(panel: Letters) -> None:
     panel.set_topic("b")
-    assert [errand.question.value for errand in panel.wanted] == ["b"]
+    assert [errand.question.argument for errand in panel.wanted] == ["b"]
     panel.set_topic(None)
-    assert panel.wanted == [] and panel.about is None
+    assert panel.wanted == [] and panel.topic is None
 
 
 def test_what_is_asked_later_comes_before_what_was_asked_already(panel: Letters) -> None:
     panel.submit([Computation(str.upper, "later")], panel.shown.append)
-    assert [errand.question.value for errand in panel.wanted] == ["later", "a"]
+    assert [errand.question.argument for errand in panel.wanted] == ["later", "a"]
 
 
 def test_work_on_something_else_is_neither_begun_nor_shown(panel: Letters) -> None:

@@ -184,7 +184,7 @@ def test_a_million_cells_take_at_most_twenty_megabytes_even_where_no_two_numbers
     rng = np.random.default_rng(4)
     group = zarr.open_group(handle.path, mode="r+", use_consolidated=False)
     for variable in handle.variables:
-        if variable.dtype == "float64" and not variable.extra:
+        if variable.dtype == "float64" and not variable.extra_dims:
             group[variable.name][...] = rng.random((1000, 1000))
     ds = atlas.open(handle.path)
     size = write_page(ds, tmp_path / "page.html").stat().st_size

@@ -119,7 +119,7 @@ def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject
     for stage in range(STAGES + 1):
         covered = np.zeros(sight.shape, int)
         for key in sight.tiles(stage):
-            covered[sight.place(key)] += 1
+            covered[sight.backend(key)] += 1
         assert np.all(covered == 1)
 
 
@@ -154,8 +154,8 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
         tiles.put(subject.plane, key, filled(subject, key, value))
     ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
     expected = np.full(sight.shape, np.nan)
-    expected[sight.place(coarse)] = 4.0
-    expected[sight.place(fine)] = 1.0
+    expected[sight.backend(coarse)] = 4.0
+    expected[sight.backend(fine)] = 1.0
     assert np.array_equal(ds.largest.values, expected, equal_nan=True)
     assert np.array_equal(ds.regime.values == PENDING, np.isnan(expected))
 
@@ -168,7 +168,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
     tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
     ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
-    off = np.abs(ds.largest.values - ds.omega.values)[sight.place(key)] / np.diff(ds.omega.values).mean()
+    off = np.abs(ds.largest.values - ds.omega.values)[sight.backend(key)] / np.diff(ds.omega.values).mean()
     assert off.max() <= 1.0 + 1e-6
 
 
@@ -384,7 +384,7 @@ def test_the_text_of_a_spec_is_read_as_that_spec() -> None:
         "b": {"start": 0.1, "stop": 1.0, "num": 5, "scale": "log"},
     }
     for system in ("two-mass", "bouncing-ball"):
-        record = atlas.Spec(system, {"omega": [1.0, 2.0], "R": [0.5, 0.6]}).record
+        record = atlas.Spec(system, {"omega": [1.0, 2.0], "R": [0.5, 0.6]}).system_def
         sides = axes if system == "two-mass" else {"omega": axes["omega"], "A": axes["b"]}
         made = atlas.Spec(record, sides, {"R": 0.7}, atlas.Settings(tolerance=0.02))
         assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
@@ -394,7 +394,7 @@ def test_a_system_of_ones_own_is_written_whole_into_the_text_of_a_spec() -> None
     from atlas.spec.spec import Spec
     from workers.model.toml_text import parse_toml
 
-    record = replace(atlas.Spec("two-mass", {"omega": [1.0, 2.0]}).record, packaged=False, name="mine")
+    record = replace(atlas.Spec("two-mass", {"omega": [1.0, 2.0]}).system_def, packaged=False, name="mine")
     sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
     made = atlas.Spec(record, sides)
     assert Spec.from_mapping(parse_toml(spec_toml(made))).digest == made.digest
@@ -409,7 +409,7 @@ def test_words_beyond_ascii_survive_the_text_of_a_spec() -> None:
         "title": 'a "ball" \\ \x7f \U0001f3b1',
         "equation": 'y\'\' = -g\n\t""" y >= 0',
     }
-    record = replace(atlas.Spec("bouncing-ball", {"omega": [1.0, 2.0]}).record, **own)
+    record = replace(atlas.Spec("bouncing-ball", {"omega": [1.0, 2.0]}).system_def, **own)
     sides = {"omega": {"start": 1.0, "stop": 2.0, "num": 3}}
     assert parse_toml(spec_toml(atlas.Spec(record, sides)))["system"] == record.table()
 

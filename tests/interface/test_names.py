@@ -47,7 +47,7 @@ def own_names() -> Iterator[str]:
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):
-            yield from (variable.name, *variable.extra)
+            yield from (variable.name, *variable.extra_dims)
     for name, array in as_arrays(Curves(("omega", "b"), ())).items():
         yield from (name, *array.dims)
     yield from (variable.name for variable in OF_BRANCHES)
@@ -102,7 +102,7 @@ def test_a_symbol_that_is_no_mathtext_is_shown_as_the_name(tmp_path: Path, symbo
     drawn = figure(atlas.open(handle.path))
     drawn.canvas.draw()
     assert drawn.axes[0].get_xlabel() == r"$\mathit{stiff\_2}$"
-    assert text.state_symbol(handle.spec.record, "p") == r"\mathit{p}"
+    assert text.state_symbol(handle.spec.system_def, "p") == r"\mathit{p}"
 
 
 @pytest.mark.filterwarnings("error")

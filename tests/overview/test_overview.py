@@ -205,11 +205,11 @@ def test_levels_stop_when_no_side_is_longer_than_the_least_worth_a_picture(share
     assert Pyramid(shared).levels.count == 3
     assert Pyramid(shared).levels.shape_of(3) == (5, 6)
     for side, count in ((8, 0), (9, 1), (16, 1), (17, 2)):
-        assert OverviewLevels((3, side), (4, 4), side=8, least=8).count == count
+        assert OverviewLevels((3, side), (4, 4), chunk_side=8, min_side=8).count == count
 
 
 def test_the_blocks_of_the_chunks_of_a_level_cover_its_cells_once() -> None:
-    levels = OverviewLevels((38, 45), (8, 8), side=16, least=8)
+    levels = OverviewLevels((38, 45), (8, 8), chunk_side=16, min_side=8)
     for level in range(1, levels.count + 1):
         covered = [
             cell
@@ -486,8 +486,8 @@ def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.AtlasSt
     overviews_of(filled)
     job = job_of(filled, (0, 0), 1)
     with pytest.raises(WorkerRefusedError, match="has lost its claim"):
-        execute_job(replace(job, site=replace(job.site, claim="another")))
-    assert not list(filled.place.list_keys("overviews/1/largest/c/"))
+        execute_job(replace(job, store_ref=replace(job.store_ref, lease="another")))
+    assert not list(filled.backend.list_keys("overviews/1/largest/c/"))
 
 
 # Killed at any step

@@ -180,7 +180,7 @@ def test_parts_of_another_request_are_not_taken(unmeasured: Path, tmp_path: Path
     handle = open_store(copied(unmeasured, tmp_path))
     finished_parts(handle, group_of(LINEAR), "one")
     (name, tile, first, last) = next(iter(pieces(handle, LINEAR)))
-    site = StoreRef(str(handle.place), handle.run_id, SOLVER_VERSION)
+    site = StoreRef(str(handle.backend), handle.run_id, SOLVER_VERSION)
     measure_and_keep(MeasureJob((0,), name, LINEAR, tile, first, last, (), site))
     assert name.removeprefix("linear/") in finished_parts(handle, group_of(LINEAR), "one")
     assert name.removeprefix("linear/") not in finished_parts(handle, group_of(LINEAR), "another")

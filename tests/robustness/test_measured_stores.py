@@ -47,7 +47,7 @@ def test_a_store_holds_measures_with_their_words(store: Path) -> None:
 
 def test_a_store_keeps_what_defines_its_measures(store: Path) -> None:
     spec = Spec.from_dataset(atlas.open(store))
-    assert spec.record == System.from_mapping(ONE_MASS)
+    assert spec.system_def == System.from_mapping(ONE_MASS)
     assert spec.digest == Spec.from_mapping(PLANE).digest
 
 

@@ -158,7 +158,7 @@ def test_a_coordinator_that_starts_again_in_another_runs_store_computes_nothing_
     tmp_path: Path, two: Client
 ) -> None:
     handle = create_store(tmp_path / "out.zarr", PLANE, (5, 7))
-    task = task_of(handle.path, options=RunOptions(timing=Timing(worker=0.0)))
+    task = task_of(handle.path, options=RunOptions(timing=Timing(replacement_worker=0.0)))
     restarted(two, task, "0123")
     for _ in range(200):  # as above: no worker is busy for a moment before the next one hears of it
         until_idle(two)
@@ -217,7 +217,7 @@ def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
 
 def status(store: Path) -> tuple[str, dict[str, object]]:
     """The line of the run, and the object of --json."""
-    timing = Timing(look=0.02, silent=0.1)
+    timing = Timing(lease_poll=0.02, warn_after=0.1)
     text, message = (CliRunner().invoke(main, ["status", str(store), *more], obj=timing) for more in ((), ("--json",)))
     assert (text.exit_code, message.exit_code) == (0, 0)
     line = next(line for line in text.stdout.splitlines() if line.startswith("run "))

@@ -69,7 +69,7 @@ def test_a_worker_of_a_thousand_that_fails_at_once_is_left_out_after_a_few_jobs_
     found, last = all_outcomes(cluster, 4000, monkeypatch)
     assert not [outcome for outcome in found if isinstance(outcome, TileFailure)]
     assert {outcome.index for outcome in found} == {(k,) for k in range(4000)}
-    assert last.left_out.keys() == {BAD}
+    assert last.excluded.keys() == {BAD}
     assert MAX_FAILURES <= cluster.attempts[BAD] <= MAX_FAILURES + dispatch.IN_FLIGHT
 
 
@@ -97,10 +97,10 @@ def test_the_tiles_of_a_worker_that_hangs_are_given_to_others_and_it_is_named(mo
     cluster = Cluster(WORKERS[:3], hanging({(BAD, k) for k in range(3, 300)}, 1e9))
     found, last = all_outcomes(cluster, 300, monkeypatch)
     assert {outcome.index for outcome in found} == {(k,) for k in range(300)}
-    assert last.left_out.keys() == {BAD}
+    assert last.excluded.keys() == {BAD}
     assert re.fullmatch(
         r"it has had tiles? \(\d+,\)(, .+)? for 1 min \d s, the longest before took 1\.0 s; others do them",
-        last.left_out[BAD],
+        last.excluded[BAD],
     )
     assert cluster.now < 300 / 2 + 30
 
@@ -119,7 +119,7 @@ def test_a_worker_that_was_only_slow_gets_tiles_again(monkeypatch: pytest.Monkey
     cluster = Cluster(WORKERS[:2], hanging({(BAD, 4)}, 100.0))
     found, last = all_outcomes(cluster, 300, monkeypatch)
     assert sorted(outcome.index for outcome in found) == [(k,) for k in range(300)]
-    assert not last.left_out
+    assert not last.excluded
     assert cluster.attempts[BAD] > 20
 
 
@@ -135,7 +135,7 @@ def test_the_only_worker_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     cluster = Cluster([BAD], hanging({(BAD, 5)}, 200.0))
     found, last = all_outcomes(cluster, 20, monkeypatch)
     assert sorted(outcome.index for outcome in found) == [(k,) for k in range(20)]
-    assert not last.left_out
+    assert not last.excluded
     assert cluster.attempts.total() == 20
 
 
@@ -211,13 +211,13 @@ def test_dask_gives_the_tiles_of_a_worker_that_hangs_to_another(
         RELEASE.set()
     assert sorted(outcome.index for outcome in found) == [(k,) for k in range(40)]
     assert BEGUN.count((3,)) == 2
-    (reason,) = seen[-1].left_out.values()
+    (reason,) = seen[-1].excluded.values()
     assert re.search(r"it has had tiles? .*\(3,\).* for .* s, the longest before took .* s; others do them", reason)
 
 
 @contextmanager
 def no_setup(client: object, labour: JobType[Any, Any], seconds: float) -> Iterator[Any]:
-    yield labour.act
+    yield labour.run
 
 
 @pytest.fixture(autouse=True)

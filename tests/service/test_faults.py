@@ -162,17 +162,17 @@ def made(tmp_path: Path, plane: atlas.Spec) -> RunJob:
 
 def test_a_worker_with_another_solver_refuses(made: RunJob) -> None:
     with pytest.raises(WorkerRefusedError, match=r"this worker has solver version \d+, the run needs 999"):
-        run_tile_job(replace(made, site=replace(made.site, solver_version=999)))
+        run_tile_job(replace(made, store_ref=replace(made.store_ref, solver_version=999)))
 
 
 def test_a_worker_that_sees_another_store_there_refuses(made: RunJob) -> None:
     with pytest.raises(WorkerRefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
-        run_tile_job(replace(made, site=replace(made.site, run_id="0123")))
+        run_tile_job(replace(made, store_ref=replace(made.store_ref, run_id="0123")))
 
 
 def test_a_worker_that_sees_no_store_there_refuses(made: RunJob) -> None:
     with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
-        run_tile_job(replace(made, site=replace(made.site, store="/nowhere/out.zarr")))
+        run_tile_job(replace(made, store_ref=replace(made.store_ref, store="/nowhere/out.zarr")))
 
 
 def test_a_disk_that_fails_while_the_header_is_read_leaves_the_tile_to_be_tried_again(
@@ -201,7 +201,7 @@ def test_a_worker_that_cannot_write_refuses_and_says_why(
 def test_a_disk_that_is_full_at_any_of_the_writes_leaves_the_tile_to_do(
     made: RunJob, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    handle = open_store(Path(made.site.store))
+    handle = open_store(Path(made.store_ref.store))
     whole_write = zarr.Array.__setitem__
     for variable in result_variables(handle.spec.settings):
 
@@ -240,7 +240,7 @@ def test_two_attempts_at_once_do_not_undo_what_the_first_has_finished(
 
     monkeypatch.setattr(solving, "solve_tile", late)
     assert jobs.solve_and_write(made, made.handle()).cells == 6
-    assert done_tiles(open_store(Path(made.site.store))) == {(1, 1)}
+    assert done_tiles(open_store(Path(made.store_ref.store))) == {(1, 1)}
 
 
 NOTED: dict[str, list[Any]] = {}

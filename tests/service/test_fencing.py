@@ -59,7 +59,7 @@ def take_over(store: Path) -> None:
 def claimed_job(store: Path, index: tuple[int, ...]) -> RunJob:
     handle = open_store(store)
     sidecar_of(store).compare_and_set(LEASE_NAME, OURS.pack(), expected=None)
-    return RunJob(index, StoreRef(str(store), handle.run_id, handle.solver_version, claim=OURS.token))
+    return RunJob(index, StoreRef(str(store), handle.run_id, handle.solver_version, lease=OURS.token))
 
 
 def new_store(folder: Path, _: Path) -> RunJob:
@@ -90,7 +90,7 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
-    store, whole = Path(job.site.store), solving.solve_tile
+    store, whole = Path(job.store_ref.store), solving.solve_tile
     before: dict[str, bytes] = {}
 
     def slow(*given: Any) -> Any:
@@ -107,10 +107,10 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
 @pytest.mark.parametrize("kind", JOBS)
 def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finished: Path, kind: str) -> None:
     job = JOBS[kind](tmp_path, finished)
-    before = contents(Path(job.site.store))
+    before = contents(Path(job.store_ref.store))
     assert run_tile_job(job).cells > 0
-    assert contents(Path(job.site.store)) != before
-    assert job.index in done_tiles(open_store(job.site.store))
+    assert contents(Path(job.store_ref.store)) != before
+    assert job.index in done_tiles(open_store(job.store_ref.store))
 
 
 @pytest.mark.parametrize(
@@ -118,12 +118,12 @@ def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finishe
 )
 def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
     job = new_store(tmp_path, finished)
-    sidecar_of(job.site.store).compare_and_remove(LEASE_NAME, OURS.pack())
+    sidecar_of(job.store_ref.store).compare_and_remove(LEASE_NAME, OURS.pack())
     if claim:
-        sidecar_of(job.site.store).compare_and_set(LEASE_NAME, claim, expected=None)
+        sidecar_of(job.store_ref.store).compare_and_set(LEASE_NAME, claim, expected=None)
     with pytest.raises(WorkerRefusedError, match=LOST):
         run_tile_job(job)
-    assert done_tiles(open_store(job.site.store)) == set()
+    assert done_tiles(open_store(job.store_ref.store)) == set()
 
 
 @pytest.mark.parametrize("kind", JOBS)
@@ -132,7 +132,7 @@ def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str, after: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
-    store, whole = Path(job.site.store), zarr.Array.__setitem__
+    store, whole = Path(job.store_ref.store), zarr.Array.__setitem__
     before: dict[str, bytes] = {}
 
     def stopped(array: zarr.Array[Any], key: Any, value: Any) -> None:
@@ -165,7 +165,7 @@ def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_th
     monkeypatch.setattr(LocalBackend, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
     run_tile_job(job)
     assert looks == {LEASE_NAME: writes.total(), "started-1-1": writes.total()}
-    assert writes.total() > len(open_store(job.site.store).variables)
+    assert writes.total() > len(open_store(job.store_ref.store).variables)
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
@@ -174,8 +174,8 @@ def test_every_job_of_a_run_has_the_token_of_its_claim(
     whole, tokens = attempt.run_tile_job, set()
 
     def looking(job: RunJob) -> Any:
-        record = LeaseRecord.unpack(sidecar_of(job.site.store).read(LEASE_NAME) or b"")
-        tokens.add((job.site.claim, record and record.token))
+        record = LeaseRecord.unpack(sidecar_of(job.store_ref.store).read(LEASE_NAME) or b"")
+        tokens.add((job.store_ref.lease, record and record.token))
         return whole(job)
 
     monkeypatch.setattr(attempt, "run_tile_job", looking)
@@ -199,14 +199,14 @@ def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
     handle = open_store(finished)
     with pytest.raises(LostError):
-        OverviewBuilder(handle.with_backend(handle.place.with_fence(lost)), side=2, least=1)
-    assert not handle.place.exists("overviews/zarr.json")
+        OverviewBuilder(handle.with_backend(handle.backend.with_fence(lost)), side=2, least=1)
+    assert not handle.backend.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = OverviewBuilder(handle.with_backend(handle.place.with_fence(lambda: claims[-1]())), side=2, least=1)
+    overviews = OverviewBuilder(handle.with_backend(handle.backend.with_fence(lambda: claims[-1]())), side=2, least=1)
     claims.append(lost)
     with pytest.raises(LostError):
         overviews.finish()
-    assert not any("/regime/c/" in key for key in handle.place.list_keys("overviews/"))
+    assert not any("/regime/c/" in key for key in handle.backend.list_keys("overviews/"))
 
 
 def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) -> None:
@@ -214,7 +214,7 @@ def test_records_are_not_put_together_after_the_claim_is_lost(finished: Path) ->
     before = (finished / RECORDS / "c.0.0.0").read_bytes()
     records = TileRecords(handle, [])
     with pytest.raises(LostError):
-        write_compaction(handle.with_backend(handle.place.with_fence(lost)), records.rows, records.done)
+        write_compaction(handle.with_backend(handle.backend.with_fence(lost)), records.rows, records.done)
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 

@@ -108,7 +108,7 @@ def test_chunks_are_stored_as_they_are(handle: store.AtlasStore, packed: Path) -
     with zipfile.ZipFile(packed) as archive:
         members = archive.infolist()
     assert {member.compress_type for member in members} == {zipfile.ZIP_STORED}
-    assert {member.filename for member in members} == {*handle.place.list_keys()}
+    assert {member.filename for member in members} == {*handle.backend.list_keys()}
 
 
 def test_a_pack_that_fails_in_the_middle_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

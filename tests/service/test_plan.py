@@ -67,7 +67,8 @@ def test_bytes_bound_the_arrays_themselves() -> None:
     spec = wide(300, 200)
     shape = {"exponent": 4, "state": 4, "sample": 0}
     cell = sum(
-        np.dtype(v.dtype).itemsize * math.prod(shape[dim] for dim in v.extra) for v in result_variables(spec.settings)
+        np.dtype(v.dtype).itemsize * math.prod(shape[dim] for dim in v.extra_dims)
+        for v in result_variables(spec.settings)
     )
     assert plan.make_plan(spec, workers=1).bytes >= 300 * 200 * cell
 

@@ -128,6 +128,6 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
             found = StoreCounts.from_lease(LeaseObserver(sidecar_of(path)).observe())
             seen.append(found and (found.tiles, sum(found.regimes.values())))
 
-    timing = Timing(tick=0.0, beat=0.001)
+    timing = Timing(tick=0.0, heartbeat=0.001)
     atlas.run(plane_of(), path, client, atlas.RunOptions(on_progress=look, timing=timing))
     assert any(held and 0 < held[0] < 9 and held[1] > 0 for held in seen)

@@ -158,7 +158,7 @@ def test_watch_gives_up_on_a_claim_that_stands_still(tmp_path: Path) -> None:
     )
     seen = list(watch(StatusReader(open_store(store)), seconds=4.0, sleep=lambda _: None))
     assert all(status.run is not None for status in seen)
-    assert len(seen) == 1 + TIMING.dead // 4 + 1
+    assert len(seen) == 1 + TIMING.expire_after // 4 + 1
 
 
 def test_status_reports_how_a_run_ended_that_nobody_watched(service: Service) -> None:

@@ -88,7 +88,7 @@ def test_its_states_and_parameters_are_those_of_the_definition(store: Path) -> N
 def test_the_store_has_the_whole_definition(store: Path) -> None:
     kept = json.loads(atlas.open(store).attrs["spec"])["system"]
     assert System.from_mapping(kept) == System.from_toml(MACHINE)
-    assert open_store(store).spec.record == System.from_toml(MACHINE)
+    assert open_store(store).spec.system_def == System.from_toml(MACHINE)
 
 
 def test_verify_solves_a_sample_of_it_from_the_store_alone(store: Path) -> None:
@@ -206,7 +206,7 @@ def test_a_path_in_a_store_is_not_followed(tmp_path: Path) -> None:
 def test_an_example_that_describes_its_own_system_has_its_name_and_others_have_none() -> None:
     own = parse_system("shaken-base")
     assert (own.name, own.title) == ("shaken-base", "mass on a shaken base with a fixed stop")
-    assert Spec.from_toml("shaken-base").record == own
+    assert Spec.from_toml("shaken-base").system_def == own
     with pytest.raises(InputError, match="unknown system 'fig6'"):
         parse_system("fig6")
 

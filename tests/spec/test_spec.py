@@ -101,7 +101,7 @@ def test_cell_params_of_a_sweep_are_one_dimensional() -> None:
 @pytest.mark.parametrize("name", example_names())
 def test_every_packaged_example_is_a_valid_spec(name: str) -> None:
     spec = Spec.from_toml(name)
-    assert spec.record.packaged == (spec.system in system_names())
+    assert spec.system_def.packaged == (spec.system in system_names())
 
 
 def test_a_file_is_preferred_to_an_example_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

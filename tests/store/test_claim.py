@@ -23,8 +23,8 @@ from atlas.store.sidecar import LEASE_NAME, LocalSidecar, read_lease_token, side
 from tests.paths import ROOT
 from tests.waiting import until
 
-QUICK = Timing(beat=0.02)
-IMPATIENT = Timing(beat=0.02, look=0.02, silent=0.3, dead=0.3)
+QUICK = Timing(heartbeat=0.02)
+IMPATIENT = Timing(heartbeat=0.02, lease_poll=0.02, warn_after=0.3, expire_after=0.3)
 
 
 @pytest.fixture
@@ -151,7 +151,7 @@ def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSideca
     said: list[str] = []
     begin = time.monotonic()
     with hold_lease(notes, "out.zarr", said.append, IMPATIENT):
-        assert time.monotonic() - begin >= IMPATIENT.dead
+        assert time.monotonic() - begin >= IMPATIENT.expire_after
     assert said == [
         "another run may be at work (process 1 on far): watching for a sign of life",
         "replacing a claim without a sign of life",
@@ -248,7 +248,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
                 while True:
                     claim.check()
                     time.sleep(0.02)
-        assert time.monotonic() - begin >= max(patience, IMPATIENT.dead) - 2 * IMPATIENT.beat
+        assert time.monotonic() - begin >= max(patience, IMPATIENT.expire_after) - 2 * IMPATIENT.heartbeat
     assert notes.read(LEASE_NAME) is None  # the store is free again
 
 
@@ -258,7 +258,7 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
     def refused(*_: object, **__: object) -> bool:
         raise PermissionError(13, "ExpiredToken")
 
-    with hold_lease(notes, "out.zarr", timing=Timing(beat=0.01, dead=0.05), patience=600.0) as claim:
+    with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=0.01, expire_after=0.05), patience=600.0) as claim:
         monkeypatch.setattr(LocalSidecar, "compare_and_set", refused)
         time.sleep(0.1)
         with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
@@ -303,7 +303,7 @@ def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_cla
         while not waited:
             claim.check(waiting)
         assert len(waited) >= 5
-        assert waited[0] - begin >= IMPATIENT.dead - 2 * IMPATIENT.beat
+        assert waited[0] - begin >= IMPATIENT.expire_after - 2 * IMPATIENT.heartbeat
         assert notes.read(LEASE_NAME) != seen
 
 
@@ -333,7 +333,7 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
     def read(folder: LocalSidecar, name: str) -> bytes | None:
         reads.append(name)
         if len(reads) == 3:
-            time.sleep(2 * IMPATIENT.dead)
+            time.sleep(2 * IMPATIENT.expire_after)
             return whole(folder, name)
         if len(reads) == 5:
             notes.compare_and_set(LEASE_NAME, replace(holder, beat=8).pack(), expected=holder.pack())
@@ -498,7 +498,7 @@ def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
 
 
 def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: LocalSidecar) -> None:
-    with hold_lease(notes, "out.zarr", timing=Timing(beat=60.0)) as claim:
+    with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=60.0)) as claim:
         claim.set_progress({"tiles": 3})
         assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
         claim.set_progress({"tiles": 4})

@@ -57,7 +57,7 @@ def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
 ) -> None:
     """Before it is solved and before it is written; after the first tile of a process, which has read the handle."""
     handle = create_store(tmp_path / "plane.zarr", plane_of(), (2, 3))
-    job = RunJob((0, 0), StoreRef(handle.place, handle.run_id, handle.solver_version))
+    job = RunJob((0, 0), StoreRef(handle.backend, handle.run_id, handle.solver_version))
     run_tile_job(job)
     asked.clear()
     run_tile_job(replace(job, index=(1, 1)))
@@ -114,15 +114,15 @@ def test_a_run_of_a_finished_store_reads_its_header_once(finished: Path, asked: 
 
 def test_only_jobs_that_write_cells_open_the_arrays_of_cells_for_writing(finished: Path) -> None:
     handle = open_store(finished)
-    site = StoreRef(handle.place, handle.run_id, handle.solver_version)
+    site = StoreRef(handle.backend, handle.run_id, handle.solver_version)
     site.evict()
     handle = site.open()
-    assert handle.spec and "declared" not in handle.kept
+    assert handle.spec and "declared" not in handle.cache
 
 
 def test_what_jobs_open_for_writing_is_opened_once(tmp_path: Path) -> None:
     handle = create_store(tmp_path / "plane.zarr", plane_of(), (2, 3))
-    job = RunJob((0, 0), StoreRef(handle.place, handle.run_id, handle.solver_version))
+    job = RunJob((0, 0), StoreRef(handle.backend, handle.run_id, handle.solver_version))
     assert job.handle().declared is replace(job, index=(1, 1)).handle().declared
 
 
@@ -161,7 +161,7 @@ def test_a_header_that_is_sent_takes_along_nothing_that_it_has_opened(finished: 
     assert handle.readable and handle.spec
     sent: AtlasStore = pickle.loads(pickle.dumps(handle))
     assert sent == handle
-    assert not sent.kept
+    assert not sent.cache
     assert sent.spec == handle.spec
 
 

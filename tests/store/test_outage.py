@@ -279,7 +279,7 @@ def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_eac
     requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
     plain = requests(job)
     sidecar_of(URL).compare_and_set(LEASE_NAME, b'{"token": "ours"}', expected=None)
-    fenced = requests(replace(job, index=(0, 1), site=replace(job.site, claim="ours")))
+    fenced = requests(replace(job, index=(0, 1), store_ref=replace(job.store_ref, lease="ours")))
     looks = 3 + sum(variable.sparse for variable in handle.variables)  # all results, the record, the regime
     assert len(fenced) == len(plain) + looks
     assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks

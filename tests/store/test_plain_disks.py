@@ -74,7 +74,7 @@ def test_a_lock_that_a_stopped_process_holds_ends_a_run_in_one_line(
         taken = hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr")
         with pytest.raises(InputError, match=f"^out.zarr: cannot be written: {words}"):
             taken.__enter__()
-    with hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(beat=60.0)):
+    with hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(heartbeat=60.0)):
         pass
     assert os.listdir(tmp_path) == []
 
@@ -116,7 +116,7 @@ def test_every_file_of_a_store_is_flushed_before_it_gets_its_name(
     monkeypatch.setattr(os, "replace", partial(look, replace))
     monkeypatch.setattr(os, "link", partial(look, link))
     handle = create_store(tmp_path / "out.zarr", plane_of(), (2, 3))
-    run_tile_job(RunJob((0, 0), StoreRef(str(handle.place), handle.run_id, handle.solver_version)))
+    run_tile_job(RunJob((0, 0), StoreRef(str(handle.backend), handle.run_id, handle.solver_version)))
     assert all(named.values()), named
     names = {name.rpartition(".partial/")[2].removeprefix(f"{tmp_path}/out.zarr/") for name in named}
     assert {*LocalBackend(tmp_path / "out.zarr").list_keys()} <= names

@@ -233,7 +233,7 @@ def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: Atlas
 def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
     atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
     handle = open_store(tmp_path / "out.zarr")
-    assert sorted(handle.place.list_keys(f"{RECORD}/")) == [f"{RECORD}/zarr.json"]
+    assert sorted(handle.backend.list_keys(f"{RECORD}/")) == [f"{RECORD}/zarr.json"]
     keys.clear()
     status = read_status(handle)
     assert keys == []

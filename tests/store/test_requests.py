@@ -113,7 +113,7 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_
     url = "s3://bucket/tiles.zarr"
     handle = create_store(ObjectBackend(url), plane_of(), (2, 3))
     sidecar_of(url).compare_and_set(LEASE_NAME, b'{"token": "ours"}', expected=None)
-    job = RunJob((0, 0), StoreRef(url, handle.run_id, handle.solver_version, claim="ours"))
+    job = RunJob((0, 0), StoreRef(url, handle.run_id, handle.solver_version, lease="ours"))
     run_tile_job(job)
     served.forget()
     run_tile_job(replace(job, index=(1, 1)))

@@ -54,7 +54,7 @@ def test_parts_are_as_near_to_64_cells_as_divides(tile: int, side: int) -> None:
 def test_a_large_tile_is_one_object_of_each_array_in_chunks_of_about_64(whole: store.AtlasStore) -> None:
     array = zarr.open_group(whole.path, mode="r", use_consolidated=False)["largest"]
     assert (array.shards, array.chunks) == ((96, 128), (48, 64))  # type: ignore[union-attr]
-    keys = [key for key in whole.place.list_keys("largest/c/")]
+    keys = [key for key in whole.backend.list_keys("largest/c/")]
     assert sorted(keys) == [f"largest/c/{y}/{x}" for y, x in indices(whole)]
     assert (whole.tile, len(done_tiles(whole))) == ((96, 128), 4)
 

@@ -108,7 +108,7 @@ def test_a_finished_tile_has_a_chunk_in_every_array_but_of_reasons_that_it_has_n
 ) -> None:
     solve(handle, (0, 0))
     for variable in result_variables(plane.settings):
-        tail = ["0"] * len(variable.extra)
+        tail = ["0"] * len(variable.extra_dims)
         exists = (handle.path.joinpath(variable.name, "c", "0", "0", *tail)).exists()
         assert exists != (variable.name == "reason")
 

@@ -34,7 +34,7 @@ def handle(tmp_path: Path) -> AtlasStore:
 
 
 def job_of(handle: AtlasStore) -> RunJob:
-    return RunJob((1, 1), StoreRef(str(handle.place), handle.run_id, handle.solver_version))
+    return RunJob((1, 1), StoreRef(str(handle.backend), handle.run_id, handle.solver_version))
 
 
 class Sleeper:
@@ -100,10 +100,10 @@ def test_an_attempt_that_sleeps_while_another_does_its_tile_writes_nothing_more(
     sleeper.start()
 
     assert run_tile_job(job).cells > 0
-    before = {key: handle.place.version(key) for key in handle.place.list_keys()}
+    before = {key: handle.backend.version(key) for key in handle.backend.list_keys()}
     sleeper.wake()
     assert sleeper.error.endswith(error)
-    assert {key: handle.place.version(key) for key in handle.place.list_keys()} == before
+    assert {key: handle.backend.version(key) for key in handle.backend.list_keys()} == before
     assert done_tiles(handle) == {(1, 1)}
     read_tile(handle, (1, 1))
 
@@ -113,7 +113,7 @@ def test_the_note_of_a_second_attempt_is_left_by_the_first(handle: AtlasStore, m
     sleeper = Sleeper(job)
     before_it_writes(sleeper, monkeypatch)
     sleeper.start()
-    notes = sidecar_of(handle.place)
+    notes = sidecar_of(handle.backend)
     assert notes.compare_and_set(job.attempt_key, b'{"token": "second"}', expected=notes.read(job.attempt_key))
     sleeper.wake()
     assert sleeper.error.endswith(SUPERSEDED)
@@ -130,7 +130,7 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
     handle = create_store(tmp_path / "large.zarr", Spec("two-mass", axes), (side, side))
     arrays = empty_results(handle.spec.variables, (side, side), handle.spec.extra_sizes)
     write_tile(handle, (0, 0), arrays)
-    handle.place.remove(chunk_key(handle.regime, (0, 0)))
+    handle.backend.remove(chunk_key(handle.regime, (0, 0)))
     removed: list[str] = []
     monkeypatch.setattr(LocalBackend, "remove", lambda _, key: removed.append(key))
     whole = LocalBackend.put
@@ -171,12 +171,12 @@ def test_attempts_of_another_run_do_not_count(handle: AtlasStore, monkeypatch: p
     monkeypatch.setattr(RunJob, "handle", lambda job: handle)
     for claim in ("first", "second", "third", "third"):
         job = job_of(handle)
-        run_tile_job(replace(job, site=replace(job.site, claim=claim)))
+        run_tile_job(replace(job, store_ref=replace(job.store_ref, lease=claim)))
     assert solved == ["first", "second", "third", "third"]
 
 
 def test_a_note_is_that_of_the_attempt_alone(handle: AtlasStore) -> None:
-    notes, name = sidecar_of(handle.place), "started-0-0"
+    notes, name = sidecar_of(handle.backend), "started-0-0"
     first, second = start_attempt(notes, name, "run", 9), start_attempt(notes, name, "run", 9)
     assert (first.number, second.number) == (1, 2)
     first.remove(notes, name)
@@ -187,6 +187,6 @@ def test_a_note_is_that_of_the_attempt_alone(handle: AtlasStore) -> None:
 
 @pytest.mark.parametrize("note", [b"", b"{", b"[]", b'{"run": "run", "number": "many"}'])
 def test_a_note_that_makes_no_sense_counts_as_none(handle: AtlasStore, note: bytes) -> None:
-    notes = sidecar_of(handle.place)
+    notes = sidecar_of(handle.backend)
     notes.compare_and_set("started-0-0", note, expected=None)
     assert start_attempt(notes, "started-0-0", "run", 1).number == 1

@@ -175,7 +175,7 @@ def made(store: Path) -> RunJob:
 def test_a_store_that_is_replaced_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
     run_tile_job(job)
-    shutil.rmtree(job.site.store)
+    shutil.rmtree(job.store_ref.store)
     another = made(tmp_path / "out.zarr")
     with pytest.raises(WorkerRefusedError, match=r"not the store of run .*; is the path the same on all hosts\?"):
         run_tile_job(replace(job, index=(0, 0)))
@@ -185,10 +185,10 @@ def test_a_store_that_is_replaced_under_way_is_noticed_by_the_next_job(tmp_path:
 def test_a_store_that_is_removed_under_way_is_noticed_by_the_next_job(tmp_path: Path) -> None:
     job = made(tmp_path / "out.zarr")
     run_tile_job(job)
-    shutil.rmtree(job.site.store)
+    shutil.rmtree(job.store_ref.store)
     with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
         run_tile_job(replace(job, index=(0, 0)))
-    assert not Path(job.site.store).exists()
+    assert not Path(job.store_ref.store).exists()
 
 
 def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
@@ -198,7 +198,7 @@ def test_a_store_that_is_replaced_while_a_tile_is_solved_gets_nothing_of_it(
     run_tile_job(job)
 
     def slow(*given: Any) -> Any:
-        shutil.rmtree(job.site.store)
+        shutil.rmtree(job.store_ref.store)
         made(tmp_path / "out.zarr")
         return whole(*given)
 

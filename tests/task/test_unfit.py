@@ -166,7 +166,7 @@ def test_a_run_whose_workers_are_paused_says_so_to_its_user_and_to_the_status(
                 client.run(pause, paused=False)
 
         client.run(pause, paused=True)
-        timing = Timing(tick=0.05, stalled=0.2, beat=0.05)
+        timing = Timing(tick=0.05, stall_after=0.2, heartbeat=0.05)
         options = atlas.RunOptions(on_progress=look, timing=timing)
         summary = atlas.run(plane, tmp_path / "out.zarr", client=client, options=options)
         names = sorted(client.nthreads())

@@ -109,8 +109,8 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
         for name, value in attractor.result.items():
             arrays[name][label == k] = value
     on_attractor = (label >= 0) | np.isin(regime, ON_ATTRACTOR)
-    arrays["periods_used"][:] = search.cells.used
-    settled = np.where(search.arrival >= 0, search.arrival, search.cells.flown)
+    arrays["periods_used"][:] = search.cells.periods_used
+    settled = np.where(search.arrival >= 0, search.arrival, search.cells.periods_flown)
     arrays[SETTLED.name][on_attractor] = settled[on_attractor]
     arrays[LABEL.name][:] = np.where(label >= 0, label, np.where(on_attractor, BEYOND_TABLE, UNKNOWN_LABEL))
 

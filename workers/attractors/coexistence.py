@@ -79,14 +79,14 @@ class CoexistenceSearch:
         with np.errstate(all="ignore"):
             self.states = initial_states(starts, self.oscillators, record, initial_state(record, params))
         self.cells = [CellAttractors(at_rows(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
-        self.used, self.tried = np.zeros((2, len(self.cells)), dtype=np.int64)
+        self.periods_used, self.starts_tried = np.zeros((2, len(self.cells)), dtype=np.int64)
 
     def solve(self) -> None:
         """Solve the initial states wave by wave, then watch whether apparent chaos lasts."""
         going = np.arange(len(self.cells))
         for wave in self.starts.waves():
             self._solve_wave(going, wave)
-            enough = (self.tried >= self.starts.enough) & (wave.stop >= self.starts.enough)
+            enough = (self.starts_tried >= self.starts.enough) & (wave.stop >= self.starts.enough)
             one = np.array([len(cell.attractors) == 1 and not cell.undecided for cell in self.cells])
             going = np.flatnonzero((self.reasons == NO_REASON) & ~(one & enough))
         self._watch()
@@ -115,14 +115,14 @@ class CoexistenceSearch:
         search = self.search(owner, self.states[owner, number])
         search.solve()
         if wave.start == 0:
-            self.own = search
+            self.own_search = search
         moving = np.flatnonzero((search.label >= 0) | (search.regime != INVALID))
-        np.add.at(self.tried, owner[moving], 1)
+        np.add.at(self.starts_tried, owner[moving], 1)
         self._put(search, number, moving)
 
     def _put(self, search: MotionSearch, number: Rows, rows: Rows) -> None:
         """Assign these motions to their attractors, in the order of the initial states, and count the cost of all."""
-        np.add.at(self.used, search.owner, search.cells.used)
+        np.add.at(self.periods_used, search.owner, search.cells.periods_used)
         for r in rows.tolist():
             self.cells[search.owner[r]].put(int(number[r]), search, r)
 
@@ -150,7 +150,7 @@ class CoexistenceSearch:
             search.watch(periods)
             ended = (search.label >= 0) | np.isin(search.regime, STABLE)
             for k, (c, suspect, _) in enumerate(suspects):
-                suspect.seen += int(search.cells.flown[place == k].sum())
+                suspect.seen += int(search.cells.periods_flown[place == k].sum())
                 self._part(self.cells[c], suspect, number, search, np.flatnonzero((place == k) & ~ended), last=last)
             self._put(search, number, np.flatnonzero(ended))
 
@@ -188,7 +188,7 @@ class CoexistenceSearch:
         )
         search = self.search(owner, *images, ())
         going, means = search.sample(search.cells.unfinished)
-        np.add.at(self.used, owner, search.cells.used)
+        np.add.at(self.periods_used, owner, search.cells.periods_used)
         for r, of_image in zip(going, means, strict=True):
             c, attractor = alone[r]
             attractor.mirror, _ = nearest(self.cells[c].alike(attractor), of_image)
@@ -201,15 +201,15 @@ class CoexistenceSearch:
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)
             shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
-            arrays["periods_used"][c] = self.used[c]
-            arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.tried[c]
+            arrays["periods_used"][c] = self.periods_used[c]
+            arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.starts_tried[c]
             arrays["undecided"][c], arrays["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
-            if self.tried[c]:
-                arrays["unseen_share"][c] = unseen_share(self.tried[c])
+            if self.starts_tried[c]:
+                arrays["unseen_share"][c] = unseen_share(self.starts_tried[c])
             if not shown:
-                _write(arrays, c, 0, self.own.result(c))
+                _write(arrays, c, 0, self.own_search.result(c))
             for k, attractor in enumerate(shown):
-                more = _of_share(len(attractor.starts), int(self.tried[c])) | {
+                more = _of_share(len(attractor.starts), int(self.starts_tried[c])) | {
                     "exact": attractor.regime in STABLE,
                     "lumped": attractor.pooled,
                     "lumped_distance": attractor.distance if attractor.pooled else np.nan,

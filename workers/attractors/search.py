@@ -135,7 +135,7 @@ class MotionSearch:
     @np.errstate(all="ignore")
     def watch(self, periods: Rows) -> None:
         """Follow the motions for ``periods`` (N,): they are recognised, come to an orbit, or stay PENDING."""
-        rows, flown = self.cells.unfinished, self.cells.flown
+        rows, flown = self.cells.unfinished, self.cells.periods_flown
         while len(rows):
             rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCH_INTERVAL))
             rows = rows[flown[rows] < periods[rows]]
@@ -160,7 +160,7 @@ class MotionSearch:
         self.label[rows[reached]] = self.known.places[orbit[reached]]
         for r, period in zip(rows[reached], orbits.period[orbit[reached]], strict=True):
             known = sections[r, sections.shape[1] - kept[r] :]
-            self.arrival[r] = periods_to_settle(blocks[r], known, cells.flown[r], period)
+            self.arrival[r] = periods_to_settle(blocks[r], known, cells.periods_flown[r], period)
         if isinstance(self.course, AutonomousSchedule):
             reached[~reached] = [self._is_on_cycle(self.course, r) for r in rows[~reached].tolist()]
         return np.asarray(reached)
@@ -176,7 +176,9 @@ class MotionSearch:
                 if known.cycle and known.cycle.passes(states, numbers):
                     self.label[r] = self.known.attractors.index(known)
                     kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.known_section_count()[r] :]
-                    self.arrival[r] = periods_along(cells.oscillators.gap.blocks[r], kept, cells.flown[r], known.orbit)
+                    self.arrival[r] = periods_along(
+                        cells.oscillators.gap.blocks[r], kept, cells.periods_flown[r], known.orbit
+                    )
                     return True
         return False
 
@@ -214,7 +216,7 @@ class MotionSearch:
         self.course.watched[rows] += (
             matching.FIRST_LOOK + matching.SECOND_LOOK
         ) * matching.BATCH  # these periods decide nothing
-        self.cells.going[rows] = True
+        self.cells.is_active[rows] = True
         self.course.observe(rows)
         self.course.run()
 
@@ -236,7 +238,7 @@ class MotionSearch:
         new = np.flatnonzero((self.label < 0) & np.isin(self.regime, STATISTICAL))
         for variable in self.variables:
             arrays[variable.name][new] = variable.fill
-        self.cells.framed[new] = False
+        self.cells.has_frame[new] = False
         going, means = self.sample(new)
         for name, values in arrays.items():
             values[going] = before[name][going]

@@ -149,7 +149,7 @@ def course_of(cells: CellBatch, is_known: Property = none_of, leaves: Property =
 def without_force(cells: CellBatch) -> Mask:
     """Mask of machines with modes that no force moves and no phase changes."""
     if not cells.oscillators.has_modes:
-        return np.zeros(len(cells.used), dtype=np.bool_)
+        return np.zeros(len(cells.periods_used), dtype=np.bool_)
     own = cells.oscillators.table.machines
     still = np.all((own.force_sin == 0.0) & (own.force_cos == 0.0), axis=(1, 2, 3))
     return np.asarray(still & (own.sizes[0] == 1))
@@ -165,16 +165,16 @@ class VertexCourse(AdaptiveSchedule):
             rest = rest_without_events(self.cells, r) or rest_of_turns(self.cells, r)
             rests |= {r: rest} if rest else {}
         put_rests(self.cells, rests)
-        rows = super().end_on_orbits(rows[self.cells.going[rows]], budget, near)
+        rows = super().end_on_orbits(rows[self.cells.is_active[rows]], budget, near)
         stands = [still[r] and _repeats(self.cells, r) and _stands(self.cells, r) for r in rows.tolist()]
         self.end_standing(rows[np.array(stands, dtype=np.bool_)])
-        return rows[self.cells.going[rows]]
+        return rows[self.cells.is_active[rows]]
 
     def end_standing(self, rows: Rows) -> None:
         """Write the results of cells that stand in an equilibrium."""
         rests = {r: rest for r in rows.tolist() if (rest := _rest_beside(self.cells, r)) is not None}
         put_rests(self.cells, rests)
-        put_centres(self.cells, end_impact_free(self.cells, rows[self.cells.going[rows]]))
+        put_centres(self.cells, end_impact_free(self.cells, rows[self.cells.is_active[rows]]))
 
 
 class AutonomousSchedule(VertexCourse):
@@ -186,7 +186,7 @@ class AutonomousSchedule(VertexCourse):
         An equilibrium is an orbit of the map over a natural period, without events.
         """
         known = self.is_known(rows)
-        self.cells.going[rows[known]] = False
+        self.cells.is_active[rows[known]] = False
         rows, still = rows[~known], list[int]()
         cycles, rests = dict[int, tuple[LimitCycle, Array]](), dict[int, Rest]()
         for r in rows.tolist():
@@ -198,26 +198,28 @@ class AutonomousSchedule(VertexCourse):
             elif quiet:
                 still.append(r)
         left = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
-        for r in rows[self.cells.going[rows]].tolist():
+        for r in rows[self.cells.is_active[rows]].tolist():
             if r not in cycles and r not in rests and (rest := rest_of_turns(self.cells, r)) is not None:
                 rests[r] = rest
         put_rests(self.cells, rests)
-        left = np.array([r for r in left.tolist() if self.cells.going[r] and _repeats(self.cells, r)], dtype=np.int64)
+        left = np.array(
+            [r for r in left.tolist() if self.cells.is_active[r] and _repeats(self.cells, r)], dtype=np.int64
+        )
         stands = np.array([_stands(self.cells, r) for r in left.tolist()], dtype=np.bool_)
         put_centres(self.cells, left[~stands])
         self.end_standing(left[stands])
         put_cycles(self.cells, cycles)
-        return rows[self.cells.going[rows]]
+        return rows[self.cells.is_active[rows]]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
         """The cells that continue: cycles of any length are sought at every stretch."""
-        return rows[self.cells.going[rows]]
+        return rows[self.cells.is_active[rows]]
 
     def never_closes(self, rows: Rows) -> Mask:
         """Mask of cells that have not returned to their last event in RETURNS passages of it, and have not shrunk."""
         if not len(rows):
             return none_of(rows)
-        motions, periods = self.cells.batch.motions, self.cells.flown[rows] - self.cells.began[rows]
+        motions, periods = self.cells.batch.motions, self.cells.periods_flown[rows] - self.cells.began[rows]
         endless = (motions.growth[rows, 1] > -STEADY) & (periods >= MIN_TORUS_PERIODS)
         for k in np.flatnonzero(endless).tolist():
             endless[k] = self._returns_far(int(rows[k]))
@@ -263,10 +265,10 @@ def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, mos
     machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions
     state, number = start or (physical_states(cells.oscillators, motions, one)[0], int(motions.mode[r, 0]))
     legs, trail, period = list[Array](), None, float(cells.oscillators.period[r])
-    most, following = most or max(MIN_EXAMINED_PERIODS, int(cells.flown[r])), 1
+    most, following = most or max(MIN_EXAMINED_PERIODS, int(cells.periods_flown[r])), 1
     with suppress(ValueError):
         for k, rows in enumerate(legs_of_periods(machine, state, number, motions.tally[r]), 1):
-            cells.used[r] += 1
+            cells.periods_used[r] += 1
             legs.append(rows)
             if k < min(following, most):
                 continue

@@ -55,7 +55,7 @@ def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
     Without tangent vectors it holds only impacts. If all directions are lost, the mean is exact.
     """
     motions, levels = cells.batch.motions, cells.batch.levels
-    periods = levels[rows, 0, COUNT] if cells.vectors else cells.flown[rows] - cells.began[rows]
+    periods = levels[rows, 0, COUNT] if cells.vectors else cells.periods_flown[rows] - cells.began[rows]
     lost = motions.tally[rows, LOST] >= cells.directions
     if cells.vectors:
         lost |= motions.growth[rows, 0] == -np.inf
@@ -74,7 +74,7 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
     The error is at least the standard error from the difference of the two averages: far apart in time, each may be too
     short to show slow changes of the motion. The second result is the error without it, as for stationary motion.
     """
-    now, e = current_average(cells, rows), at_rows(cells.earlier, rows)
+    now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # else too short to have an error
     mean, error, count, growth, impacts = (np.where(counts, field.T, 0.0).T for field in now)
     total = e.periods + count
@@ -93,29 +93,33 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
 
 def has_changed(cells: CellBatch, rows: Rows) -> Mask:
     """Mask of cells whose earlier and current average differ."""
-    now, e = current_average(cells, rows), at_rows(cells.earlier, rows)
+    now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 
 
 def close(cells: CellBatch, rows: Rows) -> None:
     """Keep the current average as the earlier one, in its place."""
     reset_frames(cells.oscillators.gap.blocks, cells.batch.motions, rows)
-    for earlier, now in zip(cells.earlier, current_average(cells, rows), strict=True):
+    for earlier, now in zip(cells.previous_average, current_average(cells, rows), strict=True):
         earlier[rows] = now
 
 
 def restart_first(cells: CellBatch, rows: Rows) -> None:
     """Restart the current average of these cells as their first, and drop all earlier counts."""
-    for field in cells.earlier:
+    for field in cells.previous_average:
         field[rows] = 0.0
     cells.tallied[rows], cells.first[rows] = NOTHING_COUNTED, cells.began[rows]
 
 
 def lose_all(cells: CellBatch, rows: Rows) -> None:
     """Set the averages of these cells to the limit of lost directions: -inf, all directions."""
-    close(cells, rows[cells.averaging[rows] & (cells.earlier.periods[rows] == 0.0)])
+    close(cells, rows[cells.averaging[rows] & (cells.previous_average.periods[rows] == 0.0)])
     cells.averaging[rows] = False
-    cells.earlier.mean[rows], cells.earlier.error[rows], cells.earlier.growth[rows] = -np.inf, 0.0, -np.inf
+    cells.previous_average.mean[rows], cells.previous_average.error[rows], cells.previous_average.growth[rows] = (
+        -np.inf,
+        0.0,
+        -np.inf,
+    )
 
 
 def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
@@ -125,21 +129,21 @@ def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
     both[:, MIN_SPEED] = np.minimum(before[:, MIN_SPEED], now[:, MIN_SPEED])
     for column in (MAX_SPEED, LOST):
         both[:, column] = np.maximum(before[:, column], now[:, column])
-    return both, cells.flown[rows] - cells.first[rows]
+    return both, cells.periods_flown[rows] - cells.first[rows]
 
 
 def begin(cells: CellBatch, rows: Rows) -> None:
     """Let the growth of these cells count from now on; without an earlier average, all counts."""
     restart(cells, rows)
     cells.averaging[rows] = True
-    restart_first(cells, rows[cells.earlier.periods[rows] == 0.0])
+    restart_first(cells, rows[cells.previous_average.periods[rows] == 0.0])
 
 
 def restart(cells: CellBatch, rows: Rows) -> None:
     """Average these cells from now on, and continue to count. Frames that lost directions are renewed."""
     motions, batch = cells.batch.motions, cells.batch
     cells.tallied[rows], _ = counts(cells, rows)
-    cells.began[rows] = cells.flown[rows]
+    cells.began[rows] = cells.periods_flown[rows]
     motions.V[rows[motions.tally[rows, LOST] > cells.drifts]] = cosine_vectors(motions.h.shape[1])[: cells.vectors]
     motions.tally[rows] = np.where(NEVER_RESTARTED, motions.tally[rows], NOTHING_COUNTED)
     reset_frames(cells.oscillators.gap.blocks, motions, rows)

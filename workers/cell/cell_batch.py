@@ -147,22 +147,26 @@ class CellBatch:
         self.bare = self.batch._replace(motions=without_frames)
         invalid = reasons != NO_REASON
         results["regime"][invalid], results["reason"][invalid] = INVALID, reasons[invalid]
-        self.going = ~invalid
+        self.is_active = ~invalid
         budgets = (settings.max_periods, settings.survival), (settings.transient_periods, settings.periods)
         motions.tally[:, WORK] = work_allowed(sum(budgets[0 if adaptive else 1]))
-        self.framed, self.averaging = np.zeros((2, N), dtype=np.bool_)
-        self.used, self.flown, self.since, self.began, self.first, self.mode = np.zeros((6, N), dtype=np.int64)
+        self.has_frame, self.averaging = np.zeros((2, N), dtype=np.bool_)
+        self.periods_used, self.periods_flown, self.since, self.began, self.first, self.mode = np.zeros(
+            (6, N), dtype=np.int64
+        )
         self.orbits = no_orbits(N, n)
-        self.far = np.full(N, np.inf)
+        self.far_norm = np.full(N, np.inf)
         grows = np.flatnonzero(oscillators.growth > 0.0)
-        self.far[grows] = FAR * sizes(at_rows(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
-        self.earlier = GrowthAverage(np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N))
+        self.far_norm[grows] = FAR * sizes(at_rows(oscillators, grows), motions.h[grows]) if len(grows) else 0.0
+        self.previous_average = GrowthAverage(
+            np.zeros(N), np.zeros(N), np.zeros(N), np.zeros((N, self.vectors)), np.zeros(N)
+        )
         self.tallied = np.tile(NOTHING_COUNTED, (N, 1))
 
     @property
     def unfinished(self) -> Rows:
         """The cells that have not ended."""
-        return np.flatnonzero(self.going)
+        return np.flatnonzero(self.is_active)
 
     def set_interval(self, rows: Rows, periods: Rows | int) -> None:
         """Give these cells a stretch of this many periods."""
@@ -170,12 +174,12 @@ class CellBatch:
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
         """Advance these cells, ``to_end`` until the end of each stretch; returns the cells that have reached it."""
-        framed = self.framed[rows]
+        framed = self.has_frame[rows]
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
             run(batch, some, to_end=to_end)
         through = rows[has_ended(self.batch)[rows]]
-        self.used[through] += self.batch.done[through]
-        self.flown[through] += self.batch.done[through]
+        self.periods_used[through] += self.batch.done[through]
+        self.periods_flown[through] += self.batch.done[through]
         return through
 
     def known_section_count(self) -> Rows:
@@ -184,7 +188,7 @@ class CellBatch:
 
     def survived_periods(self, rows: Rows) -> Rows:
         """Periods for which these cells have looked chaotic."""
-        return self.flown[rows] - self.since[rows]
+        return self.periods_flown[rows] - self.since[rows]
 
     def is_running_away(self, rows: Rows) -> Mask:
         """Mask of cells whose drift gains the same speed in each period.
@@ -229,15 +233,15 @@ class CellBatch:
 
     def are_far(self, rows: Rows) -> Mask:
         """Mask of cells that move so far that nothing seems to hold them, also beyond the range of doubles."""
-        far = np.isfinite(self.far[rows])
+        far = np.isfinite(self.far_norm[rows])
         some = rows[far]
         size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
-        far[far] = ~(size <= self.far[some])
+        far[far] = ~(size <= self.far_norm[some])
         return np.asarray(far)
 
     def budget(self) -> Rows:
         """Periods that may still be spent on each cell."""
-        return self.settings.max_periods + self.settings.survival - self.used
+        return self.settings.max_periods + self.settings.survival - self.periods_used
 
     def is_at_rest(self, rows: Rows) -> Mask:
         """Mask of cells that have lost all directions, since their only mass has rested."""

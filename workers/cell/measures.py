@@ -136,10 +136,10 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
         orders=np.concatenate([orders, np.tile([order for _, order in more], (len(rows), 1))], axis=1),
         peaks=np.tile(np.array(peaks, dtype=np.float64), (len(rows), 1)),
         damping=own.damping,
-        pad=own.pad,
-        rub=own.rub,
-        law=own.law,
-        grip=own.grip,
+        contact_constants=own.contact_constants,
+        friction_constants=own.friction_constants,
+        contact_laws=own.contact_laws,
+        friction_laws=own.friction_laws,
     )
 
 
@@ -149,7 +149,9 @@ def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[A
     The depth of a contact is measured anyway.
     """
     first = len(definition.contacts)  # springs follow the contacts there
-    frictions = [(machines.slide[:, f], 1.0) for f, e in enumerate(definition.friction) if e in definition.fitted]
+    frictions = [
+        (machines.friction_rows[:, f], 1.0) for f, e in enumerate(definition.friction) if e in definition.fitted
+    ]
     springs = [(machines.row[:, first + s], 0.0) for s, e in enumerate(definition.springs) if e in definition.fitted]
     return frictions + springs
 
@@ -174,7 +176,7 @@ def follow_motions(
 
 
 def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
-    (N, M), C, F = meters.orders.shape, meters.pad.shape[2], meters.rub.shape[2]
+    (N, M), C, F = meters.orders.shape, meters.contact_constants.shape[2], meters.friction_constants.shape[2]
     outputs, contacts, frictions = np.zeros((4, N, M)), np.zeros((5, N, C)), np.zeros((2, N, F))
     outputs[2], outputs[3] = np.inf, -np.inf
     return MeasureTotals(
@@ -223,7 +225,7 @@ def _of_elements(
 ) -> dict[str, NDArray[Any]]:
     """The variables of contacts and friction. A spring returns all energy, up to rounding."""
     variables: dict[str, NDArray[Any]] = {}
-    span, pad = periods * 2.0 * np.pi / machines.omega, machines.pad
+    span, pad = periods * 2.0 * np.pi / machines.omega, machines.contact_constants
     springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
     springs &= np.all(pad == pad[:, :1], axis=(1, 3))
     for c, contact in enumerate(definition.contacts):

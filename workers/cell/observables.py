@@ -71,7 +71,7 @@ def record_observables(
     turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
     done = np.where(closes & turns_of_outputs, -periods, 0)
     allowance = MIN_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
-    meters = MeasurePlan(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.grip)
+    meters = MeasurePlan(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.friction_laws)
 
     def see(some: Rows) -> None:
         motion = starts, states, codes, done, periods, closes.astype(np.int64), allowance, some

@@ -25,12 +25,12 @@ def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Ro
 
     An orbit is sought if the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
     """
-    spent = np.zeros_like(cells.used)
+    spent = np.zeros_like(cells.periods_used)
     proved = _settled(
         rows, cells.oscillators, cells.bare.motions, cells.batch.sections, cells.known_section_count(), near,
         cells.settings.max_period, budget, cells.orbits, spent,
     )  # fmt: skip
-    cells.used[rows] += spent[rows]
+    cells.periods_used[rows] += spent[rows]
     put_periodic(cells, rows[proved])
     return rows[~proved]
 
@@ -57,7 +57,7 @@ def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
     for first in range(0, len(tried), LONG_ORBIT_BATCH):
         some = tried[first : first + LONG_ORBIT_BATCH]
         put_periodic(cells, some[_prove_long(cells, some)])
-    return rows[cells.going[rows]]
+    return rows[cells.is_active[rows]]
 
 
 def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
@@ -75,7 +75,7 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
         through, batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR_ORBIT), LONG_PERIOD,
         budget - flown, orbits, spent,
     )  # fmt: skip
-    cells.used[rows] += flown + spent
+    cells.periods_used[rows] += flown + spent
     for mine, new in zip(cells.orbits, orbits, strict=True):
         mine[rows] = new
     return proved

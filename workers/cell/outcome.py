@@ -39,7 +39,7 @@ def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
         if name in cells.results:
             cells.results[name][rows] = value
     if "regime" in values:
-        cells.going[rows] = False
+        cells.is_active[rows] = False
 
 
 def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
@@ -56,7 +56,7 @@ def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
     failed = (reasons != results.NO_REASON) & ~spent
     put_by_average(cells, rows[spent], results.WORK_SPENT)
     why, some = reasons[failed], rows[failed]
-    write_results(cells, some, regime=REGIME_OF[why], periods_used=cells.used[some], reason=why)
+    write_results(cells, some, regime=REGIME_OF[why], periods_used=cells.periods_used[some], reason=why)
     return rows[~(failed | spent)]
 
 
@@ -66,8 +66,10 @@ def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
         gone = growing[escaping(cells.oscillators, motions, growing)]
-        write_results(cells, gone, regime=results.FAILED, periods_used=cells.used[gone], reason=results.RUNS_AWAY)
-        rows = rows[cells.going[rows]]
+        write_results(
+            cells, gone, regime=results.FAILED, periods_used=cells.periods_used[gone], reason=results.RUNS_AWAY
+        )
+        rows = rows[cells.is_active[rows]]
     if cells.oscillators.has_modes:
         return _end_linear(cells, rows)
     free = impact_free(cells.oscillators, motions, rows)
@@ -84,8 +86,8 @@ def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
     if frictions or cells.drifts or not len(rows):
         return rows
     motions = cells.batch.motions
-    spent = np.zeros_like(cells.used)
-    verdicts = np.full(len(cells.used), UNKNOWN)
+    spent = np.zeros_like(cells.periods_used)
+    verdicts = np.full(len(cells.periods_used), UNKNOWN)
 
     def look(some: Rows) -> None:
         verdicts[some] = linear_orbits(cells.oscillators, motions, some, cells.orbits, spent)
@@ -93,10 +95,10 @@ def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
     free = rows[contact_free(cells.oscillators, motions, rows)]
     if len(free):
         cells.oscillators.with_modes(look, free)
-    cells.used[rows] += spent[rows]
+    cells.periods_used[rows] += spent[rows]
     put_periodic(cells, rows[verdicts[rows] == STAYS])
     grows = rows[verdicts[rows] == GROWS]
-    write_results(cells, grows, regime=results.FAILED, periods_used=cells.used[grows], reason=results.RUNS_AWAY)
+    write_results(cells, grows, regime=results.FAILED, periods_used=cells.periods_used[grows], reason=results.RUNS_AWAY)
     return rows[verdicts[rows] == UNKNOWN]
 
 
@@ -124,7 +126,7 @@ def put_periodic(cells: CellBatch, rows: Rows) -> None:
     """
     orbits = at_rows(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
-    cells.used[rows] += orbits.period
+    cells.periods_used[rows] += orbits.period
     sticks = orbits.tally[:, motion.STUCK] > 0.0
     free = (impact_count(orbits.tally) == 0.0) & ~sticks
     if cells.oscillators.has_modes:
@@ -171,7 +173,7 @@ def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: P
         impacts_upper=impacts[:, 0],
         impacts_lower=impacts[:, 1],
         symmetric=orbits.symmetric,
-        periods_used=cells.used[rows],
+        periods_used=cells.periods_used[rows],
         **more,
     )
     put_contacts(cells, rows, tally, period, impact_count(tally) / period)
@@ -198,7 +200,7 @@ def put_averaged(cells: CellBatch, rows: Rows) -> None:
     reach = impact_range(oscillators, tally, motions.h[some], motions.mode[some], followed)
     write_results(cells, some, peak_to_peak=reach)
     put_contacts(cells, some, tally, periods, average.impacts / average.periods)
-    write_results(cells, rows, periods_used=cells.used[rows])
+    write_results(cells, rows, periods_used=cells.periods_used[rows])
     put_states(cells, rows, at_rows(cells.oscillators, rows), motions.h[rows], motions.mode[rows], 0 * rows)
 
 

@@ -111,30 +111,30 @@ class AdaptiveSchedule:
         leaves: Property = none_of,
         part: Callable[[Array], Array] = survival_share,
     ) -> None:
-        N = len(cells.used)
+        N = len(cells.periods_used)
         self.cells, self.settings = cells, cells.settings
         self.is_known, self.leaves, self.part = is_known, leaves, part
         self.half = math.sqrt(2.0) * self.settings.tolerance
         self.stage = np.full(N, SEARCHING)
-        self.stretch = np.full(N, FIRST_INTERVAL)
-        self.memory, self.weighted, self.middle = np.full((3, N), math.nan)
+        self.interval = np.full(N, FIRST_INTERVAL)
+        self.transient_periods, self.weighted, self.middle = np.full((3, N), math.nan)
         self.watched = np.zeros(N, dtype=np.int64)
         self.recurrence = Recurrence(N)
 
     def run(self) -> None:
         """Take the cells that have not ended through their stages, to their results."""
         ready = self.cells.unfinished
-        while self.cells.going.any():
+        while self.cells.is_active.any():
             self.begin(ready)
             through = self.cells.run(self.cells.unfinished)
             if len(through):
                 self.judge(through)
-            ready = through[self.cells.going[through]]
+            ready = through[self.cells.is_active[through]]
 
     def begin(self, ready: Rows) -> None:
         """Give each cell its next stretch, or its result if no periods are left."""
         ready = outcome.end_impact_free(self.cells, ready)
-        length = np.minimum(self.stretch[ready], self._left(ready))
+        length = np.minimum(self.interval[ready], self._left(ready))
         self._end(ready[length <= 0])
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
@@ -142,7 +142,7 @@ class AdaptiveSchedule:
         """Judge each cell at the end of a stretch."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
-        stage, near = self.stage[rows], np.where(cells.flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
+        stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
         self.warming(rows[stage == WARMING])
         rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
         if not len(rows):
@@ -158,7 +158,7 @@ class AdaptiveSchedule:
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
         """Write the results of cells proved to converge to an orbit; returns the others that are not known."""
         known = self.is_known(rows)
-        self.cells.going[rows[known]] = False
+        self.cells.is_active[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
@@ -167,12 +167,12 @@ class AdaptiveSchedule:
 
     def _left(self, rows: Rows) -> Rows:
         """Periods left to these cells' motions in their present stage."""
-        decide = self.settings.deciding_periods - (self.cells.used[rows] - self.watched[rows])
+        decide = self.settings.deciding_periods - (self.cells.periods_used[rows] - self.watched[rows])
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 
     def _end(self, rows: Rows) -> None:
         """Write the results of cells out of periods."""
-        unrelaxed = self.cells.first[rows] < self.memory[rows]
+        unrelaxed = self.cells.first[rows] < self.transient_periods[rows]
         clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
         outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
 
@@ -193,18 +193,18 @@ class AdaptiveSchedule:
 
     def searching(self, rows: Rows) -> None:
         """The motion forgets its start: for some relaxation times, at least LEAST_TRANSIENT periods."""
-        cells, flown = self.cells, self.cells.flown[rows]
-        new = rows[(flown >= MIN_TRANSIENT) & np.isnan(self.memory[rows])]
-        tally, periods = cells.batch.motions.tally[new], cells.flown[new]
+        cells, flown = self.cells, self.cells.periods_flown[rows]
+        new = rows[(flown >= MIN_TRANSIENT) & np.isnan(self.transient_periods[rows])]
+        tally, periods = cells.batch.motions.tally[new], cells.periods_flown[new]
         hits, contraction = impact_count(tally) / periods, tally[:, CONTRACTION] / periods
-        self.memory[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits, contraction)
+        self.transient_periods[new] = RELAXATIONS * relaxation_periods(cells.oscillators, new, hits, contraction)
         most = max(MAX_TRANSIENT_SHARE * self.settings.max_periods, MIN_TRANSIENT)
-        transient = np.fmax(np.floor(np.minimum(self.memory[rows], most)), MIN_TRANSIENT)
-        self.stretch[rows] = np.minimum(flown, np.maximum(transient - flown, 1))
+        transient = np.fmax(np.floor(np.minimum(self.transient_periods[rows], most)), MIN_TRANSIENT)
+        self.interval[rows] = np.minimum(flown, np.maximum(transient - flown, 1))
         over = rows[flown >= transient]
-        cells.since[over] = cells.flown[over]
+        cells.since[over] = cells.periods_flown[over]
         leaves = self.leaves(over)
-        cells.going[over[leaves]] = False
+        cells.is_active[over[leaves]] = False
         self.observe(over[~leaves])
 
     def observe(self, rows: Rows) -> None:
@@ -212,8 +212,8 @@ class AdaptiveSchedule:
         cells = self.cells
         if cells.vectors:
             averages.restart(cells, rows)
-            cells.framed[rows] = True
-            self.stage[rows], self.stretch[rows] = WARMING, WARM_UP
+            cells.has_frame[rows] = True
+            self.stage[rows], self.interval[rows] = WARMING, WARM_UP
         else:
             averages.begin(cells, rows)
             self._watch(rows, self._missing(rows))
@@ -230,9 +230,9 @@ class AdaptiveSchedule:
             return
         averages.begin(cells, rows)
         self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
-        earlier = cells.earlier.periods[rows]
-        wanted = periods_for(earlier, cells.earlier.error[rows], self.half)
-        self.stretch[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
+        earlier = cells.previous_average.periods[rows]
+        wanted = periods_for(earlier, cells.previous_average.error[rows], self.half)
+        self.interval[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
 
     # Averaging
 
@@ -242,7 +242,7 @@ class AdaptiveSchedule:
         Clearly positive, and known to half of the wanted accuracy (in periods): chaotic so far. Zero on two stretches:
         a torus. Clearly negative: a long orbit is sought.
         """
-        second = self.cells.earlier.periods[rows] > 0.0
+        second = self.cells.previous_average.periods[rows] > 0.0
         self._judge_first(rows[~second])
         self._judge_second(rows[second])
 
@@ -250,7 +250,7 @@ class AdaptiveSchedule:
         """Half of the budget also suffices to call a cell chaotic."""
         now = current_average(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
-        half_spent = self.cells.used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
+        half_spent = self.cells.periods_used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
         chaotic = positive & self.recurrence.recurred[rows] & ((now.error <= self.half) | half_spent)
         missing = np.where(positive, periods_for(now.periods, now.error, self.half) - now.periods, math.inf)
         self._average_on(rows[~chaotic], missing[~chaotic])
@@ -276,13 +276,13 @@ class AdaptiveSchedule:
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
         """The next stretch of an average that lacks ``missing`` periods: at most as long as the average so far."""
-        longest = self.cells.flown[rows] - self.cells.began[rows]
-        self.stretch[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
+        longest = self.cells.periods_flown[rows] - self.cells.began[rows]
+        self.interval[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
     def _restart_changed(self, rows: Rows) -> None:
         """Keep only the later average of motion that has changed."""
         cells = self.cells
-        before, now = cells.earlier.mean[rows], current_average(cells, rows)
+        before, now = cells.previous_average.mean[rows], current_average(cells, rows)
         averages.restart_first(cells, rows)
         positive, out = clearly_positive(now.mean, now.error, now.periods), self._left(rows) <= 0
         outcome.put_by_average(cells, rows[out], clear=NOT_STATIONARY)
@@ -291,7 +291,7 @@ class AdaptiveSchedule:
         chaotic = rows[~out & positive]
         cells.since[chaotic] = cells.began[chaotic]
         self._close(chaotic)
-        self.stretch[rows[~out & ~positive]] = now.periods[~out & ~positive]
+        self.interval[rows[~out & ~positive]] = now.periods[~out & ~positive]
 
     def _close(self, rows: Rows) -> None:
         """Close the average of these cells and watch them, or continue with the next average if there is no need to."""
@@ -299,14 +299,14 @@ class AdaptiveSchedule:
         missing = self._missing(rows)
         self.warming(rows[missing <= 0])  # the frame is unchanged
         rows, missing = rows[missing > 0], missing[missing > 0]
-        self.cells.framed[rows], self.cells.averaging[rows] = False, False
+        self.cells.has_frame[rows], self.cells.averaging[rows] = False, False
         self._watch(rows, missing)
 
     def _find_order(self, rows: Rows) -> None:
         """Look for tori and, with a clearly negative exponent, for long orbits."""
         cells, batch = self.cells, self.cells.batch
         previous, now = self.weighted[rows], batch.weighted[rows, 0] / batch.weighted[rows, 1]
-        middle = cells.flown[rows] - 0.5 * batch.periods[rows]
+        middle = cells.periods_flown[rows] - 0.5 * batch.periods[rows]
         linear = shears(previous, now, middle - self.middle[rows])
         self.weighted[rows], self.middle[rows] = now, middle
         spread = np.where(linear, now, np.abs(now - previous))
@@ -350,17 +350,17 @@ class AdaptiveSchedule:
 
     def _to_watch(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched, within ``survival``."""
-        part = self.part(self.memory[rows] / RELAXATIONS)
+        part = self.part(self.transient_periods[rows] / RELAXATIONS)
         part[has_coexisting_orbit(self.cells, rows)] = 1.0
         required = (part * self.settings.survival).astype(np.int64)
         return np.minimum(required - self.cells.survived_periods(rows), self._watchable(rows))
 
     def _missing(self, rows: Rows) -> Rows:
         """Periods for which these cells are still to be watched before an average as long as the last one."""
-        return self._to_watch(rows) - self.cells.earlier.periods[rows].astype(np.int64)
+        return self._to_watch(rows) - self.cells.previous_average.periods[rows].astype(np.int64)
 
     def _watch(self, rows: Rows, missing: Rows) -> None:
         """Watch these cells for a stretch of the ``missing`` periods, long enough for a long orbit to return in it."""
         least = max(MIN_WATCH, self.settings.max_period + 1)
         self.stage[rows] = WATCHING
-        self.stretch[rows] = np.maximum(np.minimum(self.cells.survived_periods(rows) // 2, missing), least)
+        self.interval[rows] = np.maximum(np.minimum(self.cells.survived_periods(rows) // 2, missing), least)

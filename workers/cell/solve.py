@@ -32,11 +32,11 @@ def _solve_fixed(cells: CellBatch) -> None:
     The averages of a cell with a proved orbit may include earlier chaos: they are kept as ``average``, and its
     exponents are the exact ones.
     """
-    settings, recurrence = cells.settings, Recurrence(len(cells.used))
-    cells.framed[:] = True
+    settings, recurrence = cells.settings, Recurrence(len(cells.periods_used))
+    cells.has_frame[:] = True
     ready = _through(cells, cells.unfinished, settings.transient_periods)
     recurrence.update(cells, ready, none_of(ready))
-    cells.since[ready] = cells.flown[ready]
+    cells.since[ready] = cells.periods_flown[ready]
     averages.begin(cells, ready)
     ready = _through(cells, ready, settings.periods)
     recurrence.update(cells, ready, np.full(len(ready), settings.transient_periods > 0))
@@ -45,7 +45,10 @@ def _solve_fixed(cells: CellBatch) -> None:
     averaged = {name: cells.results[name].copy() for name in kept}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(
-        cells, rest, np.full_like(cells.used, settings.max_periods), np.full(len(cells.used), NEAR_ORBIT)
+        cells,
+        rest,
+        np.full_like(cells.periods_used, settings.max_periods),
+        np.full(len(cells.periods_used), NEAR_ORBIT),
     )
     known = np.setdiff1d(ready, rest)
     write_results(cells, known, **{name: values[known] for name, values in averaged.items()})
@@ -54,7 +57,7 @@ def _solve_fixed(cells: CellBatch) -> None:
     chaotic = averages.clearly_positive(mean, error, periods) & recurs
     put_chaotic(cells, rest[chaotic])
     unclear, reason = rest[~chaotic], np.where(recurs, np.int8(PERIODS_SPENT), np.int8(NEVER_RECURS))[~chaotic]
-    write_results(cells, unclear, regime=UNDETERMINED, periods_used=cells.used[unclear], reason=reason)
+    write_results(cells, unclear, regime=UNDETERMINED, periods_used=cells.periods_used[unclear], reason=reason)
 
 
 def _through(cells: CellBatch, ready: Rows, periods: int) -> Rows:

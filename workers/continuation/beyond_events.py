@@ -84,7 +84,7 @@ def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
         return is_smooth(lin, event)
     if event.last not in OF_CONTACTS:
         return True
-    preloaded = bool(np.any(lin.pad[0, :, contact, 2] > 0.0))
+    preloaded = bool(np.any(lin.contact_constants[0, :, contact, 2] > 0.0))
     return not preloaded and (bool(lin.soft[0, contact]) or event.last == LIFT_OFF)
 
 
@@ -103,7 +103,7 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
     if event.last not in OF_CONTACTS:
         return event.last != GRAZING_SLIDING
     contact = event.conditions[-1].signal // SIGNALS
-    _, damping, preload = np.max(machine.pad[0, :, contact], axis=0)
+    _, damping, preload = np.max(machine.contact_constants[0, :, contact], axis=0)
     jumps = machine.soft[0, contact] == 0.0 or (machine.by_force[0, contact] > 0.0 and damping > 0.0)
     return bool(preload == 0.0 and (event.last == LIFT_OFF or not jumps))
 

@@ -60,7 +60,7 @@ def act_on(elements, r, act, signal, z, W):
             reset(W[e], n, row, kick, 0.0, share)
     elif act == SLOWS:
         f = signal - SIGNALS * elements.row.shape[1]
-        row, kick = elements.slide[r, f], elements.brake[r, f]
+        row, kick = elements.friction_rows[r, f], elements.friction_kick[r, f]
         reset(z, n, row, kick, elements.belt[r, f], 1.0)
         for e in range(len(W)):
             reset(W[e], n, row, kick, 0.0, 1.0)

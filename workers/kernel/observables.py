@@ -182,7 +182,7 @@ def stored(table, meter, z, number):
     """Energy in pushing soft contacts at a physical section state in the mode of this number."""
     elements, total = table.elements, 0.0
     states = np.zeros(len(elements.row), dtype=np.int64)
-    read_number(elements, number, states, np.zeros(len(elements.slide), dtype=np.int64))
+    read_number(elements, number, states, np.zeros(len(elements.friction_rows), dtype=np.int64))
     for c in range(len(states)):
         if states[c] % 2 != 0 and elements.soft[c] > 0.0 and elements.counted[c] > 0.0:
             stop = elements.stops[c, 1 if states[c] > 0 else 0]

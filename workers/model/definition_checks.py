@@ -42,7 +42,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     C = len(definition.contacts)
     rows = {f"{_contact(definition, c)}.gap": row for c, row in enumerate(machine.row[:C])}
     rows |= {f"system.springs[{s}].row": row for s, row in enumerate(machine.row[C:])}
-    rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.slide)}
+    rows |= {f"system.friction[{f}].row": row for f, row in enumerate(machine.friction_rows)}
     constants = dict(_constants(definition, machine))
     for where, entries in chain(matrices.items(), rows.items(), _forces(definition, machine), constants.items()):
         if not np.isfinite(entries).all():
@@ -59,7 +59,7 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
             made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
             raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
     _check_independent(list(rows), held_rows(many))
-    _check_independent(list(rows)[len(machine.row) :], many.slide)
+    _check_independent(list(rows)[len(machine.row) :], many.friction_rows)
     _check_yields(rows, many)
     for where in (name for name in matrices if name.endswith("stiffness")):
         _check_free_motions(definition, machine, where, matrices[where])
@@ -92,10 +92,10 @@ def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tupl
             yield f"{_contact(definition, c)}.restitution", machine.R[c]
     for p, phase in enumerate(definition.phases or ALWAYS):
         for c, contact in enumerate(definition.contacts):
-            for key, number in () if contact.rigid else zip(PAD, machine.pad[p, c], strict=True):
+            for key, number in () if contact.rigid else zip(PAD, machine.contact_constants[p, c], strict=True):
                 yield _constant_in(phase.contacts, p, "contacts", contact.name, key, _contact(definition, c)), number
         for f, friction in enumerate(definition.friction):
-            for key, number in zip(RUB, machine.rub[p, f], strict=True):
+            for key, number in zip(RUB, machine.friction_constants[p, f], strict=True):
                 yield _constant_in(phase.friction, p, "friction", friction.name, key, f"system.friction[{f}]"), number
     for f, belt in enumerate(machine.belt):
         yield f"system.friction[{f}].belt", belt
@@ -117,7 +117,7 @@ def _check_constant(where: str, number: float) -> None:
 def _check_static(definition: Definition, machine: HybridMachines) -> None:
     for p, phase in enumerate(definition.phases or ALWAYS):
         for f, friction in enumerate(definition.friction):
-            kinetic, static, _ = machine.rub[p, f]
+            kinetic, static, _ = machine.friction_constants[p, f]
             if static < kinetic:
                 where = _constant_in(phase.friction, p, "friction", friction.name, "static", f"system.friction[{f}]")
                 levels = f"found {static:g}, kinetic {kinetic:g} at the defaults"

@@ -62,12 +62,12 @@ class HybridMachines(NamedTuple):
     R: Array
     soft: Array
     by_force: Array
-    pad: Array
-    slide: Array
+    contact_constants: Array
+    friction_rows: Array
     belt: Array
-    rub: Array
-    law: Array
-    grip: Array
+    friction_constants: Array
+    contact_laws: Array
+    friction_laws: Array
     counted: Array
     drift: Array
 
@@ -84,12 +84,12 @@ class HybridMachines(NamedTuple):
     @property
     def sizes(self) -> tuple[int, int, int]:
         """Numbers of phases, contacts and frictions."""
-        return self.load.shape[1], self.row.shape[1], self.slide.shape[1]
+        return self.load.shape[1], self.row.shape[1], self.friction_rows.shape[1]
 
     @property
     def segments(self) -> tuple[int, int]:
         """Most segments in laws of contacts and in laws of friction."""
-        return self.law.shape[3], self.grip.shape[2]
+        return self.contact_laws.shape[3], self.friction_laws.shape[2]
 
     @property
     def signals(self) -> Rows:
@@ -112,8 +112,8 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
         machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
         machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau,
         starts=np.tile([0.0, 1.0], (N, 1)), row=machines.gap_row[:, None], stops=stops[:, None], R=machines.R[:, None],
-        soft=none, by_force=none, pad=np.zeros((N, 1, 1, 3)), slide=np.zeros((N, 0, n)), belt=nothing,
-        rub=np.zeros((N, 1, 0, 3)), law=np.zeros((N, 1, 2, 1, 3)), grip=np.zeros((N, 0, 1, 3)), counted=none + 1.0,
+        soft=none, by_force=none, contact_constants=np.zeros((N, 1, 1, 3)), friction_rows=np.zeros((N, 0, n)), belt=nothing,
+        friction_constants=np.zeros((N, 1, 0, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)), friction_laws=np.zeros((N, 0, 1, 3)), counted=none + 1.0,
         drift=np.full(N, -1.0),
     )  # fmt: skip
 
@@ -133,20 +133,22 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     reasons[~yields(machines)] = NO_OSCILLATOR
     fine = (
         (lower < upper) & (own.R >= 0.0) & (own.R <= 1.0),
-        own.pad >= 0.0,
-        (own.rub[..., 0] >= 0.0) & (own.rub[..., 1] >= own.rub[..., 0]),
-        ~np.isnan(own.law[..., 0]),
-        ~np.isnan(own.grip[..., 0]),
+        own.contact_constants >= 0.0,
+        (own.friction_constants[..., 0] >= 0.0) & (own.friction_constants[..., 1] >= own.friction_constants[..., 0]),
+        ~np.isnan(own.contact_laws[..., 0]),
+        ~np.isnan(own.friction_laws[..., 0]),
         own.starts[:, :1] == 0.0,
         np.diff(own.starts, axis=1) > 0.0,
     )
     for sound in fine:
         reasons[_any(~sound)] = OUT_OF_RANGE
-    reasons[dependent(held_rows(machines)) | dependent(own.slide)] = OUT_OF_RANGE
+    reasons[dependent(held_rows(machines)) | dependent(own.friction_rows)] = OUT_OF_RANGE
     if own.drifting >= 0:
         ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
         reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
-    bounded = own._replace(stops=own.R, law=own.law[..., 1:], grip=own.grip[..., 1:])
+    bounded = own._replace(
+        stops=own.R, contact_laws=own.contact_laws[..., 1:], friction_laws=own.friction_laws[..., 1:]
+    )
     reasons[_any(np.isnan(own.stops)) | ~finite(bounded)] = OUT_OF_DOUBLES
     return reasons
 
@@ -160,12 +162,12 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     own, phases = machines, machines.sizes[0]
     half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
     sign = np.where(np.arange(own.force_sin.shape[2]) % 2 == 0, 1.0, -1.0)[:, None]
-    same = [own.damping, own.stiffness, own.pad, own.rub]
+    same = [own.damping, own.stiffness, own.contact_constants, own.friction_constants]
     later = [(field, field) for field in same] + [(own.load, -own.load)]
     later += [(field, sign * field) for field in (own.force_sin, own.force_cos)]
     uneven = [_any(np.roll(field, -half, axis=1) != image) for field, image in later]
     uneven += [_any(own.stops[..., 0] != -own.stops[..., 1]), _any(own.belt != 0.0)]
-    uneven.append(_any(own.law[:, :, 0] != own.law[:, :, 1]))
+    uneven.append(_any(own.contact_laws[:, :, 0] != own.contact_laws[:, :, 1]))
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)
@@ -174,7 +176,11 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
 def loses_nothing(machines: HybridMachines) -> Mask:
     """Mask of machines without any loss: no damping, R = 1, no friction. M and K are symmetric."""
     own = machines
-    lossy = [_any(own.damping != -own.damping.swapaxes(-1, -2)), _any(own.R != 1.0), _any(own.pad[..., 1] != 0.0)]
+    lossy = [
+        _any(own.damping != -own.damping.swapaxes(-1, -2)),
+        _any(own.R != 1.0),
+        _any(own.contact_constants[..., 1] != 0.0),
+    ]
     return np.asarray(~np.any(lossy, axis=0) & (own.sizes[2] == 0) & _has_energy(own))
 
 
@@ -182,7 +188,7 @@ def is_undriven(machines: HybridMachines) -> Mask:
     """Mask of machines whose energy never rises: no force, phases or moving belts; nor does damping or K feed them."""
     own = machines
     driven = [_any(own.force_sin != 0.0), _any(own.force_cos != 0.0), _any(own.belt != 0.0)]
-    fields = (own.damping, own.stiffness, own.load, own.pad, own.rub)
+    fields = (own.damping, own.stiffness, own.load, own.contact_constants, own.friction_constants)
     driven += [_any(field != field[:, :1]) for field in fields if own.sizes[0] > 1]
     even = 0.5 * (own.damping[:, 0] + own.damping[:, 0].swapaxes(-1, -2))
     return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(own))
@@ -232,12 +238,12 @@ def held_rows(machines: HybridMachines) -> Array:
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
     same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)
-    return np.concatenate([rigid, np.where(same[..., None], 0.0, machines.slide)], axis=1)
+    return np.concatenate([rigid, np.where(same[..., None], 0.0, machines.friction_rows)], axis=1)
 
 
 def along_contacts(machines: HybridMachines) -> Array:
     """(N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
-    (slide, wide), (row, high) = _scaled(machines.slide), _scaled(machines.row)
+    (slide, wide), (row, high) = _scaled(machines.friction_rows), _scaled(machines.row)
     share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
     apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)
     return np.where(apart <= PARALLEL, share * wide[..., None] / high[:, None], 0.0)
@@ -273,7 +279,7 @@ def _yield_along(machines: HybridMachines) -> Mask:
     """``yields`` computed by the principal minors."""
     own, held = machines, held_rows(machines)
     inverse = apply_stacked(np.linalg.inv, own.mass.shape, own.mass)
-    singles = np.concatenate([own.row, own.slide], axis=1)
+    singles = np.concatenate([own.row, own.friction_rows], axis=1)
     along = np.vecdot(singles, (inverse[:, None] @ singles[..., None])[..., 0])
     all_yield = np.asarray(np.all(along > 0.0, axis=1))
     between = held @ inverse @ np.ascontiguousarray(held.swapaxes(1, 2))

@@ -81,15 +81,15 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
 
 def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
     """Stiffness, damping and preload (N,) of a soft contact in phase p and this state, in the segment of its law."""
-    stiffness, damping, preload = machines.pad[:, p, c].T
-    _, slope, level = machines.law[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
+    stiffness, damping, preload = machines.contact_constants[:, p, c].T
+    _, slope, level = machines.contact_laws[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
     return stiffness + slope, damping, preload + level
 
 
 def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
     """Kinetic level and slope (N,) of sliding friction in phase p, in the segment of its law."""
-    kinetic, _, slope = machines.rub[:, p, f].T
-    _, more, level = machines.grip[:, f, abs(sign) - 1].T
+    kinetic, _, slope = machines.friction_constants[:, p, f].T
+    _, more, level = machines.friction_laws[:, f, abs(sign) - 1].T
     return kinetic + level, slope + more
 
 
@@ -210,10 +210,10 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
             stiffness += k[:, None, None] * square
             damping += d[:, None, None] * square
             load += (k * stop - np.sign(state) * preload)[:, None] * row
-    stuck = [machines.slide[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
+    stuck = [machines.friction_rows[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     for f, sign in enumerate(code.slips):
         if sign != 0:
-            row, (kinetic, slope) = machines.slide[:, f], resisting(machines, p, f, sign)
+            row, (kinetic, slope) = machines.friction_rows[:, f], resisting(machines, p, f, sign)
             damping += slope[:, None, None] * row[:, :, None] * row[:, None, :]
             load += (slope * machines.belt[:, f] - np.sign(sign) * kinetic)[:, None] * row
     belts = [machines.belt[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
@@ -318,7 +318,9 @@ def _signals(
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[:, c].any():
             hold(k)  # the pressing force, or the pull up to that of friction that also holds
-            helping = [machines.rub[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c]
+            helping = [
+                machines.friction_constants[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c
+            ]
             ends[:, k, outer] = side * sum(helping, np.zeros(N))
             continue
         rows[:, k, :n] = row
@@ -326,7 +328,7 @@ def _signals(
             ends[:, k] = machines.stops[:, c]
             continue
         stop = machines.stops[:, c, outer]
-        begins, over = _segment(machines.law[:, c, outer, :, 0], (abs(state) - 1) // 2)
+        begins, over = _segment(machines.contact_laws[:, c, outer, :, 0], (abs(state) - 1) // 2)
         ends[:, k, inner], ends[:, k, outer] = stop + side * begins, stop + side * over
         if machines.by_force[:, c].any():
             stiffness, damping, preload = pushing(machines, p, c, state)
@@ -339,11 +341,11 @@ def _signals(
             continue
         if sign == 0:
             hold(k)
-            static = machines.rub[:, p, f, 1]
+            static = machines.friction_constants[:, p, f, 1]
             ends[:, k, 0], ends[:, k, 1] = -static, static
             continue
-        rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.slide[:, f], -machines.belt[:, f]
-        begins, over = _segment(machines.grip[:, f, :, 0], abs(sign) - 1)
+        rows[:, k, n : 2 * n], rows[:, k, 2 * n] = machines.friction_rows[:, f], -machines.belt[:, f]
+        begins, over = _segment(machines.friction_laws[:, f, :, 0], abs(sign) - 1)
         ends[:, k] = np.stack([begins, over] if sign > 0 else [-over, -begins], axis=1)
     return rows, direct, ends
 

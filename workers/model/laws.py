@@ -194,13 +194,13 @@ def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> Hybrid
         return np.concatenate([field, np.expand_dims(np.broadcast_to(value, shape), axis)], axis=axis)
 
     pull = spring.stiffness[:, None, None] * (row[:, :, None] * row[:, None, :])
-    parts = [machines.law[:, c] for c in range(C)]
+    parts = [machines.contact_laws[:, c] for c in range(C)]
     return machines._replace(
         stiffness=machines.stiffness + pull[:, None],
         load=machines.load - (spring.force[:, None] * row)[:, None],
         row=and_one(machines.row, row), stops=and_one(machines.stops, spring.stops), R=and_one(machines.R, 1.0),
         soft=and_one(machines.soft, 1.0), by_force=and_one(machines.by_force, 0.0),
-        pad=and_one(machines.pad, 0.0, axis=2), law=widened([*parts, spring.law], (N, 2)),
+        contact_constants=and_one(machines.contact_constants, 0.0, axis=2), contact_laws=widened([*parts, spring.law], (N, 2)),
         counted=and_one(machines.counted, 0.0),
     )  # fmt: skip
 

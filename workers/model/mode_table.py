@@ -55,10 +55,10 @@ class ContactElements(NamedTuple):
     stops: Array
     R: Array
     soft: Array
-    slide: Array
-    brake: Array
+    friction_rows: Array
+    friction_kick: Array
     belt: Array
-    even: Array
+    static_is_kinetic: Array
     along: Array
     starts: Array
     counted: Array
@@ -75,11 +75,13 @@ def elements_of(machines: HybridMachines) -> ContactElements:
         return np.ascontiguousarray(pulled / np.vecdot(rows, pulled)[..., None])
 
     weight = 1.0 / np.vecdot(machines.row, (inverse_mass[:, None] @ machines.row[..., None])[..., 0])
-    even = np.ascontiguousarray((machines.rub[..., 0] == machines.rub[..., 1]).astype(np.float64))
+    even = np.ascontiguousarray(
+        (machines.friction_constants[..., 0] == machines.friction_constants[..., 1]).astype(np.float64)
+    )
     return ContactElements(
         machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
-        machines.slide, along(machines.slide), machines.belt, even, along_contacts(machines), machines.starts,
-        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.law, machines.grip)),
+        machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines), machines.starts,
+        machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
     )  # fmt: skip
 
 
@@ -175,7 +177,9 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     swing = np.where(known, swing, _unforced_swing(machines, lam, modes, elements.weight))
     blocks[..., COLUMN.swing0 : COLUMN.swing1 + 1] = np.where(np.isfinite(swing), swing, 0.0)
     # The effect of a soft contact, not yet included, is zero if its force depends on its depth alone.
-    keeps = np.all((machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.pad[..., 1] == 0.0, 1)), 1)
+    keeps = np.all(
+        (machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.contact_constants[..., 1] == 0.0, 1)), 1
+    )
     none, endless, shown = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
     head = OscillatorScalars(
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
@@ -243,7 +247,7 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
 
 def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
     """Machines with a growing motion, while nothing holds it, invisible to contacts and friction."""
-    row, slide = machines.row, machines.slide
+    row, slide = machines.row, machines.friction_rows
     rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
                            np.pad(slide, ((0, 0), (0, 0), (slide.shape[2], 0)))], axis=1)  # fmt: skip
     return grows_unseen(open_pieces.blocks[:, 0], open_pieces.to_physical, rows)
@@ -257,8 +261,8 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
     """
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
-    static = np.max(machines.rub[..., 1], axis=1)
-    reach = (loads + np.sum(np.abs(machines.slide @ modes) * static[..., None], axis=1)) / rate**2
+    static = np.max(machines.friction_constants[..., 1], axis=1)
+    reach = (loads + np.sum(np.abs(machines.friction_rows @ modes) * static[..., None], axis=1)) / rate**2
     rooms = np.abs(machines.stops) * np.sqrt(weight)[..., None]
     nearest = np.min(np.where(rooms > 0.0, rooms, np.inf), axis=(1, 2), initial=np.inf)
     nearest = np.where(np.isfinite(nearest), nearest, 0.0)[:, None]

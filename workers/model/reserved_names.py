@@ -7,7 +7,7 @@ _everything = Settings(exponents="spectrum", method="fixed", section_samples=1)
 _KINDS = ((False, False), (True, False), (False, True))  # of atlases: with all attractors, of basins
 _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everything, *kind)]
 NAMES = frozenset((
-    *(name for variable in _RESULTS for name in (variable.name, f"{variable.name}_count", *variable.extra)),
+    *(name for variable in _RESULTS for name in (variable.name, f"{variable.name}_count", *variable.extra_dims)),
     # groups of a store
     "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves

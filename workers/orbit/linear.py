@@ -36,7 +36,7 @@ SETTLED, BOUNDED = 1e-12, 1e3
 def meets_nothing(osc, h, mode):
     """Whether this motion meets no contact forever and no phase changes it; true without contacts and friction."""
     table, pieces, n = osc.table, osc.table.pieces, h.shape[0]
-    C, F, P = table.elements.row.shape[0], table.elements.slide.shape[0], table.elements.starts.shape[0] - 1
+    C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
         return F == 0
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(0, dtype=np.int64)

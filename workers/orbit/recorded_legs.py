@@ -87,7 +87,7 @@ def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
         depth = side * (y - stops[1 if side > 0 else 0])
         on = depth > 0.0 if soft else abs(depth) <= far and abs(rate) <= fast
         contacts.append(side * (ON + 2 * _segment(own.depths[0, c, 1 if side > 0 else 0], depth)) if on else OPEN)
-    for e, (row, belt) in enumerate(zip(own.slide[0], own.belt[0], strict=True)):
+    for e, (row, belt) in enumerate(zip(own.friction_rows[0], own.belt[0], strict=True)):
         sliding = float(row @ v) - belt
         slips.append(
             int(np.sign(sliding)) * (1 + _segment(own.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0

@@ -25,7 +25,7 @@ _PROVENANCE = {
 
 def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """An atlas for the page's program, as plain JSON."""
-    record, place = handle.spec.record, ds.attrs.get(ATTRACTOR)
+    record, place = handle.spec.system_def, ds.attrs.get(ATTRACTOR)
     names = {meant.code: meant.text for meant in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
@@ -59,8 +59,10 @@ def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
     spec = handle.spec
     if spec.coexistence or spec.continuation is not None:
         return ""
-    values = {p.name: float(ds[p.name]) for p in spec.record.parameters if p.name in ds.coords and not ds[p.name].ndim}
-    return shlex.join(point_words(spec.record, values, spec.settings))
+    values = {
+        p.name: float(ds[p.name]) for p in spec.system_def.parameters if p.name in ds.coords and not ds[p.name].ndim
+    }
+    return shlex.join(point_words(spec.system_def, values, spec.settings))
 
 
 def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
@@ -72,7 +74,7 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
     return {
         "label": text_of(text.variable_label(ds, name)),
         "flag": ds[name].dtype.kind == "b",
-        "endless": meant.endless,
+        "endless": meant.allows_infinite,
         "regimes": sorted(meant.regimes),
     }
 
@@ -86,7 +88,7 @@ def provenance(ds: "xr.Dataset", handle: AtlasStore) -> dict[str, str]:
 
 def citation(ds: "xr.Dataset", handle: AtlasStore) -> str:
     """What to cite, as BibTeX."""
-    return bibtex(handle.spec.record, software_version(str(ds.attrs.get("software", ""))), handle.solver_version)
+    return bibtex(handle.spec.system_def, software_version(str(ds.attrs.get("software", ""))), handle.solver_version)
 
 
 def _axis(ds: "xr.Dataset", axis: PlaneAxis) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class PlaneEvent(NamedTuple):
     kind: str
     condition: Condition
     orbit: Orbit
-    contacts: Array
+    contact_times: Array
     values: Array
     kappa: float
 
@@ -44,7 +44,10 @@ class PlaneEvent(NamedTuple):
         """The event as ``workers.continuation`` has it."""
         none = np.zeros(0, dtype=np.complex128)
         return Event(
-            self.kind, (self.condition,), SolutionPoint(self.values, self.orbit, self.contacts, none, 0), self.kappa
+            self.kind,
+            (self.condition,),
+            SolutionPoint(self.values, self.orbit, self.contact_times, none, 0),
+            self.kappa,
         )
 
     @property
@@ -60,10 +63,10 @@ class FollowedCurve(NamedTuple):
     its ends. Its orbits have other events beyond a point at which contacts or slides change though nothing jumps.
     """
 
-    of: PlaneEvent
+    event: PlaneEvent
     values: Array
     orbits: list[Orbit]
-    contacts: Array
+    contact_times: Array
     conditions: list[Condition]
     unstable: NDArray[np.int64]
     corners: list[tuple[str, Array]]
@@ -77,7 +80,7 @@ class EdgeSearchResult(NamedTuple):
 
     events: list[PlaneEvent]
     why: str = ""
-    there: int = CEASES
+    fate: int = CEASES
 
 
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> EdgeSearchResult:
@@ -175,10 +178,10 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
     if conditions is None:
         return f"the {name} is lost on its way: its own event is not that of a neighbour"
     return FollowedCurve(
-        of=event,
+        event=event,
         values=np.array([point.values for point in run.points]),
         orbits=[point.orbit for point in own],
-        contacts=np.array([point.contacts[:grazes] for point in own]),
+        contact_times=np.array([point.contacts[:grazes] for point in own]),
         conditions=conditions,
         unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
         corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
@@ -221,7 +224,7 @@ def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool
 
     Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
     """
-    if event.kind != known.of.kind or _length(event.orbit.itinerary) != _length(known.of.orbit.itinerary):
+    if event.kind != known.event.kind or _length(event.orbit.itinerary) != _length(known.event.orbit.itinerary):
         return False
     width = orbits.plane.width
     for place, share in find_passages(known.values / width, event.values / width, NEAR_CURVE):
@@ -258,7 +261,7 @@ def _solved_at(
     if condition.kind == PAIR:
         condition = condition._replace(kappa=event.kappa)
     equations = ExtendedSystem(family, known.orbits[ends[0]], (condition,), known.values[ends[0]], width)
-    packed = [equations.pack(known.orbits[k], known.contacts[k], known.values[k]) for k in ends]
+    packed = [equations.pack(known.orbits[k], known.contact_times[k], known.values[k]) for k in ends]
     guess = (1.0 - share) * packed[0] + share * packed[1] if _is_whole(known, place) else packed[0]
     row = np.zeros(len(guess))
     row[-2:] = along / width**2

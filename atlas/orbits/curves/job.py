@@ -30,21 +30,21 @@ class CurveJob:
     task: Task
     settings: CurveSettings
     digest: str
-    site: StoreRef
+    store_ref: StoreRef
 
 
 def run_and_store(job: CurveJob) -> PartReport:
     """Do a task and keep its result as a part of the store."""
-    handle = job.site.open()
-    compile_once(*kernels_for(handle.spec.record, ORBITS))
+    handle = job.store_ref.open()
+    compile_once(*kernels_for(handle.spec.system_def, ORBITS))
     begin = time.thread_time()
-    orbits = _orbits(job.site, job.digest, job.settings)
+    orbits = _orbits(job.store_ref, job.digest, job.settings)
     try:
-        result = run_task(job.task, orbits, partial(read_part, handle), partial(_curve, job.site, job.digest))
+        result = run_task(job.task, orbits, partial(read_part, handle), partial(_curve, job.store_ref, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
         # One place at which a method breaks down must not end the search: it is counted, in words.
         result = {"trouble": f"{type(error).__name__}: {error}"}
-    job.site.write_part(handle, CURVES, job.name, json.dumps(result).encode())
+    job.store_ref.write_part(handle, CURVES, job.name, json.dumps(result).encode())
     return PartReport(job.index, job.name, time.thread_time() - begin)
 
 

@@ -169,17 +169,17 @@ def plane_of(handle: AtlasStore) -> CurvePlane:
     spec = handle.spec
     if spec.points or len(spec.axes) != 2:
         shape = "a table of points" if spec.points else "one axis" if len(spec.axes) == 1 else f"{len(spec.axes)} axes"
-        raise InputError(f"{handle.place}: found {shape}; curves need a plane with two axes")
-    system = spec.record
+        raise InputError(f"{handle.backend}: found {shape}; curves need a plane with two axes")
+    system = spec.system_def
     must_offer(system, "curves", unforced=True)
     for axis in spec.axes:
         if axis.name in system.states or (axis.name == TAU and len(system.definition.phases) < 2):
             raise InputError(
-                f"{handle.place}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
+                f"{handle.backend}: axis {axis.name} only sets the start of a motion, on which no orbit depends; "
                 "curves take two other parameters as axes"
             )
         if len(axis) < 2:
-            raise InputError(f"{handle.place}: axis {axis.name} has one value; curves take a plane of 2 or more")
+            raise InputError(f"{handle.backend}: axis {axis.name} has one value; curves take a plane of 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
     counts, shares = changes_of(system)

@@ -17,7 +17,7 @@ def curves_of(ds: "xr.Dataset") -> Curves:
     handle = handle_of(ds)
     curves = read_curves(handle)
     if curves is None:
-        raise InputError(f"{handle.place}: has no curves yet; atlas find curves finds them")
+        raise InputError(f"{handle.backend}: has no curves yet; atlas find curves finds them")
     return curves
 
 

@@ -59,7 +59,7 @@ def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
 
     ``mirrored``: the mirror images of its orbits are orbits too, and the one with more impacts above stands for both.
     """
-    itinerary = followed.of.orbit.itinerary
+    itinerary = followed.event.orbit.itinerary
     hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
     if mirrored and np.sum(hits[:, 1]) > np.sum(hits[:, 0]):
         hits = hits[:, ::-1]
@@ -67,7 +67,7 @@ def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
     if tuple(points[-1]) < tuple(points[0]):
         points, unstable, ends, corners, hits = points[::-1], unstable[::-1], ends[::-1], corners[::-1], hits[::-1]
     return Curve(
-        kind=followed.of.kind,
+        kind=followed.event.kind,
         period=itinerary.sections,
         impacts_upper=hits[:, 0].copy(),
         impacts_lower=hits[:, 1].copy(),
@@ -101,10 +101,10 @@ def _goes_on(search: CurveSearch, k: int) -> bool:
     """Whether a later curve goes through both ends of this one: it ended early, and was found again beyond."""
     curve = search.curves[k]
     ends = [
-        curve.of._replace(
+        curve.event._replace(
             condition=curve.conditions[at],
             orbit=curve.orbits[at],
-            contacts=curve.contacts[at],
+            contact_times=curve.contact_times[at],
             values=curve.values[at],
         )
         for at in (1, len(curve.orbits) // 2, len(curve.orbits) - 2)

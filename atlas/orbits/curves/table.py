@@ -139,7 +139,7 @@ def read_curves(handle: AtlasStore) -> Curves | None:
     try:
         return from_arrays(*stored)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise ChunkError(handle.place, {CURVES: f"is damaged ({message_of(error)})"}) from None
+        raise ChunkError(handle.backend, {CURVES: f"is damaged ({message_of(error)})"}) from None
 
 
 def as_arrays(table: Curves) -> dict[str, StoredArray]:

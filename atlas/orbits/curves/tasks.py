@@ -29,7 +29,7 @@ class FindEventsTask:
     that has any.
     """
 
-    ways: tuple[tuple[int, int], ...]
+    directions: tuple[tuple[int, int], ...]
     cells: float
 
 
@@ -73,10 +73,10 @@ def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[s
 def _looked(task: FindEventsTask, orbits: CellOrbits) -> dict[str, Any]:
     """Of the first way with an event; a way without one is followed by the next. Without any, why, of each way."""
     why, there = list[str](), list[int]()
-    for start, beyond in task.ways:
+    for start, beyond in task.directions:
         looked = events_between(orbits, start, beyond, task.cells)
         if looked.events:
             return {"events": [event_as_json(event) for event in looked.events]}
         why.append(looked.why)
-        there.append(looked.there)
+        there.append(looked.fate)
     return {"events": [], "why": "; ".join(dict.fromkeys(why)), "there": max(there, default=CEASES)}

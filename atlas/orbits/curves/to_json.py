@@ -16,7 +16,7 @@ def event_as_json(event: PlaneEvent) -> dict[str, Any]:
         "kind": event.kind,
         "condition": list(event.condition),
         "orbit": orbit_as_json(event.orbit),
-        "contacts": event.contacts.tolist(),
+        "contacts": event.contact_times.tolist(),
         "values": event.values.tolist(),
         "kappa": None if np.isnan(event.kappa) else event.kappa,
     }
@@ -28,7 +28,7 @@ def event_from_json(given: dict[str, Any]) -> PlaneEvent:
         kind=given["kind"],
         condition=Condition(*given["condition"]),
         orbit=orbit_from_json(given["orbit"]),
-        contacts=np.array(given["contacts"], dtype=np.float64),
+        contact_times=np.array(given["contacts"], dtype=np.float64),
         values=np.array(given["values"]),
         kappa=np.nan if given["kappa"] is None else given["kappa"],
     )
@@ -39,14 +39,14 @@ def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
     own = [(orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)]
     shared = list(dict.fromkeys(own))
     return {
-        "of": event_as_json(followed.of),
+        "of": event_as_json(followed.event),
         "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
         "which": [shared.index(pair) for pair in own],
         "values": followed.values.tolist(),
         "times": [orbit.times.tolist() for orbit in followed.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in followed.orbits],
         "lengths": [_as_length(orbit) for orbit in followed.orbits],
-        "contacts": followed.contacts.tolist(),
+        "contacts": followed.contact_times.tolist(),
         "unstable": followed.unstable.tolist(),
         "corners": [[kind, place.tolist()] for kind, place in followed.corners],
         "ends": list(followed.ends),
@@ -62,10 +62,10 @@ def curve_from_json(given: dict[str, Any]) -> FollowedCurve:
     ]
     first, last = given["ends"]
     return FollowedCurve(
-        of=event_from_json(given["of"]),
+        event=event_from_json(given["of"]),
         values=np.array(given["values"]),
         orbits=orbits,
-        contacts=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        contact_times=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
         conditions=[shared[k][1] for k in given["which"]],
         unstable=np.array(given["unstable"], dtype=np.int64),
         corners=[(kind, np.array(place)) for kind, place in given["corners"]],

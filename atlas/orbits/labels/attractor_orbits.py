@@ -94,9 +94,11 @@ def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
     """
     spec = handle.spec
     if not spec.coexistence:
-        raise InputError(f"{handle.place}: found one attractor per cell; labels need an atlas of all, see [attractors]")
+        raise InputError(
+            f"{handle.backend}: found one attractor per cell; labels need an atlas of all, see [attractors]"
+        )
     if spec.points:
-        raise InputError(f"{handle.place}: found a table of points; labels go from cell to cell along axes")
+        raise InputError(f"{handle.backend}: found a table of points; labels go from cell to cell along axes")
     must_be_finished(handle)
     columns, points = columns_of(handle, NEEDED), params_of(spec)
     regime, period = columns[REGIME.name], columns["period"]
@@ -107,7 +109,7 @@ def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
     image = columns.pop("mirror")[known]
     axes = tuple(axis.name for axis in reversed(spec.axes))
     attractors = AttractorOrbitTable(
-        system=spec.record,
+        system=spec.system_def,
         axes=axes,
         fixed={name: float(value) for name, value in spec.parameters.items()},
         shape=spec.shape,

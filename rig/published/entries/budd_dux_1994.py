@@ -34,7 +34,7 @@ def speed_at_2n(sigma: float, n: int) -> float:
 
 def statements() -> list[Statement]:
     """The speeds and multipliers at omega = 2 n; fold and doubling on either side of omega = 2."""
-    system, found = Spec.from_toml(EXAMPLE).record, []
+    system, found = Spec.from_toml(EXAMPLE).system_def, []
     for n, sigma in ((1, 0.1), (1, -0.2), (2, 0.02)):
         solved = cell(system, ON_THE_WAY | {"omega": 2.0 * n, "sigma": sigma, "r": R})
         where = f"omega = {2 * n}, sigma = {sigma}"
@@ -58,7 +58,7 @@ CLOSED_DOUBLE = "closed form; a double multiplier, which rounding splits by 1e-8
 @in_house_style
 def draw(path: Path) -> None:
     """The ellipses of the (1, 1) orbits and the cells that reach them."""
-    system = Spec.from_toml(EXAMPLE).record
+    system = Spec.from_toml(EXAMPLE).system_def
     figure = Figure(figsize=(5.0, 3.4), layout="constrained")
     ax = figure.subplots()
     for k, omega in enumerate((1.8, 2.0, 2.2)):

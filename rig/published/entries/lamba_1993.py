@@ -14,7 +14,7 @@ FIXED = Settings(method="fixed", exponents="spectrum", transient_periods=0, peri
 
 def statements() -> list[Statement]:
     """Sums of the exponents of irregular motions."""
-    system, found = Spec.from_toml("budd-dux-1994").record, []
+    system, found = Spec.from_toml("budd-dux-1994").system_def, []
     for omega, sigma, x in ((2.8, 0.0, -0.7), (2.8, 0.1, -1.0), (3.6, -0.1, -0.5)):
         given = {"omega": omega, "sigma": sigma, "r": 1.0, "x": x, "v": 0.3}
         first, last = cell(system, given, FIXED)["spectrum"]

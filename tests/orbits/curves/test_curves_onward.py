@@ -258,7 +258,9 @@ def test_a_curve_has_the_impacts_of_each_of_its_points(followed: FollowedCurve) 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
 def test_an_event_beyond_a_change_lies_on_the_curve(followed: FollowedCurve, part: float) -> None:
     k = int(part * len(followed.orbits))
-    there = followed.of._replace(orbit=followed.orbits[k], contacts=followed.contacts[k], values=followed.values[k])
+    there = followed.event._replace(
+        orbit=followed.orbits[k], contact_times=followed.contact_times[k], values=followed.values[k]
+    )
     assert lies_on(Orbits(), there, followed)  # type: ignore[arg-type]
     assert not lies_on(Orbits(), there._replace(values=there.values + 1e-4), followed)  # type: ignore[arg-type]
 

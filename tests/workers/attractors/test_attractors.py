@@ -127,7 +127,7 @@ def test_a_motion_into_a_known_orbit_is_recognised_from_its_sections() -> None:
     search = cell.search(np.zeros(7, dtype=np.int64), states_of(ONE, AttractorSettings(8))[1:])
     search.solve()
     assert search.label.tolist() == [0] * 7
-    assert np.all((search.arrival > 0) & (search.arrival <= search.cells.flown))
+    assert np.all((search.arrival > 0) & (search.arrival <= search.cells.periods_flown))
 
 
 def test_attractors_beyond_those_kept_are_counted() -> None:
@@ -231,7 +231,7 @@ def test_the_cells_of_one_batch_know_their_attractors_apart() -> None:
     both = CoexistenceSearch(record, values, Settings(), AttractorSettings(8))
     both.solve()
     assert all(len(cell.attractors) >= 1 for cell in both.cells)
-    assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == both.tried.sum()
+    assert sum(len(a.starts) for cell in both.cells for a in cell.attractors) == both.starts_tried.sum()
 
 
 def test_motions_are_compared_with_the_orbits_of_their_own_cell_by_the_contraction_of_a_turn() -> None:

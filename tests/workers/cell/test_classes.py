@@ -300,7 +300,7 @@ def test_a_machine_that_loses_nothing_has_no_attractor(stop: dict[str, Any], met
 def test_a_mass_that_flies_from_wall_to_wall_without_loss_is_a_torus_still() -> None:
     """Truth: faster masses strike earlier by more and more, in proportion to the time: exponents are zero."""
     spec = Spec("impact-pair", {"v": [0.5, 0.77]}, parameters={"alpha": 0.0, "R": 1.0}, solve={"exponents": "spectrum"})
-    arrays = solve_tile(spec.record, spec.cell_params((slice(0, 2),)), spec.settings)
+    arrays = solve_tile(spec.system_def, spec.cell_params((slice(0, 2),)), spec.settings)
     assert (arrays["regime"] == QUASIPERIODIC).all()
     assert (np.abs(arrays["largest"]) <= arrays["error"]).all() and (arrays["error"] < 3e-4).all()
     assert broken_rules(spec, (slice(0, 2),), arrays) == {}
@@ -381,7 +381,7 @@ def test_an_atlas_with_locking_cells_keeps_the_rules_of_results() -> None:
         "bouncing-ball", {"A": [3.2, 3.3], "R": [0.5, 0.6]}, parameters={"omega": 1.0}, solve={"exponents": "spectrum"}
     )
     slices = (slice(0, 2), slice(0, 2))
-    arrays = solve_tile(spec.record, spec.cell_params(slices), spec.settings)
+    arrays = solve_tile(spec.system_def, spec.cell_params(slices), spec.settings)
     assert (arrays["regime"] == LOCKING).any()
     assert broken_rules(spec, slices, arrays) == {}
     arrays["reason"][...] = NO_REASON

@@ -45,7 +45,7 @@ class Led:
 
     def nothing_known(self, rows: Rows) -> Mask:
         if len(rows) and not self.flown_then and self.course.stage[0] == AVERAGING:
-            self.flown_then = int(self.cells.flown[0])
+            self.flown_then = int(self.cells.periods_flown[0])
             self.put(self.course)
         return np.zeros(len(rows), dtype=np.bool_)
 
@@ -54,7 +54,7 @@ def earlier(mean: float) -> Callable[[AdaptiveSchedule], None]:
     """An average of a thousand periods, closed before."""
 
     def put(course: AdaptiveSchedule) -> None:
-        average = course.cells.earlier
+        average = course.cells.previous_average
         average.mean[0], average.error[0], average.periods[0] = mean, 1e-3, 1000.0
 
     return put
@@ -77,7 +77,7 @@ def test_motion_that_has_changed_to_another_chaos_counts_from_there() -> None:
     assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)
     assert found["error"] <= 0.05
     assert abs(found["largest"] - 1.123) < 4.0 * found["error"]
-    assert found["survived"] == course.cells.flown[0] - (course.flown_then - 192)
+    assert found["survived"] == course.cells.periods_flown[0] - (course.flown_then - 192)
 
 
 def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
@@ -85,7 +85,7 @@ def test_the_memory_of_motion_that_has_changed_counts_from_the_change() -> None:
 
     def put(course: AdaptiveSchedule) -> None:
         earlier(3.0)(course)
-        course.cells.first[0], course.memory[0] = 100, 200.0
+        course.cells.first[0], course.transient_periods[0] = 100, 200.0
 
     found = Led(naive.FIGURES[5], Settings(tolerance=0.05, survival=0), put).found
     assert (found["regime"], found["reason"]) == (CHAOTIC, NO_REASON)
@@ -114,7 +114,7 @@ def test_averages_that_agree_are_one() -> None:
     apart = abs(now.mean[0] - 1.123) * math.sqrt(1000.0 * now.periods[0])
     wanted = max(math.hypot(1.0, now.error[0] * now.periods[0]), apart) / (1000.0 + now.periods[0])
     assert found["error"] == pytest.approx(wanted, rel=1e-12)
-    assert found["survived"] == course.cells.flown[0] - 256
+    assert found["survived"] == course.cells.periods_flown[0] - 256
 
 
 NO_MORE = Settings(tolerance=1.0, survival=0, max_periods=568)
@@ -124,7 +124,7 @@ NO_MORE = Settings(tolerance=1.0, survival=0, max_periods=568)
 def test_where_averages_differ_and_the_budget_is_spent_the_error_is_their_difference() -> None:
     course = Led(naive.FIGURES[5], NO_MORE, earlier(3.0))
     found = course.found
-    assert course.cells.flown[0] == course.flown_then
+    assert course.cells.periods_flown[0] == course.flown_then
     assert (found["regime"], found["reason"]) == (CHAOTIC, NOT_STATIONARY)
     assert found["error"] == pytest.approx(3.0 - found["largest"], rel=1e-12)
 
@@ -162,7 +162,7 @@ def test_an_exponent_is_zero_where_two_averages_are_and_do_not_agree_that_it_is_
     assert (course.found["largest"] == now) == flat
     if flat:
         assert course.found["error"] == abs(now - before)
-        assert course.cells.flown[0] == course.flown_then
+        assert course.cells.periods_flown[0] == course.flown_then
 
 
 def test_what_may_be_an_orbit_that_closes_slowly_is_no_torus_yet() -> None:
@@ -176,7 +176,7 @@ def test_what_may_be_an_orbit_that_closes_slowly_is_no_torus_yet() -> None:
 
     course = Led(TORUS, Settings(), put)
     assert course.found["regime"] == QUASIPERIODIC  # for the section was put there
-    assert course.cells.flown[0] > course.flown_then
+    assert course.cells.periods_flown[0] > course.flown_then
 
 
 # Counts
@@ -192,9 +192,9 @@ def test_no_period_is_averaged_twice() -> None:
             course.judge(cells.run(cells.unfinished, to_end=True))
             ready = cells.unfinished
             average, _ = combined_average(cells, ready)
-            since = cells.flown[ready] - cells.since[ready] - WARM_UP
+            since = cells.periods_flown[ready] - cells.since[ready] - WARM_UP
             assert not np.any(average.periods > np.maximum(since, 0))
-            second |= bool(np.any(cells.earlier.periods[ready] > 0.0))
+            second |= bool(np.any(cells.previous_average.periods[ready] > 0.0))
     assert second
     assert np.all(cells.results["regime"] == CHAOTIC)
 

@@ -40,7 +40,7 @@ def test_a_motion_that_cannot_go_on_has_a_regime_and_a_reason(
     cells = one_cell()
     motions = cells.batch.motions
     motions.h[0, 0, 0], motions.tally[0, STATUS], motions.tally[0, WORK] = h, status, work
-    cells.used[0] = 17
+    cells.periods_used[0] = 17
     with np.errstate(all="ignore"):
         assert end_stopped(cells, ONE).tolist() == []
     assert (cells.results["regime"][0], cells.results["reason"][0]) == (regime, reason)
@@ -72,7 +72,7 @@ def test_a_motion_whose_work_is_spent_is_chaotic_where_its_average_is_clearly_po
 def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None:
     """Three units of time in ten periods of 2 pi / omega; what rests on a stop has its slowest impact at speed 0."""
     cells = one_cell()
-    cells.averaging[0], cells.flown[0] = True, 10
+    cells.averaging[0], cells.periods_flown[0] = True, 10
     cells.batch.levels[0, 0, COUNT] = 10.0
     cells.batch.motions.tally[0, [STUCK, MIN_SPEED]] = 3.0, 0.0
     with np.errstate(all="ignore"):
@@ -86,7 +86,7 @@ def test_the_share_of_the_time_at_rest_is_that_of_the_periods_averaged() -> None
 def test_the_turn_that_counts_the_impacts_of_an_orbit_is_counted_too() -> None:
     """Three periods of an orbit beside twenty that its proof has cost."""
     cells = one_cell()
-    cells.used[0], cells.orbits.period[0], cells.orbits.tally[0, [UPPER, MIN_SPEED]] = 20, 3, (6.0, 0.1)
+    cells.periods_used[0], cells.orbits.period[0], cells.orbits.tally[0, [UPPER, MIN_SPEED]] = 20, 3, (6.0, 0.1)
     put_periodic(cells, ONE)
     assert cells.results["periods_used"][0] == 23
     assert cells.results["impacts_per_period"][0] == 2.0

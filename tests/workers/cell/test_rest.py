@@ -80,12 +80,12 @@ def test_a_rest_that_only_the_watch_has_seen_takes_two_directions_and_its_share_
     """Three units of time in 250 periods, of which the last 50 are averaged without one."""
     params = {name: np.array([value]) for name, value in naive.FIGURES[5].items()}
     cells, one = cells_of(params, Settings(exponents="spectrum")), np.arange(1)
-    cells.flown[0] = 200
+    cells.periods_flown[0] = 200
     cells.batch.motions.tally[0, [LOST, STUCK, MIN_SPEED]] = 2.0, 3.0, 0.0
     restart(cells, one)
     cells.averaging[0] = True
     cells.set_interval(one, 50)
-    cells.framed[0] = True
+    cells.has_frame[0] = True
     cells.run(one, to_end=True)
     with np.errstate(all="ignore"):
         put_averaged(cells, one)

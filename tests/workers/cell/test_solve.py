@@ -117,7 +117,7 @@ def test_the_average_of_a_chaotic_cell_is_its_exponent() -> None:
     ],
 )
 def test_only_a_schedule_with_exponents_has_an_average(settings: Settings, dims: tuple[str, ...] | None) -> None:
-    found = {variable.name: variable.extra for variable in result_variables(settings)}
+    found = {variable.name: variable.extra_dims for variable in result_variables(settings)}
     assert found.get("average") == dims
 
 
@@ -383,7 +383,7 @@ def test_results_have_the_broadcast_shape_of_the_parameters() -> None:
     found = solve_tile("two-mass", {"omega": np.array([3.0, 4.0, 5.0]), "b": np.array([[9.0], [8.0]])}, settings)
     for variable in result_variables(settings):
         extra = {"exponent": 4, "state": 4, "sample": 5}
-        assert found[variable.name].shape == (2, 3, *(extra[name] for name in variable.extra))
+        assert found[variable.name].shape == (2, 3, *(extra[name] for name in variable.extra_dims))
         assert found[variable.name].dtype == variable.dtype
 
 

@@ -45,7 +45,7 @@ def test_a_cell_goes_on_from_its_state_as_it_did(changes: dict[str, Any]) -> Non
         again = follow(built, state, periods=int(cell["period"]))
         np.testing.assert_allclose(again.state, state, rtol=0.0, atol=1e-11)
         elements = take_one(built, 0).table.elements
-        row = elements.row[0] if "contacts" in changes else elements.slide[0]
+        row = elements.row[0] if "contacts" in changes else elements.friction_rows[0]
         at_rest += float(row @ state[2:]) == 0.0
         at_edge += slips_at_a_push(built, state[None])
     assert at_rest >= 3

@@ -67,14 +67,14 @@ def cells_of(params: dict[str, float | np.ndarray], settings: Settings | None = 
 
 def relaxation(cells: CellBatch) -> np.ndarray:
     """Periods in which the energy of these motions relaxes, with the impacts that they have had."""
-    hits = impact_count(cells.batch.motions.tally) / np.maximum(cells.flown, 1)
+    hits = impact_count(cells.batch.motions.tally) / np.maximum(cells.periods_flown, 1)
     return relaxation_periods(cells.oscillators, np.arange(len(hits)), hits)
 
 
 def relaxation_of(params: dict[str, float | np.ndarray]) -> np.ndarray:
     """Periods in which the energy of cells relaxes, with their impacts in the first 256 periods."""
     cells = cells_of(params)
-    every = np.arange(len(cells.used))
+    every = np.arange(len(cells.periods_used))
     cells.set_interval(every, 256)
     cells.run(every, to_end=True)
     return relaxation(cells)

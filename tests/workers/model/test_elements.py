@@ -180,12 +180,12 @@ def test_values_of_parameters_make_the_numbers_of_each_phase() -> None:
     assert found.load[1].tolist() == [[0.0, 0.0], [0.0, -1.5]]
     assert (found.row[0].tolist(), found.stops[0].tolist()) == ([[1, 0], [-1, 1]], [[-0.4, 0.4], [-0.8, math.inf]])
     assert (found.R[0].tolist(), found.soft[0].tolist(), found.by_force[0].tolist()) == ([0.7, 1.0], [0, 1], [0, 1])
-    assert found.pad.tolist() == [
+    assert found.contact_constants.tolist() == [
         [[[0, 0, 0], [10, 0.1, 0.25]], [[0, 0, 0], [20, 0.1, 0.5]]],
         [[[0, 0, 0], [20, 0.2, 0.25]], [[0, 0, 0], [40, 0.2, 0.5]]],
     ]
-    assert (found.slide[0].tolist(), found.belt[0].tolist()) == ([[0, 1], [1, 0]], [0.5, 0.0])
-    ground, guide = found.rub[:, :, 0], found.rub[:, :, 1]
+    assert (found.friction_rows[0].tolist(), found.belt[0].tolist()) == ([[0, 1], [1, 0]], [0.5, 0.0])
+    ground, guide = found.friction_constants[:, :, 0], found.friction_constants[:, :, 1]
     assert ground.tolist() == [[[0.25, 0.25, -0.01], [0.125, 0.125, -0.01]], [[0.5, 0.5, -0.01], [0.25, 0.25, -0.01]]]
     assert guide[:, 0].tolist() == guide[:, 1].tolist() == [[0.1, 1.2 * 0.25, 0.0], [0.1, 1.2 * 0.5, 0.0]]
 
@@ -204,7 +204,7 @@ def test_all_machines_of_a_definition_are_made_alike_to_the_bit(text: str) -> No
     system, rng = System.from_toml(text), np.random.default_rng(5)
     many = hybrid(system, **{p.name: np.exp(rng.normal(size=9)) for p in system.parameters})
     shapes = {name: field.shape for name, field in zip(many._fields, many, strict=True)}
-    P, C, F = many.pad.shape[1], many.row.shape[1], many.slide.shape[1]
+    P, C, F = many.contact_constants.shape[1], many.row.shape[1], many.friction_rows.shape[1]
     assert shapes["stops"] == (9, C, 2) and shapes["pad"] == (9, P, C, 3) and shapes["rub"] == (9, P, F, 3)
     values = {p.name: np.exp(rng.normal(size=9)) for p in system.parameters}
     many = system.definition.hybrid(values)
@@ -253,15 +253,18 @@ def test_rows_that_depend_on_each_other_at_some_values_are_told() -> None:
     Two frictions of one row stick at once where the contact is open, and what each of them takes is not determined.
     """
     found = hybrid(System.from_toml(RIG), omega=np.ones(9))
-    found.slide[1, 0] = [2.0, 0.0]  # along the guide's, twice as long
-    found.slide[2] = [[-2.0, 0.0], [0.0, 1.0]]  # against the wall's, twice as long, and no other there
-    found.slide[3, 1] = [0.0, -1.0]  # against the ground's
+    found.friction_rows[1, 0] = [2.0, 0.0]  # along the guide's, twice as long
+    found.friction_rows[2] = [[-2.0, 0.0], [0.0, 1.0]]  # against the wall's, twice as long, and no other there
+    found.friction_rows[3, 1] = [0.0, -1.0]  # against the ground's
     found.row[4, 1] = [1.0, 0.0]  # a soft contact
-    found.slide[5, 0] = [1e-200, 0.0]  # along the guide's, however short
+    found.friction_rows[5, 0] = [1e-200, 0.0]  # along the guide's, however short
     found.row[6, 0] = [1e-200, 0.0]  # the wall's, along the guide's still
     found.soft[7:, 1] = 0.0
     found.row[7, 1] = [-3e-200, 0.0]  # a rigid contact against the wall's
-    found.slide[8] = [[0.0, 1e-200], [1e200, 1e200]]  # friction on no contact's row, beside the wall's and the pad's
+    found.friction_rows[8] = [
+        [0.0, 1e-200],
+        [1e200, 1e200],
+    ]  # friction on no contact's row, beside the wall's and the pad's
     wrong = np.isin(np.arange(9), [1, 3, 5, 7, 8])
     assert hybrid_faults(found).tolist() == np.where(wrong, OUT_OF_RANGE, NO_REASON).tolist()
     assert map_fields(found, lambda field: field[:0]).mass.shape == (0, 2, 2)

@@ -69,7 +69,7 @@ def test_a_base_that_shakes_spring_and_damper_moves_the_mass_by_the_closed_form(
 
 
 def test_the_packaged_example_grazes_its_stop_at_the_transmissibility() -> None:
-    system = Spec.from_toml("shaken-base").record
+    system = Spec.from_toml("shaken-base").system_def
     omega = np.array([0.3, 0.9, 1.6, 3.0])
     ratio = grazing_ratio(
         system, {p.name: p.default for p in system.parameters}, ("omega", omega), ("b", np.array([1.0]))

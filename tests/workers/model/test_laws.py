@@ -190,7 +190,7 @@ def drawn(seed: int) -> Drawn:
         tables[c] = np.stack([one, one], axis=1)
         stacked += [_kink(base.contacts[c], x, s) for x, s in _kinks(table[0])]
         stacked[c] = replace(bare[c], stiffness=_slopes(table[0])[0])
-    solver = solver._replace(law=laws.widened(tables, (1, 2)))
+    solver = solver._replace(contact_laws=laws.widened(tables, (1, 2)))
     stiffness, load = np.array(machine.stiffness), np.array(machine.load)
     phases = list(machine.phases)
     if seed % 3:
@@ -612,7 +612,7 @@ def test_a_law_is_checked_by_twice_as_many_segments() -> None:
     assert found.state is not None
     change, share, at = found.state
     here, there = (
-        solve_tile(plane("5 * d**1.5", within=within, range=2.0).record, at)["state"] for within in (1e-2, 2.5e-3)
+        solve_tile(plane("5 * d**1.5", within=within, range=2.0).system_def, at)["state"] for within in (1e-2, 2.5e-3)
     )
     assert change == pytest.approx(np.max(np.abs(here - there)), rel=1e-9)
     assert share == pytest.approx(change / np.max(np.abs(here)), rel=1e-9)

@@ -135,7 +135,7 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
     k, number = mode_of(table, states, slips, where)
     if k < 0:
         return k, number
-    n, row, brake = len(z) // 2, elements.slide[e], elements.brake[e]
+    n, row, brake = len(z) // 2, elements.friction_rows[e], elements.friction_kick[e]
     force, _ = guard_value(table.pieces, k, g, z, turn)
     if abs(force) <= table.pieces.ends[k, g, 1]:
         reset(z, n, row, brake, elements.belt[e], 1.0)
@@ -201,8 +201,8 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
     else:
         begun[g] = side
     for e in range(len(slips)):
-        sliding = product(elements.slide[e], z, n) - elements.belt[e]
-        if product(elements.slide[e], kick, 0) != 0.0 and sliding != 0.0:
+        sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
+        if product(elements.friction_rows[e], kick, 0) != 0.0 and sliding != 0.0:
             slips[e] = slip_of(elements, e, sliding)
             begun[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
@@ -215,8 +215,8 @@ def load_away(table, c, side, load, states, slips, where, z, turn):
     """Load on stop ``side`` while the mass moves away from it: differs from ``load`` if friction turns at each hop."""
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
-        along = product(table.elements.slide[e], kick, 0)
-        if along != 0.0 and product(table.elements.slide[e], z, n) - table.elements.belt[e] == 0.0:
+        along = product(table.elements.friction_rows[e], kick, 0)
+        if along != 0.0 and product(table.elements.friction_rows[e], z, n) - table.elements.belt[e] == 0.0:
             turned[e] = -np.int64(np.sign(side * along))
     if np.all(turned == slips):
         return load

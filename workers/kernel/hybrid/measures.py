@@ -55,10 +55,10 @@ class MeasurePlan(NamedTuple):
     orders: Array
     peaks: Array
     damping: Array
-    pad: Array
-    rub: Array
-    law: Array
-    grip: Array
+    contact_constants: Array
+    friction_constants: Array
+    contact_laws: Array
+    friction_laws: Array
 
 
 class MeasureTotals(NamedTuple):
@@ -123,8 +123,8 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
                     reading.stop[c] += weight * meter.pad[where, c, 1] * product(elements.row[c], z, n) ** 2
             for e in range(len(slips)):
                 if slips[e] != 0:
-                    sliding = product(elements.slide[e], z, n) - elements.belt[e]
-                    slope = meter.rub[where, e, 2] + meter.grip[e, abs(slips[e]) - 1, 1]
+                    sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
+                    slope = meter.rub[where, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
                     reading.rubbed[e] += weight * slope * sliding * sliding
         since += step
 
@@ -218,7 +218,7 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     n, z = len(following) // 2, leg[LEG_STATE : LEG_STATE + len(following)]
     t, s, k = leg[LEG.start], leg[LEG.duration], int(leg[LEG.mode])
     states = np.zeros(len(elements.row), dtype=np.int64)
-    slips = np.zeros(len(elements.slide), dtype=np.int64)
+    slips = np.zeros(len(elements.friction_rows), dtype=np.int64)
     where = read_number(elements, table.codes[k], states, slips)
     phase, harmonics = table.tau + table.omega * t, pieces.waves.shape[2]
     h, nothing, flat, end = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), np.empty(2 * n)
@@ -257,8 +257,10 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
         if slips[e] == 0:
             reading.stuck[e] += s
             continue
-        path = product(elements.slide[e], end, 0) - product(elements.slide[e], z, 0) - elements.belt[e] * s
-        reading.rubbed[e] += (meter.rub[where, e, 0] + meter.grip[e, abs(slips[e]) - 1, 2]) * abs(path)
+        path = (
+            product(elements.friction_rows[e], end, 0) - product(elements.friction_rows[e], z, 0) - elements.belt[e] * s
+        )
+        reading.rubbed[e] += (meter.rub[where, e, 0] + meter.friction_laws[e, abs(slips[e]) - 1, 2]) * abs(path)
 
 
 @kernel

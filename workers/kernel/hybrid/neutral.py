@@ -45,7 +45,10 @@ def freeze(osc, motion):
     """
     table, elements = osc.table, osc.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
-    states, slips = np.zeros(elements.row.shape[0], dtype=np.int64), np.zeros(elements.slide.shape[0], dtype=np.int64)
+    states, slips = (
+        np.zeros(elements.row.shape[0], dtype=np.int64),
+        np.zeros(elements.friction_rows.shape[0], dtype=np.int64),
+    )
     number = motion.mode[0]
     read_number(elements, number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
@@ -57,7 +60,7 @@ def freeze(osc, motion):
         if slips[e] != 0 or rests_on_stop(elements, e, states):
             continue
         place -= 1
-        drifts = table.drifts > 0.0 and product(elements.slide[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
+        drifts = table.drifts > 0.0 and product(elements.friction_rows[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
         if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
             neutral += 1
             for i in range(m):

@@ -243,7 +243,7 @@ def mode_number_of_state(elements, z):
     """
     n = elements.row.shape[1]
     states = np.zeros(elements.row.shape[0], dtype=np.int64)
-    slips = np.zeros(elements.slide.shape[0], dtype=np.int64)
+    slips = np.zeros(elements.friction_rows.shape[0], dtype=np.int64)
     for c in range(len(states)):
         row = elements.row[c]
         y, v = product(row, z, 0), product(row, z, n)
@@ -258,8 +258,8 @@ def mode_number_of_state(elements, z):
             elif elements.soft[c] == 0.0 and abs(depth) <= near and abs(v) <= slow:
                 states[c] = side
     for e in range(len(slips)):
-        sliding = product(elements.slide[e], z, n) - elements.belt[e]
-        if abs(sliding) > ROUNDING * (size_of(elements.slide[e], z, n) + abs(elements.belt[e])):
+        sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
+        if abs(sliding) > ROUNDING * (size_of(elements.friction_rows[e], z, n) + abs(elements.belt[e])):
             slips[e] = slip_of(elements, e, sliding)
     return number_of(elements, states, slips, 0)
 
@@ -270,7 +270,7 @@ def snap_to_mode(elements, number, z):
 
     A held contact is on its stop with v = 0; sticking friction does not slide.
     """
-    C, F, n = len(elements.row), len(elements.slide), elements.row.shape[1]
+    C, F, n = len(elements.row), len(elements.friction_rows), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
     rows, values, count = np.zeros((C + F, n)), np.zeros(C + F), 0
     read_number(elements, number, states, slips)
@@ -283,7 +283,7 @@ def snap_to_mode(elements, number, z):
     values[:count] = 0.0
     for e in range(F):
         if slips[e] == 0:
-            copy_into(rows[count], elements.slide[e])
+            copy_into(rows[count], elements.friction_rows[e])
             values[count] = elements.belt[e]
             count += 1
     satisfy_rows(rows[:count], values[:count], z[n:])

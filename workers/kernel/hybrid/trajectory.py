@@ -169,7 +169,7 @@ def make_trajectories(table, N, n, m, framed, square):
 
     ``framed`` and ``square`` say whether they have growth and triangle.
     """
-    C, F, G = table.elements.row.shape[0], table.elements.slide.shape[0], table.pieces.ends.shape[1]
+    C, F, G = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.pieces.ends.shape[1]
     size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
     return HybridTrajectory(
         np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
@@ -242,7 +242,7 @@ def keep_held(elements, states, slips, z):
             reset(z, n, row, kick, 0.0, 1.0)
     for e in range(len(slips)):
         if slips[e] == 0:
-            reset(z, n, elements.slide[e], elements.brake[e], elements.belt[e], 1.0)
+            reset(z, n, elements.friction_rows[e], elements.friction_kick[e], elements.belt[e], 1.0)
 
 
 @kernel
