@@ -105,7 +105,7 @@ def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> St
 
 
 def branch(
-    given: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     /,
     *,
     along: str,
@@ -138,6 +138,6 @@ def branch(
     """
     from atlas.accessor import PlottableBranches
 
-    seed = seed_of_point(given_values(given, named), system, settings)
+    seed = seed_of_point(given_values(parameters, named), system, settings)
     observable = observed_of(seed, observe)
     return PlottableBranches.from_tree(tree_from(seed, along, window, switch_branches, budget), observable)

@@ -17,38 +17,38 @@ Window = Mapping[str, tuple[float, float]]
 """A part of a plane: the (low, high) ends of the axes that it limits."""
 
 
-def is_integer(given: object, kind: type = int) -> bool:
+def is_integer(value: object, kind: type = int) -> bool:
     """Whether this is a whole number, of Python's or of another ``kind`` such as numbers.Integral, and no boolean."""
-    return isinstance(given, kind) and not isinstance(given, bool)
+    return isinstance(value, kind) and not isinstance(value, bool)
 
 
-def validate_interval(name: str, given: object) -> tuple[float, float]:
+def validate_interval(name: str, value: object) -> tuple[float, float]:
     """The two ends of a window, as numbers; they may be infinite, and in any order."""
-    ends = _items(given)
+    ends = _items(value)
     if len(ends) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in ends):
         with suppress(OverflowError):
             low, high = map(float, ends)
             if not math.isnan(low + high) or low == -high:
                 return low, high
-    raise InputError(f"{name}: found {brief_repr(given)}, must be two numbers, (low, high)")
+    raise InputError(f"{name}: found {brief_repr(value)}, must be two numbers, (low, high)")
 
 
-def validate_window(given: object) -> Window:
+def validate_window(value: object) -> Window:
     """A window, its axes unchecked; None is an empty one."""
-    if given is None:
+    if value is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise InputError(f"window: found {brief_repr(given)}, must be (low, high) by axis, such as {{'omega': (2, 3)}}")
-    return {name: validate_interval(f"window of {name}", ends) for name, ends in given.items() if ends is not None}
+    if not isinstance(value, Mapping):
+        raise InputError(f"window: found {brief_repr(value)}, must be (low, high) by axis, such as {{'omega': (2, 3)}}")
+    return {name: validate_interval(f"window of {name}", ends) for name, ends in value.items() if ends is not None}
 
 
-def validate_pixels(given: object) -> tuple[int, int] | None:
+def validate_pixels(value: object) -> tuple[int, int] | None:
     """The size of a plot in pixels, (x, y); None where it is not given."""
-    sizes = _items(given)
-    if given is None:
+    sizes = _items(value)
+    if value is None:
         return None
     if len(sizes) != 2 or not all(is_integer(n, Integral) and int(n) >= 1 for n in sizes):
-        raise InputError(f"pixels: found {brief_repr(given)}, must be two whole numbers, (x, y), 1 or more")
+        raise InputError(f"pixels: found {brief_repr(value)}, must be two whole numbers, (x, y), 1 or more")
     x, y = (int(size) for size in sizes)
     return x, y
 
@@ -62,38 +62,38 @@ def validate_suffix(path: Path, formats: Sequence[str]) -> str:
     return suffix
 
 
-def validate_path(given: object, name: str = "path") -> Path:
+def validate_path(value: object, name: str = "path") -> Path:
     """A path of this machine; a ``~`` at its beginning is the user's home."""
-    if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):
-        return Path(os.path.expanduser(given))
-    raise InputError(f"{name}: found {brief_repr(given)}, must be a path")
+    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):
+        return Path(os.path.expanduser(value))
+    raise InputError(f"{name}: found {brief_repr(value)}, must be a path")
 
 
-def check_name(name: str, given: object) -> None:
+def check_name(name: str, value: object) -> None:
     """InputError unless a name is text."""
-    validate_type(name, given, str, "a name")
+    validate_type(name, value, str, "a name")
 
 
-def validate_flag(name: str, given: object) -> bool:
+def validate_flag(name: str, value: object) -> bool:
     """True or False; anything else would be taken for one of them."""
-    return bool(validate_type(name, given, bool | np.bool_, "True or False"))
+    return bool(validate_type(name, value, bool | np.bool_, "True or False"))
 
 
-def validate_type(name: str, given: T, kind: Any, right: str) -> T:
-    """``given`` if it has this type or one of a union; ``right`` is the valid form in words."""
-    if not isinstance(given, kind):
-        raise InputError(f"{name}: found {brief_repr(given)}, must be {right}")
-    return given
+def validate_type(name: str, value: T, kind: Any, valid_form: str) -> T:
+    """``value`` if it has this type or one of a union; ``valid_form`` is the valid form in words."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name}: found {brief_repr(value)}, must be {valid_form}")
+    return value
 
 
-def validate_atlas(given: object, name: str = "atlas") -> Any:
+def validate_atlas(value: object, name: str = "atlas") -> Any:
     """A dataset of xarray."""
-    if not all(hasattr(given, part) for part in ("dims", "coords", "data_vars")):
-        raise InputError(f"{name}: found {brief_repr(given)}, must be an atlas as atlas.open returns it")
-    return given
+    if not all(hasattr(value, part) for part in ("dims", "coords", "data_vars")):
+        raise InputError(f"{name}: found {brief_repr(value)}, must be an atlas as atlas.open returns it")
+    return value
 
 
-def _items(given: object) -> tuple[Any, ...]:
+def _items(value: object) -> tuple[Any, ...]:
     """The items of a sequence or array that is no text; else none."""
-    whole = isinstance(given, Sequence) or getattr(given, "ndim", 0) == 1
-    return tuple(given) if whole and not isinstance(given, str | bytes) else ()  # type: ignore[arg-type]
+    whole = isinstance(value, Sequence) or getattr(value, "ndim", 0) == 1
+    return tuple(value) if whole and not isinstance(value, str | bytes) else ()  # type: ignore[arg-type]

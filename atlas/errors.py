@@ -98,9 +98,9 @@ def message_of(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def check_names(kind: str, given: Iterable[object], known: Iterable[str]) -> None:
+def check_names(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:
     """Raise InputError, naming the nearest known name, at the first that is not known."""
-    names = list(known)
+    names = list(valid)
     for name in given:
         if not isinstance(name, str) or name not in names:
             raise InputError(unknown_name(kind, name if isinstance(name, str) else brief_repr(name), names))

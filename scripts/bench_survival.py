@@ -85,7 +85,9 @@ def _follow(work: tuple[str, dict[str, NDArray[Any]], int]) -> dict[str, NDArray
     found = result_arrays(result_variables(settings), settings, count, len(record.states))
     starts = np.stack([flat[name] for name in record.states], axis=-1)
     cells = CellBatch(oscillators, reasons, starts, settings, found)
-    course = AdaptiveSchedule(cells, part=np.ones_like)  # whatever looks chaotic is watched for all of ``survival``
+    course = AdaptiveSchedule(
+        cells, survival_share_of=np.ones_like
+    )  # whatever looks chaotic is watched for all of ``survival``
     with np.errstate(all="ignore"):
         course.run()
     return found

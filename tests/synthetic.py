@@ -61,7 +61,7 @@ def fill(handle: store.AtlasStore, skip: tuple[Index, ...] = (), seed: int = 0) 
 
 def overviews_of(handle: store.AtlasStore, side: int = 8, least: int = 8) -> OverviewBuilder:
     """Overviews with chunks of 8 cells and levels down to 8, so that a small plane has many of both."""
-    return OverviewBuilder(handle, side=side, least=least)
+    return OverviewBuilder(handle, side=side, minimum=least)
 
 
 def keep(handle: store.AtlasStore, side: int = 8, least: int = 8) -> int:

@@ -160,21 +160,21 @@ def schema() -> None:
     click.echo(json.dumps(spec_schema(), indent=1))
 
 
-def _print_system(record: System) -> None:
+def _print_system(system: System) -> None:
     """Title, equation, picture, parameters, results of its own, source and usual axes."""
-    click.echo(f"{record.name}: {record.title}")
-    for part in (equation_of(record), record.picture):
+    click.echo(f"{system.name}: {system.title}")
+    for part in (equation_of(system), system.picture):
         if part.strip():
             click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
     click.echo()
-    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in record.parameters]
+    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in system.parameters]
     print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
-    if record.own_variables:
+    if system.own_variables:
         click.echo()
-        print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in record.own_variables])
-    for line in unused_lines(record):
+        print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in system.own_variables])
+    for line in unused_lines(system):
         click.echo(f"\n{line}")
-    if record.source:
-        click.echo(f"\nsource: {record.source}")
-    if record.axes:
-        click.echo(f"usual axes: {', '.join(f'{name} {low:g} to {high:g}' for name, low, high in record.axes)}")
+    if system.source:
+        click.echo(f"\nsource: {system.source}")
+    if system.axes:
+        click.echo(f"usual axes: {', '.join(f'{name} {low:g} to {high:g}' for name, low, high in system.axes)}")

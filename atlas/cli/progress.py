@@ -42,10 +42,10 @@ def resumable(
 
 
 @contextmanager
-def show_solving(record: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
+def show_solving(system: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
     """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
     with reporter(sys.stderr) as show:
-        prepare_kernels(show, *kernels_for(record, *kernels, settings=settings))
+        prepare_kernels(show, *kernels_for(system, *kernels, settings=settings))
         show(Progress("show_solving"))
         yield
 

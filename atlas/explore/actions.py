@@ -27,14 +27,14 @@ PORTRAIT: Any = {"width": "90mm", "dpi": 220}
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
-def picture_file(explorer: Explorer, chosen: ViewState, sight: Viewport, suffix: str, ends: Ends) -> tuple[str, str]:
-    """The picture in view as a file: its name, and its content as an address. ``ends`` are those of its scale."""
+def picture_file(explorer: Explorer, view: ViewState, viewport: Viewport, suffix: str, limits: Ends) -> tuple[str, str]:
+    """The picture in view as a file: its name, and its content as an address. ``limits`` are those of its scale."""
     subject = explorer.subject
-    ds = explorer.known.visible_cells(chosen.plane, sight, chosen.names).ds
-    look = replace(chosen, overlays=chosen.visible_overlays(subject)).figure_options(ends)
-    name = f"{Path(subject.name).stem}-{chosen.kind}.{suffix}"
+    ds = explorer.known.visible_cells(view.plane, viewport, view.names).ds
+    look = replace(view, overlays=view.visible_overlays(subject)).figure_options(limits)
+    name = f"{Path(subject.name).stem}-{view.kind}.{suffix}"
     with tempfile.TemporaryDirectory() as folder:
-        path = render(ds, Path(folder) / name, chosen.kind, **look)
+        path = render(ds, Path(folder) / name, view.kind, **look)
         return name, data_address(MEDIA[suffix], path.read_bytes())
 
 
@@ -63,19 +63,19 @@ class NewAtlasSpec:
     cost: str
 
 
-def new_atlas(subject: Subject, chosen: ViewState, x: Range, y: Range, cells: int, folder: Path) -> NewAtlasSpec:
+def new_atlas(subject: Subject, view: ViewState, x: Range, y: Range, cells: int, folder: Path) -> NewAtlasSpec:
     """Write the spec of a window with this many cells across as a new file in a folder.
 
     Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
     does. OSError where it cannot be written.
     """
-    shape = (x[1] - x[0], y[1] - y[0]), (chosen.x[1] - chosen.x[0], chosen.y[1] - chosen.y[0])
+    shape = (x[1] - x[0], y[1] - y[0]), (view.x[1] - view.x[0], view.y[1] - view.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))
     axes = {
         lattice.axis.name: {"start": low, "stop": high, "num": num, "scale": lattice.axis.scale}
         for lattice, (low, high), num in ((subject.x, x, cells), (subject.y, y, up))
     }
-    parameters, settings = dict(chosen.plane.parameters), subject.spec.settings
+    parameters, settings = dict(view.plane.parameters), subject.spec.settings
     spec = Spec(subject.system, axes, parameters, settings, attractors=subject.attractors)
     text = spec_toml(spec)
     for number in count(1):

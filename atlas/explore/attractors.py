@@ -104,9 +104,9 @@ class AttractorsPanel(Panel[CellResult]):
         """Show none."""
         self.panel.text = ""
 
-    def show_error(self, why: str) -> None:
+    def show_error(self, reason: str) -> None:
         """Say why there are none."""
-        self._show(AttractorListing(trouble=why))
+        self._show(AttractorListing(trouble=reason))
 
     def _known(self, cell: CellResult, kept: AttractorListing | None) -> None:
         if kept is None:

@@ -21,27 +21,27 @@ Show = Callable[[], None]
 class BackgroundTasks:
     """Threads of a page's own, made in the document's thread, in which ``refuse`` hears why something is not done."""
 
-    def __init__(self, document: Document, refuse: Callable[[str], None]) -> None:
-        self._document, self.refuse, self._loop = document, refuse, IOLoop.current()
+    def __init__(self, document: Document, on_error: Callable[[str], None]) -> None:
+        self._document, self.refuse, self._loop = document, on_error, IOLoop.current()
         self._lock, self.closed = threading.Lock(), False
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="atlas-page")
 
-    def call_in_document(self, act: Show) -> None:
+    def call_in_document(self, callback: Show) -> None:
         """Have something done in the thread of the document, for as long as there is one."""
-        self._loop.add_callback(self._show, act)
+        self._loop.add_callback(self._show, callback)
 
-    def deferred_call(self, act: Callable[..., None]) -> Callable[..., None]:
+    def deferred_call(self, callback: Callable[..., None]) -> Callable[..., None]:
         """A function for other threads that has something done in that of the document, with its arguments."""
-        return lambda *given: self.call_in_document(partial(act, *given))
+        return lambda *given: self.call_in_document(partial(callback, *given))
 
-    def _show(self, act: Show) -> None:
+    def _show(self, callback: Show) -> None:
         # Bokeh empties a document some time before it says that its session has ended, both in this thread.
         if not self.closed and self._document.session_context is not None:
-            self._document.add_next_tick_callback(act)
+            self._document.add_next_tick_callback(callback)
 
-    def run(self, work: Callable[[], Show], refuse: Callable[[str], None] | None = None) -> None:
-        """Do work in a thread of the page, then call its result, or ``refuse``, in the thread of the document."""
-        refused = refuse or self.refuse
+    def run(self, work: Callable[[], Show], on_error: Callable[[str], None] | None = None) -> None:
+        """Do work in a thread of the page, then call its result, or ``on_error``, in the thread of the document."""
+        refused = on_error or self.refuse
 
         def whole() -> None:
             try:

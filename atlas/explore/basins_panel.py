@@ -55,9 +55,9 @@ class BasinsPanel(Panel[CellResult]):
         """Offer nothing."""
         self._button.visible = self._says.visible = self._plot.visible = False
 
-    def show_error(self, why: str) -> None:
+    def show_error(self, reason: str) -> None:
         """Say why there are no basins."""
-        self._says.text = html.escape(f"basins: {why}")
+        self._says.text = html.escape(f"basins: {reason}")
 
     def _ask(self) -> None:
         cell = self.topic

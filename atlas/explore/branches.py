@@ -191,13 +191,13 @@ def distance(mark: BranchMarker, here: BranchPosition) -> str:
 
 
 def arrows(
-    branch: FollowedBranch, here: BranchPosition, subject: Subject, chosen: ViewState, cell: Where
+    branch: FollowedBranch, here: BranchPosition, subject: Subject, view: ViewState, cell: Where
 ) -> list[EventArrow]:
     """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
     if branch.table.along not in subject.axes:
         return []
     (_, x, y), across = cell, branch.table.along == subject.axes[0]
-    low, high = chosen.x if across else chosen.y
+    low, high = view.x if across else view.y
     made = []
     for mark in filter(None, branch.neighbouring_events(here)):
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
@@ -207,11 +207,11 @@ def arrows(
     return made
 
 
-def initial_follow(subject: Subject, chosen: ViewState, cell: Where, along: str) -> FollowedOrbit:
+def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -> FollowedOrbit:
     """A cell's own orbit, to be followed in smaller steps over the visible part of an axis, or another's slider."""
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
-    seen = dict(zip(subject.axes, (chosen.x, chosen.y), strict=True)).get(along, limits)
+    seen = dict(zip(subject.axes, (view.x, view.y), strict=True)).get(along, limits)
     low, high = (end if parameter.admits(end) else limit for end, limit in zip(seen, limits, strict=True))
     return FollowedOrbit(along, min(low, value), max(high, value), 0, value)
 

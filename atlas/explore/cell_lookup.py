@@ -39,24 +39,24 @@ class CellLookup:
         self.tiles, self.subject = tiles, tiles.subject
         self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
 
-    def load_visible(self, plane: PlaneParameters, sight: Viewport, names: Collection[str]) -> None:
+    def load_visible(self, plane: PlaneParameters, viewport: Viewport, names: Collection[str]) -> None:
         """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
         hidden: set[TileKey] = set()
-        for stage in range(max(STAGES, min(DEPTH, max(sight.x.level, sight.y.level))) + 1):
-            tiles = sight.tiles(stage)
+        for stage in range(max(STAGES, min(DEPTH, max(viewport.x.level, viewport.y.level))) + 1):
+            tiles = viewport.tiles(stage)
             shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
             hidden = {above for above in {key.parent for key in tiles} if all(b in shown for b in child_tiles(above))}
 
-    def visible_cells(self, plane: PlaneParameters, sight: Viewport, names: Iterable[str]) -> VisibleCells:
+    def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
         """The cells in view as far as they are known."""
         wanted = list(names)
-        base = self._base(sight, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
-        return compose_view(self.subject, plane, sight, self.tiles.visible_tiles(plane, sight), wanted, base)
+        base = self._base(viewport, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
+        return compose_view(self.subject, plane, viewport, self.tiles.visible_tiles(plane, viewport), wanted, base)
 
-    def cell(self, plane: PlaneParameters, sight: Viewport, x: float, y: float) -> CellResult | None:
+    def cell(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> CellResult | None:
         """The finest cell that is known at a point in view; None where none is."""
-        for stage in range(max(STAGES, sight.x.level, sight.y.level) + 1):
-            level_x, level_y = sight.x.level - stage, sight.y.level - stage
+        for stage in range(max(STAGES, viewport.x.level, viewport.y.level) + 1):
+            level_x, level_y = viewport.x.level - stage, viewport.y.level - stage
             if min(level_x, level_y) < 0:
                 own = self._atlas_cell(plane, x, y)
                 if own is not None:
@@ -70,14 +70,14 @@ class CellLookup:
                 )
         return self._atlas_cell(plane, x, y)
 
-    def point(self, plane: PlaneParameters, sight: Viewport, x: float, y: float) -> tuple[float, float]:
+    def point(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> tuple[float, float]:
         """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
-        if min(sight.x.level, sight.y.level) < 0:
+        if min(viewport.x.level, viewport.y.level) < 0:
             own = self._atlas_cell(plane, x, y)
             if own is not None:
                 return self.subject.point(own.parameters)[1:]
-        j, i = self.subject.x.nearest(sight.x.level, x), self.subject.y.nearest(sight.y.level, y)
-        return self._at(sight.x.level, sight.y.level, j, i)
+        j, i = self.subject.x.nearest(viewport.x.level, x), self.subject.y.nearest(viewport.y.level, y)
+        return self._at(viewport.x.level, viewport.y.level, j, i)
 
     def solve_cell(self, plane: PlaneParameters, x: float, y: float) -> CellResult:
         """The cell at exactly this point, solved here and now."""

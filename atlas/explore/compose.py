@@ -39,7 +39,7 @@ class VisibleCells:
 def compose_view(
     subject: Subject,
     plane: PlaneParameters,
-    sight: Viewport,
+    viewport: Viewport,
     tiles: Sequence[tuple[TileKey, Arrays]],
     names: Iterable[str],
     base: "xr.Dataset | None" = None,
@@ -49,18 +49,18 @@ def compose_view(
     ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. They
     cover tiles that are no denser than they are.
     """
-    canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), sight.shape)
-    stages = np.full(sight.shape, STAGES + 1, np.uint8)
-    own = max(0, sight.x.level, sight.y.level)
+    canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), viewport.shape)
+    stages = np.full(viewport.shape, STAGES + 1, np.uint8)
+    own = max(0, viewport.x.level, viewport.y.level)
     for key, arrays in tiles:
-        if sight.stage(key) >= own:
-            _lay(canvas, stages, sight, key, arrays)
+        if viewport.stage(key) >= own:
+            _lay(canvas, stages, viewport, key, arrays)
     if base is not None:
-        stages[_lay_base(canvas, subject, sight, base)] = min(own, STAGES + 1)
+        stages[_lay_base(canvas, subject, viewport, base)] = min(own, STAGES + 1)
     for key, arrays in tiles:
-        if sight.stage(key) < own:
-            _lay(canvas, stages, sight, key, arrays)
-    return VisibleCells(dataset(subject, plane, *subject.points(*sight), canvas), sight, stages)
+        if viewport.stage(key) < own:
+            _lay(canvas, stages, viewport, key, arrays)
+    return VisibleCells(dataset(subject, plane, *subject.points(*viewport), canvas), viewport, stages)
 
 
 def dataset(
@@ -92,13 +92,13 @@ def dataset(
     return made
 
 
-def seen_atlas(subject: Subject, sight: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
+def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
     """The cells of the atlas itself in view and around it, on the overview that suits the density; None outside."""
     if subject.ds is None:
         return None
     part: dict[str, slice] = {}
     pixels = []
-    for axis, seen in zip(subject.spec.axes, sight, strict=True):
+    for axis, seen in zip(subject.spec.axes, viewport, strict=True):
         cell = 2.0**-seen.level
         low, high = (int(np.floor(end)) for end in (seen.first * cell, seen.last * cell + 1.0))
         low, high = max(0, low), min(len(axis), high + 1)
@@ -129,22 +129,22 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneP
     return bool(inside and done[np.ix_(rows, columns)].all())
 
 
-def _lay(canvas: Arrays, stages: NDArray[np.uint8], sight: Viewport, key: TileKey, arrays: Arrays) -> None:
-    if not canvas.keys() <= arrays.keys() or not sight.contains(key):
+def _lay(canvas: Arrays, stages: NDArray[np.uint8], viewport: Viewport, key: TileKey, arrays: Arrays) -> None:
+    if not canvas.keys() <= arrays.keys() or not viewport.contains(key):
         return
-    rows, columns = sight.backend(key)
-    up = key.rows.position_of(sight.y.level, sight.y.index[rows])
-    across = key.columns.position_of(sight.x.level, sight.x.index[columns])
+    rows, columns = viewport.backend(key)
+    up = key.rows.position_of(viewport.y.level, viewport.y.index[rows])
+    across = key.columns.position_of(viewport.x.level, viewport.x.index[columns])
     for name, values in canvas.items():
         values[rows, columns] = arrays[name][np.ix_(up, across)]
-    stages[rows, columns] = min(sight.stage(key), STAGES + 1)
+    stages[rows, columns] = min(viewport.stage(key), STAGES + 1)
 
 
-def _lay_base(canvas: Arrays, subject: Subject, sight: Viewport, base: "xr.Dataset") -> NDArray[np.bool_]:
+def _lay_base(canvas: Arrays, subject: Subject, viewport: Viewport, base: "xr.Dataset") -> NDArray[np.bool_]:
     """Lay cells of the atlas, and return which cells in view (y, x) have one."""
     places, inside = [], []
     dims = subject.axes[::-1]
-    for name, values in zip(dims, subject.points(*sight)[::-1], strict=True):
+    for name, values in zip(dims, subject.points(*viewport)[::-1], strict=True):
         edges, count = cell_edges(base, name), axis_values(base, name).size
         place = np.searchsorted(edges, values, side="right") - 1
         inside.append((place >= 0) & (place < count))

@@ -128,9 +128,9 @@ class CutPanel(Panel[CutLine]):
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
         self.submit([cut_computation(line, part) for part in line.batches()], partial(self._take, line))
 
-    def show_error(self, why: str) -> None:
+    def show_error(self, reason: str) -> None:
         """Say that some cells cannot be shown, and why."""
-        super().show_error(f"part of the cut: {why}")
+        super().show_error(f"part of the cut: {reason}")
 
     def _take(self, line: CutLine, cells: CutCells) -> None:
         """Show more cells of the line."""

@@ -48,12 +48,12 @@ class DetailsPanel(Panel[Point]):
         explorer: Explorer,
         background: BackgroundTasks,
         store: PageModel,
-        sight: Callable[[], Viewport | None],
+        viewport: Callable[[], Viewport | None],
         mark: ColumnDataSource,
         plane: figure,
     ) -> None:
         super().__init__(explorer, background)
-        self._store, self._sight, self._mark = store, sight, mark
+        self._store, self._sight, self._mark = store, viewport, mark
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
         rows = 9  # as many as a map's numbers fill, so that nothing below it moves
         look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
@@ -91,14 +91,14 @@ class DetailsPanel(Panel[Point]):
         """Choose the cell of the view at a point, whether it is known by now or not."""
         self._background.run(partial(self._choose_nearest, (x, y)))
 
-    def show(self, chosen: ViewState) -> None:
+    def show(self, view: ViewState) -> None:
         """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
-        cell = chosen.cell
-        at = cell[1:] if cell is not None and cell[0] == chosen.plane else None
+        cell = view.cell
+        at = cell[1:] if cell is not None and cell[0] == view.plane else None
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
         if data != self._mark.data:
             self._mark.data = data
-        self._follow.show(chosen)
+        self._follow.show(view)
         if cell is not None and at and self._sight() is not None:
             self.set_topic(cell)
 

@@ -88,15 +88,15 @@ class Explorer:
                 self._ending.append(gone.keeper)
             return explorer
 
-    def subscribe(self, who: Hashable, hear: Callable[[PlaneParameters, TileKey], None] | None) -> None:
-        """Call ``hear``, in another thread, with every tile that is solved; None for a page that is gone."""
+    def subscribe(self, consumer: Hashable, callback: Callable[[PlaneParameters, TileKey], None] | None) -> None:
+        """Call ``callback``, in another thread, with every tile that is solved; None for a page that is gone."""
         with self._lock:
-            if hear is None:
-                self._listeners.pop(who, None)
+            if callback is None:
+                self._listeners.pop(consumer, None)
             else:
-                self._listeners[who] = hear
-        if hear is None:
-            self.patches.request(who, ())
+                self._listeners[consumer] = callback
+        if callback is None:
+            self.patches.request(consumer, ())
 
     @property
     def listeners(self) -> list[Hashable]:
@@ -104,7 +104,7 @@ class Explorer:
         with self._lock:
             return list(self._listeners)
 
-    def request_tiles(self, who: Hashable, plane: PlaneParameters, sight: Viewport, stages: range) -> int:
+    def request_tiles(self, consumer: Hashable, plane: PlaneParameters, viewport: Viewport, stages: range) -> int:
         """Have the unknown tiles of a view solved, at these stages in this order, and return how many they are.
 
         A tile that failed is tried again by whoever looks at it AGAIN seconds later.
@@ -113,10 +113,10 @@ class Explorer:
         wanted = [
             TileJob(self, plane, key)
             for stage in stages
-            for key in sight.tiles(stage)
+            for key in viewport.tiles(stage)
             if self.failures.get((plane, key), -math.inf) <= since and not self.tiles.has(plane, key)
         ]
-        self.patches.request(who, wanted)
+        self.patches.request(consumer, wanted)
         return len(wanted)
 
     def record_failure(self, plane: PlaneParameters, key: TileKey) -> None:
@@ -170,6 +170,6 @@ class TileJob(ServiceJob):
 
         return (solve_patch, subject.patch(self.plane, self.key, missing)), take
 
-    def on_failed(self, why: str) -> None:
+    def on_failed(self, reason: str) -> None:
         """See ``ServiceJob``."""
         self.explorer.record_failure(self.plane, self.key)

@@ -70,12 +70,12 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
         self.panel.visible = there_is_one or self.topic is not None
 
-    def show(self, chosen: ViewState) -> None:
+    def show(self, view: ViewState) -> None:
         """Follow the chosen orbit, and show where it is."""
-        follow, cell = chosen.follow, chosen.cell
+        follow, cell = view.follow, view.cell
         self.set_topic(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
-            self._mark(chosen, cell, self._shown.branch, self._shown.move(follow))
+            self._mark(view, cell, self._shown.branch, self._shown.move(follow))
 
     def start(self, about: tuple[Point, tuple[str, float, float]]) -> None:
         """Have a branch found."""
@@ -97,10 +97,10 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._marker.data = {name: [] for name in self._marker.data}
         self._arrows.data = {name: [] for name in _COLUMNS}
 
-    def show_error(self, why: str) -> None:
+    def show_error(self, reason: str) -> None:
         """End following, and say why."""
         self._store.choose(follow=None)
-        self._say(why)
+        self._say(reason)
 
     def _follows(self) -> bool:
         """Whether the orbit is followed along the parameter in the menu."""
@@ -139,28 +139,28 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         look = {"text_color": INK, "text_font_size": "13px", "background_fill_color": "white", "padding": 2}
         plane.text(background_fill_alpha=0.85, **at, **look)
 
-    def _mark(self, chosen: ViewState, cell: Point, branch: FollowedBranch, here: BranchPosition) -> None:
+    def _mark(self, view: ViewState, cell: Point, branch: FollowedBranch, here: BranchPosition) -> None:
         """Mark an orbit over the plane where it lies in that."""
         values = self._subject.values(*cell) | {branch.table.along: here.value}
-        inside = all(values[name] == value for name, value in chosen.plane.parameters)
+        inside = all(values[name] == value for name, value in view.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
         marker = {name: [values[axis]] if inside else [] for name, axis in names}
         drawn: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
-        for k, arrow in enumerate(arrows(branch, here, self._subject, chosen, cell) if inside else ()):
+        for k, arrow in enumerate(arrows(branch, here, self._subject, view, cell) if inside else ()):
             ends = arrow.x0, arrow.y0, arrow.x1, arrow.y1
-            for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, chosen.x)), strict=True):
+            for name, value in zip(_COLUMNS, (*ends, *label_of(arrow, k, view.x)), strict=True):
                 drawn[name].append(value)
         for source, data in ((self._marker, marker), (self._arrows, drawn)):
             if source.data != data:
                 source.data = data
 
 
-def label_of(arrow: Reach, k: int, seen: Range) -> tuple[str, str, str, int, int]:
+def label_of(arrow: Reach, k: int, visible: Range) -> tuple[str, str, str, int, int]:
     """The label of an arrow, the k-th of two: its text, alignment, baseline, and offsets from the marker in pixels.
 
     The text lies on the side to which the arrow points, where the view has room for it there.
     """
-    (low, high), across = seen, arrow.y0 == arrow.y1
+    (low, high), across = visible, arrow.y0 == arrow.y1
     ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
     place = (arrow.x0 - low) / (high - low)
     if across:

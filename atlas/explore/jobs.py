@@ -61,7 +61,7 @@ class ServiceJob(Protocol):
     def build_task(self) -> tuple[Task, Take] | None:
         """The task that is sent, and the function for its result; None if that is known meanwhile."""
 
-    def on_failed(self, why: str) -> None:
+    def on_failed(self, reason: str) -> None:
         """Take note that the job is given up, for bad input or after some tries, and the error that it raised."""
 
 
@@ -97,9 +97,9 @@ class ComputationJob(ServiceJob):
         self.take(self.question.postprocess(result))
         return self.question.n_cells
 
-    def on_failed(self, why: str) -> None:
+    def on_failed(self, reason: str) -> None:
         """See ``ServiceJob``."""
-        self.refuse(why)
+        self.refuse(reason)
 
 
 @dataclass(frozen=True)
@@ -140,24 +140,24 @@ class JobQueue(Iterator[ServiceJob]):
         self._turn: deque[Hashable] = deque()
         self._under_way: set[ServiceJob] = set()
 
-    def request(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool) -> None:
+    def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool) -> None:
         """See ``JobService.want``."""
         wanted = deque(jobs)
         with self._lock:
-            wanted.extend(self._jobs.get(who, ()) if too else ())
+            wanted.extend(self._jobs.get(consumer, ()) if keep_earlier else ())
             if wanted:
-                self._jobs[who] = wanted
-                if who not in self._turn:
-                    self._turn.append(who)
+                self._jobs[consumer] = wanted
+                if consumer not in self._turn:
+                    self._turn.append(consumer)
             else:
-                self._jobs.pop(who, None)
-                if who in self._turn:
-                    self._turn.remove(who)
+                self._jobs.pop(consumer, None)
+                if consumer in self._turn:
+                    self._turn.remove(consumer)
 
-    def n_remaining(self, who: Hashable) -> int:
+    def n_remaining(self, consumer: Hashable) -> int:
         """See ``JobService.left``."""
         with self._lock:
-            return len(self._jobs.get(who, ()))
+            return len(self._jobs.get(consumer, ()))
 
     def __contains__(self, job: ServiceJob) -> bool:
         """Whether anybody waits for a job."""
@@ -204,14 +204,14 @@ class JobService:
             "atlas-patches", self._serve, lambda error: self._say(f"{error}; trying again")
         )
 
-    def request(self, who: Hashable, jobs: Iterable[ServiceJob], too: bool = False) -> None:
-        """Want these jobs from now on, in this order, with ``too`` before the earlier ones; none cancels all."""
-        self._wanted.request(who, jobs, too)
+    def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool = False) -> None:
+        """Want these jobs from now on, in this order, with ``keep_earlier`` before the earlier ones; none cancels all."""
+        self._wanted.request(consumer, jobs, keep_earlier)
         self._woken.set()
 
-    def n_remaining(self, who: Hashable) -> int:
+    def n_remaining(self, consumer: Hashable) -> int:
         """Jobs that somebody still waits for."""
-        return self._wanted.n_remaining(who)
+        return self._wanted.n_remaining(consumer)
 
     @property
     def state(self) -> ServiceState:
@@ -246,12 +246,12 @@ class JobService:
 
         _StoppedError once this service is to end.
         """
-        force = Dispatcher(client, answer, self._timing, MIN_WORKER_MEMORY, ahead=0.0)
+        dispatcher = Dispatcher(client, answer, self._timing, MIN_WORKER_MEMORY, queued_seconds=0.0)
         try:
             while True:
                 self._woken.clear()
-                for outcome in force.iter_outcomes(
-                    filter(None, map(self._made, self._wanted)), partial(self._look, force)
+                for outcome in dispatcher.iter_outcomes(
+                    filter(None, map(self._made, self._wanted)), partial(self._look, dispatcher)
                 ):
                     self._take(outcome)
                 self._woken.wait(self._timing.tick)

@@ -261,8 +261,8 @@ class ExplorerPage:
             shown = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
             return lambda: self._made.update(text=shown)
 
-        def refuse(why: str) -> None:
+        def refuse(reason: str) -> None:
             self._made.visible = False
-            self._background.refuse(why)
+            self._background.refuse(reason)
 
         self._background.run(work, refuse)

@@ -29,9 +29,9 @@ class Panel(Generic[A]):
     def clear(self) -> None:
         """Show nothing."""
 
-    def show_error(self, why: str) -> None:
+    def show_error(self, reason: str) -> None:
         """Say why something is not found."""
-        self._background.refuse(why)
+        self._background.refuse(reason)
 
     def set_topic(self, about: A | None) -> None:
         """Turn to another thing: earlier questions are dropped. Does nothing if it is the same."""
@@ -52,12 +52,16 @@ class Panel(Generic[A]):
     def submit(
         self,
         questions: Iterable[Computation[Any]],
-        take: Callable[[Any], None],
-        refuse: Callable[[str], None] | None = None,
+        on_result: Callable[[Any], None],
+        on_error: Callable[[str], None] | None = None,
     ) -> None:
-        """Ask the crew, before earlier questions: ``take`` shows an answer, ``refuse`` why there is none."""
-        answers = [self._background.deferred_call(self._current(act)) for act in (take, refuse or self.show_error)]
-        self._explorer.patches.request(self, [ComputationJob(question, *answers) for question in questions], too=True)
+        """Ask the crew, before earlier questions: ``on_result`` shows an answer, ``on_error`` why there is none."""
+        answers = [
+            self._background.deferred_call(self._current(act)) for act in (on_result, on_error or self.show_error)
+        ]
+        self._explorer.patches.request(
+            self, [ComputationJob(question, *answers) for question in questions], keep_earlier=True
+        )
 
     def run_in_background(self, work: Callable[[], Show]) -> None:
         """Have something found in a thread of the page, and shown by what ``work`` returns."""
@@ -72,10 +76,10 @@ class Panel(Generic[A]):
         """A function that shows something during ``work``, in its thread; to be made before that begins."""
         return self._background.deferred_call(self._current(_do))
 
-    def _current(self, act: Callable[..., None]) -> Callable[..., None]:
+    def _current(self, callback: Callable[..., None]) -> Callable[..., None]:
         """An act for the document's thread that does nothing once the panel is about something else."""
         turns = self._turns
-        return lambda *given: act(*given) if turns == self._turns else None
+        return lambda *given: callback(*given) if turns == self._turns else None
 
 
 def _do(show: Show) -> None:

@@ -65,9 +65,9 @@ class PictureRenderer:
     """Makes pictures for one page. ``deliver`` gets them, ``refuse`` why there is none, both in its thread."""
 
     def __init__(
-        self, explorer: Explorer, deliver: Callable[[RenderedPicture], None], refuse: Callable[[str], None]
+        self, explorer: Explorer, deliver: Callable[[RenderedPicture], None], on_error: Callable[[str], None]
     ) -> None:
-        self._explorer, self._deliver, self._refuse = explorer, deliver, refuse
+        self._explorer, self._deliver, self._refuse = explorer, deliver, on_error
         self._changed, self._closed, self._at_work = threading.Condition(), False, False
         self._asked: tuple[ViewState, tuple[int, int]] | None = None
         self._looked: tuple[ViewState, tuple[int, int]] | None = None
@@ -82,9 +82,9 @@ class PictureRenderer:
         explorer.subscribe(self, self._plan_repaint)
         self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
 
-    def show(self, chosen: ViewState, size: tuple[int, int], rests: bool = True) -> None:
+    def show(self, view: ViewState, size: tuple[int, int], rests: bool = True) -> None:
         """Show a choice on this many pixels; unless it ``rests``, solve its first stage alone for a while."""
-        asked, now = (chosen.picture, size), time.monotonic()
+        asked, now = (view.picture, size), time.monotonic()
         with self._changed:
             if asked != self._asked:
                 self._asked = asked
@@ -99,10 +99,10 @@ class PictureRenderer:
         """Whether something that was asked for is not looked up, solved and drawn yet."""
         return bool(self._plan) or self._at_work or self._explorer.patches.n_remaining(self) > 0
 
-    def ends(self, chosen: ViewState) -> Ends:
+    def ends(self, view: ViewState) -> Ends:
         """The ends of the scale of a map, those asked for first; None for one that it has not held yet."""
-        low, high = self._scales.get(chosen.map, (None, None))
-        return low if chosen.vmin is None else chosen.vmin, high if chosen.vmax is None else chosen.vmax
+        low, high = self._scales.get(view.map, (None, None))
+        return low if view.vmin is None else view.vmin, high if view.vmax is None else view.vmax
 
     def close(self) -> None:
         """Paint no more, and want nothing more."""
@@ -130,10 +130,10 @@ class PictureRenderer:
             if self._asked is not None and self._asked != self._looked:
                 self._plan.setdefault(ALL_STAGES, time.monotonic() + REST_SECONDS)
 
-    def _say_no(self, why: str) -> None:
+    def _say_no(self, reason: str) -> None:
         """Say why there is no picture: the page shows none, least of all one of something else."""
         self._sent = None
-        self._refuse(why)
+        self._refuse(reason)
 
     def _serve(self) -> None:
         given_back, used = time.monotonic(), False
@@ -206,13 +206,13 @@ class PictureRenderer:
             if None in self._plan:
                 self._plan[None] = self._rested
 
-    def _hold(self, chosen: ViewState, names: list[str]) -> None:
+    def _hold(self, view: ViewState, names: list[str]) -> None:
         """Hold the ends of scales that suit the whole plane of the atlas, as far as it is known."""
         subject = self._explorer.subject
         if subject.ds is None or self._scales.keys() >= set(names):
             return
         sight = subject.viewport(subject.x.ends, subject.y.ends, LIMITS_PICTURE_PIXELS)
-        whole = self._explorer.known.visible_cells(subject.plane, sight, chosen.names)
+        whole = self._explorer.known.visible_cells(subject.plane, sight, view.names)
         if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
-            made = [made for made in maps_of(whole, chosen, others=True) if made.name in names]
+            made = [made for made in maps_of(whole, view, others=True) if made.name in names]
             self._scales = {made.name: ends for made in made if (ends := ends_of(made))} | self._scales

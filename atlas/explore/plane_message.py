@@ -34,11 +34,11 @@ BITS = 14
 """Bits of the mantissa that numbers keep on their way to the page: four digits."""
 
 
-def maps_of(seen: VisibleCells, chosen: ViewState, others: bool) -> list[CodedMap]:
+def maps_of(visible: VisibleCells, view: ViewState, others: bool) -> list[CodedMap]:
     """The map that is chosen, and all others that its variables suffice for; InputError where it cannot be drawn."""
-    first = coded_map(seen.ds, seen.ds, chosen.map)
-    rest = _others(seen.ds) if others else ()
-    return [first, *(made for made in rest if made.name != chosen.map)]
+    first = coded_map(visible.ds, visible.ds, view.map)
+    rest = _others(visible.ds) if others else ()
+    return [first, *(made for made in rest if made.name != view.map)]
 
 
 def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
@@ -55,9 +55,9 @@ def ends_of(made: CodedMap) -> Range | None:
 
 
 def message(
-    seen: VisibleCells,
+    visible: VisibleCells,
     subject: Subject,
-    chosen: ViewState,
+    view: ViewState,
     maps: list[CodedMap],
     scales: Mapping[str, Range],
     size: tuple[int, int],
@@ -66,21 +66,23 @@ def message(
 
     The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
     """
-    plane, (lines, arrays, lacking) = _plane(seen, subject, ()), _lines(seen, subject, chosen, size)
-    packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(seen.stages)}
+    plane, (lines, arrays, lacking) = _plane(visible, subject, ()), _lines(visible, subject, view, size)
+    packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(visible.stages)}
     described, names = [], dict[str, Any]()
     for made in maps:
         place = add_codes(packed, made)
         for name in made.needs:
             if name not in packed:
-                packed[name] = pack(seen.ds[name].values, BITS)
+                packed[name] = pack(visible.ds[name].values, BITS)
         bars = [bar | {"fit": bar["ends"], "ends": _held(bar, scales.get(made.name))} for bar in made.described["bars"]]
         described.append(made.described | {"codes": place, "bars": bars})
         names[made.name] = names_on(made.layers, plane, size)
-    packed.setdefault(REGIME.name, pack(seen.ds[REGIME.name].values))
+    packed.setdefault(REGIME.name, pack(visible.ds[REGIME.name].values))
     about = {
-        "of": seen.view_id,
-        "axes": [_axis(lattice, stretch) for lattice, stretch in zip((subject.x, subject.y), seen.sight, strict=True)],
+        "of": visible.view_id,
+        "axes": [
+            _axis(lattice, stretch) for lattice, stretch in zip((subject.x, subject.y), visible.sight, strict=True)
+        ],
         "maps": described,
         "lines": lines,
         "names": names,
@@ -88,27 +90,27 @@ def message(
     return _joined(about, packed), "; ".join(lacking)
 
 
-def _plane(seen: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
+def _plane(visible: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
     """The cells in view on the scales of the page, which are logarithmic in windows of any width."""
-    plane = Plane.from_dataset(seen.ds, names)
+    plane = Plane.from_dataset(visible.ds, names)
     return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
 
 
-def _held(bar: Mapping[str, Any], ends: Range | None) -> list[float]:
+def _held(bar: Mapping[str, Any], limits: Range | None) -> list[float]:
     """The ends of a bar: the held ones of its scale, if any."""
-    if ends is None or not bar["main"]:
+    if limits is None or not bar["main"]:
         return list(bar["ends"])
-    return list(ends)
+    return list(limits)
 
 
 def _lines(
-    seen: VisibleCells, subject: Subject, chosen: ViewState, size: tuple[int, int]
+    visible: VisibleCells, subject: Subject, chosen: ViewState, size: tuple[int, int]
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
     """The lines that are chosen, the arrays that they need, and why some are missing."""
     why = chosen.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
-    names = [LARGEST.name] if LARGEST.name in seen.ds else []
-    view = MapView(KIND_TABLE["period"], seen.ds, _plane(seen, subject, names), PictureRequest(STANDARD))
+    names = [LARGEST.name] if LARGEST.name in visible.ds else []
+    view = MapView(KIND_TABLE["period"], visible.ds, _plane(visible, subject, names), PictureRequest(STANDARD))
     for name in chosen.overlays:
         drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
         if name not in chosen.visible_overlays(subject):

@@ -40,20 +40,20 @@ class PlanePane:
         self,
         explorer: Explorer,
         background: BackgroundTasks,
-        chosen: ViewState,
+        view: ViewState,
         on_picture: Callable[[RenderedPicture | str], None],
         on_look: Callable[[str], None],
     ) -> None:
-        self._subject, self._chosen, self._on_picture = explorer.subject, chosen, on_picture
+        self._subject, self._chosen, self._on_picture = explorer.subject, view, on_picture
         # Of fixed height, whatever they say: else the plane would change its size with every word.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
-        self._title = Div(text=title(explorer.subject, chosen.plane), **line)
+        self._title = Div(text=title(explorer.subject, view.plane), **line)
         self._bar = Div(text=html_part("bar"), sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
         key: dict[str, Any] = {"width": KEY_WIDTH, "sizing_mode": "stretch_height", "margin": 0}
         self._key = Div(text=html_part("key"), stylesheets=[TEXT, legend_css(), KEY], **key)
         self.mark = ColumnDataSource({"x": [], "y": []})
         self.plot: figure
-        self.plot, self._image = make_plot(explorer.subject, chosen, self.mark)
+        self.plot, self._image = make_plot(explorer.subject, view, self.mark)
         self._sent, self._look = ColumnDataSource(NOTHING), ColumnDataSource({"query": []})
         self._blank = ColumnDataSource({"words": [np.zeros((1, 1), np.uint32)]})
         self._look.on_change("data", lambda attribute, old, new: on_look(str(new["query"][0])))
@@ -75,27 +75,27 @@ class PlanePane:
         address.js_on_change("text", call("remember"))
         self.plot.js_on_event(MouseMove, call("point"))
 
-    def show(self, chosen: ViewState, size: tuple[int, int], rests: bool) -> None:
+    def show(self, view: ViewState, size: tuple[int, int], rests: bool) -> None:
         """Show a choice on this many pixels."""
-        old, self._chosen, subject = self._chosen, chosen, self._subject
-        if (chosen.x, chosen.y) != (old.x, old.y):
-            label_axes(self.plot, subject, chosen)
-        if chosen.plane != old.plane:
-            self._title.text = title(subject, chosen.plane)
-        self.painter.show(chosen, size, rests)
+        old, self._chosen, subject = self._chosen, view, self._subject
+        if (view.x, view.y) != (old.x, old.y):
+            label_axes(self.plot, subject, view)
+        if view.plane != old.plane:
+            self._title.text = title(subject, view.plane)
+        self.painter.show(view, size, rests)
 
     def _show(self, painted: RenderedPicture) -> None:
         """Send a picture to the page."""
         self._sent.data = {"message": [painted.message], "share": [sum(painted.shares) / len(painted.shares)]}
         self._on_picture(painted)
 
-    def _unpainted(self, why: str) -> None:
+    def _unpainted(self, reason: str) -> None:
         """Show no picture, least of all one of something else, and say why."""
         self._sent.data = NOTHING
-        self._on_picture(why)
+        self._on_picture(reason)
 
 
-def described(subject: Subject, chosen: ViewState) -> dict[str, Any]:
+def described(subject: Subject, view: ViewState) -> dict[str, Any]:
     """The subject as plain JSON, which the page has from the beginning; ``look`` is how the plane looks at first."""
     from atlas.explore.compose import dataset
 
@@ -115,5 +115,5 @@ def described(subject: Subject, chosen: ViewState) -> dict[str, Any]:
         "maps": maps,
         "overlays": overlays(subject),
         "help": HELP,
-        "look": style_query(chosen),
+        "look": style_query(view),
     }

@@ -26,12 +26,12 @@ STABLE, UNSTABLE = "#004488", "#bb5566"
 KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middle"
 
 
-def make_plot(subject: Subject, chosen: ViewState, mark: ColumnDataSource) -> tuple[figure, Any]:
+def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tuple[figure, Any]:
     """The plot of a plane with a mark, x and y, on one cell, and the source of its image, which the browser fills."""
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
-        x_range=Range1d(*chosen.x),
-        y_range=Range1d(*chosen.y),
+        x_range=Range1d(*view.x),
+        y_range=Range1d(*view.y),
         x_axis_type=kind_x,
         y_axis_type=kind_y,
         tools="pan,box_zoom,undo,redo,reset",
@@ -53,7 +53,7 @@ def make_plot(subject: Subject, chosen: ViewState, mark: ColumnDataSource) -> tu
     for color, width in (("white", 4.0), ("black", 1.6)):
         ring: dict[str, Any] = {"fill_alpha": 0.0, "line_color": color, "line_width": width}
         plot.scatter(x="x", y="y", source=mark, marker="circle", size=15, **ring)
-    label_axes(plot, subject, chosen)
+    label_axes(plot, subject, view)
     plot.html_attributes = accessible_name(
         f"map of {plot.xaxis[0].axis_label} across and {plot.yaxis[0].axis_label} up: {KEYS}"
     )
@@ -68,11 +68,11 @@ def style_plain(plot: figure) -> None:
         axis.formatter = CustomJSTickFormatter(args={"base": 0.0, "unit": 1.0, "decimals": 3}, code=TICKS)
 
 
-def label_axes(plot: figure, subject: Subject, chosen: ViewState) -> None:
+def label_axes(plot: figure, subject: Subject, view: ViewState) -> None:
     """Give the axes the ticks and the names that suit their window."""
     for axis, lattice, window in (
-        (plot.xaxis[0], subject.x, chosen.x),
-        (plot.yaxis[0], subject.y, chosen.y),
+        (plot.xaxis[0], subject.x, view.x),
+        (plot.yaxis[0], subject.y, view.y),
     ):
         marks = ticks(subject, lattice.axis.name, *window)
         axis.axis_label = marks.label

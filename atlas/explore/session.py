@@ -77,7 +77,7 @@ class ExplorerSession:
 
 def explore(
     given: "str | AtlasStore | Subject",
-    chosen: Mapping[str, float] | None = None,
+    view: Mapping[str, float] | None = None,
     *,
     client: "Client | None" = None,
     scheduler: str | None = None,
@@ -95,7 +95,7 @@ def explore(
     """Pages on a store or a spec, at ``ExplorerSession.url``.
 
     Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
-    open, or on worker processes of this machine. ``chosen`` picks a plane of a stack, ``window`` what is shown at
+    open, or on worker processes of this machine. ``view`` picks a plane of a stack, ``window`` what is shown at
     first. With ``keep``, solved tiles lie in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
     written into ``folder``, by default the working directory. Pages go to addresses with their token alone; ``host`` is
     this machine's loopback by default.
@@ -110,7 +110,7 @@ def explore(
         raise InputError(f"workers: found {workers!r}, must be 1 or more")
     if not 0 < tolerance < math.inf:
         raise InputError(f"tolerance: found {tolerance!r}, must be a number > 0")
-    subject = given if isinstance(given, Subject) else subject_of(given, chosen, tolerance)
+    subject = given if isinstance(given, Subject) else subject_of(given, view, tolerance)
     for free in listening(port, host):  # before kernels are compiled, which takes long
         free.close()
     if prepare is not None:

@@ -258,22 +258,22 @@ class Subject:
 
 
 def subject_of(
-    given: str | AtlasStore, chosen: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
+    given: str | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
 ) -> Subject:
     """The subject that a user names: a store, or else a spec by its file or its name; or the store of a handle.
 
-    ``chosen`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
+    ``view`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
     """
     if isinstance(given, AtlasStore):
-        return _subject(given.spec, given, open_atlas(given), chosen or {}, tolerance)
+        return _subject(given.spec, given, open_atlas(given), view or {}, tolerance)
     place = None if given.endswith(".toml") else open_backend(given)
     if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
-        return subject_of(open_store(place), chosen, tolerance)
-    return _subject(Spec.from_toml(given), None, None, chosen or {}, tolerance)
+        return subject_of(open_store(place), view, tolerance)
+    return _subject(Spec.from_toml(given), None, None, view or {}, tolerance)
 
 
 def _subject(
-    spec: Spec, handle: AtlasStore | None, ds: "xr.Dataset | None", chosen: Mapping[str, float], tolerance: float
+    spec: Spec, handle: AtlasStore | None, ds: "xr.Dataset | None", view: Mapping[str, float], tolerance: float
 ) -> Subject:
     if spec.points or len(spec.axes) < 2:
         what = "a table of points" if spec.points else f"one axis ({spec.axes[0].name})"
@@ -290,17 +290,17 @@ def _subject(
 
     if len(spec.axes) == MAX_AXES:
         third = spec.axes[-1]
-        if set(chosen) - {third.name}:
+        if set(view) - {third.name}:
             raise InputError(f"--select picks a plane of {third.name}: {', '.join(f'{v:g}' for v in third.values)}")
         points = np.array(third.values)
         edges = edges_of(points, third.scale == "log")
-        layer = nearest(third.name, points, edges, chosen.get(third.name, third.values[0]))
+        layer = nearest(third.name, points, edges, view.get(third.name, third.values[0]))
         value = third.values[layer]
         if ds is not None:
             ds = select(ds, {third.name: value})
         axes = {axis.name: axis for axis in spec.axes[:2]}
         spec = Spec(spec.system_def, axes, spec.parameters | {third.name: value}, spec.settings)
-    elif chosen:
+    elif view:
         raise InputError(f"--select picks a plane of a stack, found a plane of {', '.join(spec.dims)}")
     if attractors is None:
         return Subject(spec, settings, handle, ds, layer, stack_axis=third, subject_of_layer=of_layer)

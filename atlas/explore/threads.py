@@ -10,10 +10,10 @@ PAUSE = 0.5
 """Seconds after which the work begins again."""
 
 
-def restarting_thread(name: str, work: Callable[[], None], say: Callable[[str], None]) -> threading.Thread:
+def restarting_thread(name: str, work: Callable[[], None], notify: Callable[[str], None]) -> threading.Thread:
     """A thread, running, in which ``work`` is done until it returns.
 
-    Whenever it raises instead, the exception is logged, ``say`` gets it in words, and the work begins again after
+    Whenever it raises instead, the exception is logged, ``notify`` gets it in words, and the work begins again after
     PAUSE seconds. Dask's ``sync`` may raise anything, also a bare BaseException.
     """
 
@@ -24,7 +24,7 @@ def restarting_thread(name: str, work: Callable[[], None], say: Callable[[str], 
             except BaseException as error:
                 logging.getLogger(__name__).exception("%s: an exception; it begins again", name)
                 with suppress(Exception):
-                    say(why(error))
+                    notify(why(error))
             time.sleep(PAUSE)
 
     thread = threading.Thread(target=run, name=name, daemon=True)

@@ -35,12 +35,12 @@ class MemoryTileCache:
         self.most, self.bytes, self._lock = most_bytes, 0, threading.Lock()
         self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
-    def put(self, whose: object, plane: PlaneParameters, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
+    def put(self, owner: object, plane: PlaneParameters, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
         """Add arrays to a tile.
 
         The least recently seen tiles go where there is no room, the ``only_here`` ones after all others.
         """
-        at = whose, plane, key
+        at = owner, plane, key
         with self._lock:
             known, before = self._tiles.pop(at, ({}, False))
             self._tiles[at] = made, _ = known | arrays, only_here or before
@@ -49,25 +49,25 @@ class MemoryTileCache:
                 others = (held for held, (_, alone) in self._tiles.items() if not alone and held != at)
                 self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
 
-    def get(self, whose: object, plane: PlaneParameters, key: TileKey) -> Arrays:
+    def get(self, owner: object, plane: PlaneParameters, key: TileKey) -> Arrays:
         """The arrays of a tile, which now counts as seen; none where it is not in memory."""
-        at = whose, plane, key
+        at = owner, plane, key
         with self._lock:
             if at not in self._tiles:
                 return {}
             self._tiles.move_to_end(at)
             return self._tiles[at][0]
 
-    def tiles_of_plane(self, whose: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
+    def tiles_of_plane(self, owner: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
         """The tiles of a plane."""
         with self._lock:
             tiles = self._tiles.items()
-            return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is whose and of == plane]
+            return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is owner and of == plane]
 
-    def drop(self, whose: object) -> None:
+    def drop(self, owner: object) -> None:
         """Forget the tiles of a store."""
         with self._lock:
-            for at in [held for held in self._tiles if held[0] is whose]:
+            for at in [held for held in self._tiles if held[0] is owner]:
                 self.bytes -= _size(self._tiles.pop(at)[0])
 
 
@@ -118,11 +118,11 @@ class TileCache:
         """The tiles of a plane that are in memory."""
         return self.memory.tiles_of_plane(self, plane)
 
-    def visible_tiles(self, plane: PlaneParameters, sight: Viewport) -> list[tuple[TileKey, Arrays]]:
+    def visible_tiles(self, plane: PlaneParameters, viewport: Viewport) -> list[tuple[TileKey, Arrays]]:
         """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
-        shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if sight.contains(key)]
+        shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
         shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
-        return shown + [(key, self._invalid) for key in sight.tiles(0) if self.is_out_of_range(key)]
+        return shown + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
 
     def is_kept(self, plane: PlaneParameters) -> bool:
         """Whether tiles of this plane are kept as they are solved, where anything is."""

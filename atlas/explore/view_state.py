@@ -119,9 +119,9 @@ class ViewState:
         there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
         return f"no curves at {here}: a store has curves of its own plane alone, {there}"
 
-    def figure_options(self, ends: Ends = (None, None)) -> AtlasFigureOptions:
+    def figure_options(self, limits: Ends = (None, None)) -> AtlasFigureOptions:
         """How its picture looks with these ends of its scale, as options of ``render.figure``."""
-        look: AtlasFigureOptions = {"vmin": ends[0], "vmax": ends[1]} if has_scale(self.kind) else {}
+        look: AtlasFigureOptions = {"vmin": limits[0], "vmax": limits[1]} if has_scale(self.kind) else {}
         look["overlay"] = self.overlays
         if CURVES in self.overlays:
             look["curves"] = self.curves
@@ -159,7 +159,7 @@ def initial_view(subject: Subject) -> ViewState:
     return ViewState(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
 
-def carry_over(subject: Subject, chosen: ViewState, values: Mapping[str, float]) -> ViewState:
+def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -> ViewState:
     """The whole plane of another subject at these values, drawn as the old choice as far as it can be.
 
     A parameter whose value is out of its range, as in the margin of a view, has that of the subject's own plane.
@@ -173,11 +173,11 @@ def carry_over(subject: Subject, chosen: ViewState, values: Mapping[str, float])
                 for name, own in begun.plane.parameters
             )
         ),
-        kind=chosen.kind if chosen.kind in kinds(subject) else begun.kind,
-        variable=chosen.variable,
-        log=chosen.log,
-        hidden=chosen.hidden,
-        overlays=tuple(name for name in chosen.overlays if name in overlays(subject)),
+        kind=view.kind if view.kind in kinds(subject) else begun.kind,
+        variable=view.variable,
+        log=view.log,
+        hidden=view.hidden,
+        overlays=tuple(name for name in view.overlays if name in overlays(subject)),
     )
 
 
@@ -202,7 +202,7 @@ def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]])
     )
 
 
-def place_query(home: Subject, subject: Subject, chosen: ViewState) -> str:
+def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
     """Where it is: axes, window, plane, and what stands on that, in the query of an address that asks for it.
 
     An address without a query asks for ``home``.
@@ -210,46 +210,46 @@ def place_query(home: Subject, subject: Subject, chosen: ViewState) -> str:
     x, y = subject.axes
     pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
     pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
-    pairs += [(x, "{!r}:{!r}".format(*chosen.x)), (y, "{!r}:{!r}".format(*chosen.y))]
+    pairs += [(x, "{!r}:{!r}".format(*view.x)), (y, "{!r}:{!r}".format(*view.y))]
     own = dict(subject.plane.parameters)
-    pairs += [(name, repr(value)) for name, value in chosen.plane.parameters if value != own[name]]
-    points: dict[str, tuple[float, ...] | None] = {"cut": chosen.cut}
-    if chosen.cell and chosen.cell[0] == chosen.plane:
-        points["cell"] = chosen.cell[1:]
+    pairs += [(name, repr(value)) for name, value in view.plane.parameters if value != own[name]]
+    points: dict[str, tuple[float, ...] | None] = {"cut": view.cut}
+    if view.cell and view.cell[0] == view.plane:
+        points["cell"] = view.cell[1:]
     pairs += [(name, ",".join(map(repr, point))) for name, point in points.items() if point is not None]
-    if "cell" in points and chosen.follow:
-        pairs.append(("follow.orbit", ",".join(map(str, chosen.follow))))
+    if "cell" in points and view.follow:
+        pairs.append(("follow.orbit", ",".join(map(str, view.follow))))
     return urlencode(pairs, safe=":,")
 
 
-def style_query(chosen: ViewState) -> str:
+def style_query(view: ViewState) -> str:
     """How it looks, which the browser may change by itself: see ``live.mjs``."""
-    pairs = [("kind", chosen.kind)]
-    if chosen.kind == SCALAR:
-        pairs += [("variable", chosen.variable)] + ([("log", "1")] if chosen.log else [])
-    lists = {"overlay": chosen.overlays, "without": chosen.hidden}
+    pairs = [("kind", view.kind)]
+    if view.kind == SCALAR:
+        pairs += [("variable", view.variable)] + ([("log", "1")] if view.log else [])
+    lists = {"overlay": view.overlays, "without": view.hidden}
     pairs += [(name, ",".join(listed)) for name, listed in lists.items() if listed]
-    pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(chosen, name)) is not None]
+    pairs += [(name, repr(end)) for name in ("vmin", "vmax") if (end := getattr(view, name)) is not None]
     return urlencode(pairs, safe=":,")
 
 
-def apply_style_query(subject: Subject, chosen: ViewState, query: str) -> ViewState:
+def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewState:
     """The choice with the look of a query; InputError, which names the argument, if the subject does not have it."""
-    plain = replace(chosen, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
+    plain = replace(view, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
     for name, value in parse_qsl(query):
         plain = replace(plain, **_fields(subject, plain, name, value))
     return plain
 
 
-def _fields(subject: Subject, chosen: ViewState, name: str, value: str) -> dict[str, Any]:
+def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[str, Any]:
     """The fields of a choice that an argument of an address changes."""
     (x, y), listed = subject.axes, value.split(",") if value else []
     if name == x:
         return {"x": _range(name, value, subject.x)}
     if name == y:
         return {"y": _range(name, value, subject.y)}
-    if name in dict(chosen.plane.parameters):
-        return {"plane": subject.plane_with(chosen.plane, name, _number(name, value))}
+    if name in dict(view.plane.parameters):
+        return {"plane": subject.plane_with(view.plane, name, _number(name, value))}
     if name == "kind":
         return {name: _possible(name, [value], kinds(subject))[0]}
     if name == "variable":
@@ -261,7 +261,7 @@ def _fields(subject: Subject, chosen: ViewState, name: str, value: str) -> dict[
     if name == "without":
         return {"hidden": tuple(sorted(_possible(name, listed, CURVE_KINDS), key=CURVE_KINDS.index))}
     if name == "cell":
-        return {name: (chosen.plane, *_points(subject, name, value, 1))}
+        return {name: (view.plane, *_points(subject, name, value, 1))}
     if name == "follow.orbit":
         along, _, numbers = value.partition(",")
         check_names("parameter in follow", [along], followable(subject))

@@ -26,10 +26,10 @@ class OverviewBuilder:
         handle: AtlasStore,
         *,
         side: int = SIDE,
-        least: int = MIN_SIDE,
+        minimum: int = MIN_SIDE,
     ) -> None:
         self._handle = handle
-        self._pyramid = Pyramid(handle, side, least)
+        self._pyramid = Pyramid(handle, side, minimum)
         self.levels = range(1, self._pyramid.levels.count + 1)
         if not self.levels:
             return

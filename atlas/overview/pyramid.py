@@ -62,7 +62,7 @@ class Pyramid:
     levels   their geometry; ``side`` and ``least`` are for overviews not made yet
     """
 
-    def __init__(self, handle: AtlasStore, side: int = SIDE, least: int = MIN_SIDE) -> None:
+    def __init__(self, handle: AtlasStore, side: int = SIDE, minimum: int = MIN_SIDE) -> None:
         import zarr
 
         from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
@@ -72,7 +72,7 @@ class Pyramid:
         self._arrays: dict[str, Any] = {}
         stored = _stored_shapes(self.root)
         self.made = stored is not None
-        shapes = stored or {"side": side, "least": least}
+        shapes = stored or {"side": side, "least": minimum}
         self.levels = OverviewLevels(
             handle.spec.shape,
             handle.tile,

@@ -23,7 +23,7 @@ def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
     return select_attractor(ds, 0) if has_all_attractors(validate_atlas(ds)) else ds
 
 
-def select_attractor(ds: "xr.Dataset", place: float) -> "xr.Dataset":
+def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
     """The attractor at that place in every cell, 0 for the one with the largest share.
 
     A cell with fewer is as without a result. InputError for a place that does not exist.
@@ -31,11 +31,11 @@ def select_attractor(ds: "xr.Dataset", place: float) -> "xr.Dataset":
     if not has_all_attractors(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
     kept = ds.sizes[ATTRACTOR]
-    if place not in range(kept):  # as no infinity and no NaN is
-        raise InputError(f"attractor: found {place:g}, must be a whole number, 0 to {kept - 1}")
-    made = ds.isel({ATTRACTOR: int(place)})
+    if index not in range(kept):  # as no infinity and no NaN is
+        raise InputError(f"attractor: found {index:g}, must be a whole number, 0 to {kept - 1}")
+    made = ds.isel({ATTRACTOR: int(index)})
     made.encoding = dict(ds.encoding)
-    return made.assign_attrs({ATTRACTOR: int(place)})
+    return made.assign_attrs({ATTRACTOR: int(index)})
 
 
 def own(ds: "xr.Dataset") -> "xr.Dataset":

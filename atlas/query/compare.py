@@ -199,10 +199,10 @@ def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:
 
 
 def differences(
-    here: NDArray[np.int8], there: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
+    first: NDArray[np.int8], second: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Exponents there minus here by their regimes; NaN where a class is not known, or an exponent is not finite."""
-    known = np.isin(here, list(OF_MOTIONS)) & np.isin(there, list(OF_MOTIONS))
+    known = np.isin(first, list(OF_MOTIONS)) & np.isin(second, list(OF_MOTIONS))
     known &= np.isfinite(one) & np.isfinite(other)
     return np.subtract(other, one, where=known, out=np.full(one.shape, np.nan))
 

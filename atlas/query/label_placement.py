@@ -38,10 +38,10 @@ def places(
     named: Sequence[tuple[Cells, str]],
     step: Array,
     type_sizes: Sequence[float],
-    most: int = 2,
+    limit: int = 2,
     free: Cells | None = None,
 ) -> Iterator[LabelPlacement]:
-    """Where names stand in the largest connected regions, at most ``most``, of sets of cells (y, x), where they fit.
+    """Where names stand in the largest connected regions, at most ``limit``, of sets of cells (y, x), where they fit.
 
     ``named``: cells and name; ``step``: height and width of a cell. A name takes the first of ``type_sizes`` that fits.
     Where one fits nowhere and ``free`` marks the cells that a name may cover, it stands on the nearest such cell, and
@@ -52,7 +52,7 @@ def places(
         regions, _ = ndimage.label(cells)
         areas = np.bincount(regions.ravel())[1:] * step.prod()
         boxes, placed = ndimage.find_objects(regions), False
-        largest = np.argsort(-areas, kind="stable")[:most]
+        largest = np.argsort(-areas, kind="stable")[:limit]
         for number in largest:
             region = regions[boxes[number]] == number + 1
             if free is not None:

@@ -113,13 +113,13 @@ def borders(cells: Cells, x: Array, y: Array) -> Array:
     return np.concatenate([upright, level]).reshape(-1, 2, 2)
 
 
-def small_regions(cells: Cells, x: Array, y: Array, step: Array, most: float) -> Array:
-    """The middles (N, 2) of connected regions whose width and height are both below ``most``.
+def small_regions(cells: Cells, x: Array, y: Array, step: Array, limit: float) -> Array:
+    """The middles (N, 2) of connected regions whose width and height are both below ``limit``.
 
-    ``x`` and ``y`` are the edges of the cells, ``step`` the height and the width of a cell in the unit of ``most``.
+    ``x`` and ``y`` are the edges of the cells, ``step`` the height and the width of a cell in the unit of ``limit``.
     """
     boxes = ndimage.find_objects(ndimage.label(cells)[0])
-    small = [(r, c) for r, c in boxes if max((r.stop - r.start) * step[0], (c.stop - c.start) * step[1]) < most]
+    small = [(r, c) for r, c in boxes if max((r.stop - r.start) * step[0], (c.stop - c.start) * step[1]) < limit]
     return np.array([(x[[c.start, c.stop]].mean(), y[[r.start, r.stop]].mean()) for r, c in small]).reshape(-1, 2)
 
 

@@ -108,10 +108,10 @@ def _curves(view: MapView, size: Size) -> OverlayLines:
     return OverlayLines(curves | inside | {"lines": lines})
 
 
-def _polylines(plane: Plane, kind: str, look: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
+def _polylines(plane: Plane, kind: str, style: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
     """Lines of one kind. The legend does not switch them: the choice of overlays does."""
     parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
-    return OverlayLines(_described({kind: {**look, "fixed": True}}, parts))
+    return OverlayLines(_described({kind: {**style, "fixed": True}}, parts))
 
 
 def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[str, Any]:

@@ -146,14 +146,14 @@ def _main(layers: MapLayers) -> ScalarLayer | None:
     return named[0] if named else None
 
 
-def _shown(layers: MapLayers, look: CellStyle) -> dict[str, Any]:
+def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
     """The content of a look: the number of a bar, or a colour, which a shade darkens unless it is a regime's."""
-    if look.field is not None:
-        field = layers.fields[look.field]
+    if style.field is not None:
+        field = layers.fields[style.field]
         if field.bar:
             return {"bar": layers.bars.index(field)}
         return {"color": _hex(field.colors(np.array(-np.inf)))}  # below any scale
-    return {"color": look.color} | ({"shaded": True} if layers.shade is not None and look.regime is None else {})
+    return {"color": style.color} | ({"shaded": True} if layers.shade is not None and style.regime is None else {})
 
 
 def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:

@@ -117,29 +117,29 @@ def portrait(
     return drawn
 
 
-def _drawn(subject: "Subject", wanted: PictureRequest, titles: Sequence[str]) -> "Figure":
+def _drawn(subject: "Subject", request: PictureRequest, titles: Sequence[str]) -> "Figure":
     import xarray as xr
 
     from atlas.orbits.branches.table import BranchTable
     from atlas.render import portrait_figure, side_by_side, sweep
 
-    page = wanted.page
+    page = request.page
     if isinstance(subject, xr.Dataset):
-        drawn = _of_atlas(subject, wanted)
+        drawn = _of_atlas(subject, request)
     elif isinstance(subject, CellTrajectory):
         page.check_no_limits("a portrait")
         drawn = portrait_figure.figure(subject, page)
     elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
         if page.given:
             raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
-        atlases = [validate_atlas(source, "atlases") for source in _sources(subject, wanted)]
+        atlases = [validate_atlas(source, "atlases") for source in _sources(subject, request)]
         if titles and len(titles) != len(atlases):
             raise InputError(f"titles: found {len(titles)}, must be one for each of {len(atlases)} atlases")
         check_units(*atlases)
         if isinstance(subject, Comparison):
             drawn = side_by_side.difference(subject, page)
         else:
-            drawn = side_by_side.side_by_side(atlases, wanted, titles)
+            drawn = side_by_side.side_by_side(atlases, request, titles)
     elif isinstance(subject, BranchTable):
         page.check_no_limits("branches are lines")
         drawn = sweep.figure_of_branches(subject, page)
@@ -150,51 +150,53 @@ def _drawn(subject: "Subject", wanted: PictureRequest, titles: Sequence[str]) ->
     return drawn
 
 
-def _sources(subject: "Subject", wanted: PictureRequest) -> list[Any]:
+def _sources(subject: "Subject", request: PictureRequest) -> list[Any]:
     """The sources of the numbers of a picture: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
         return [subject.first, subject.second]
     if isinstance(subject, Sequence):
         return [select_dominant(ds) for ds in subject]
-    return [subject, *([] if wanted.against is None else [wanted.against])]
+    return [subject, *([] if request.against is None else [request.against])]
 
 
-def _of_atlas(every: "xr.Dataset", wanted: PictureRequest) -> "Figure":
+def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
     """The figure of one atlas; InputError in one line if it cannot be drawn."""
-    ds, page, against = select_dominant(every), wanted.page, wanted.against
+    ds, page, against = select_dominant(every), request.page, request.against
     if len(axis_names(ds)) == MAX_AXES:
-        return _of_stack(ds, wanted)
-    kind, lines = resolve_kind(ds, wanted), wanted.overlays
-    if wanted.observe is not None and kind.axes != 1:
+        return _of_stack(ds, request)
+    kind, lines = resolve_kind(ds, request), request.overlays
+    if request.observe is not None and kind.axes != 1:
         raise InputError(f"observe: goes with a sweep of one axis, found {AXES[kind.axes]}")
-    if wanted.curves is not None and "curves" not in lines and kind.name != "regions":
+    if request.curves is not None and "curves" not in lines and kind.name != "regions":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)
-    shown = select_window(every if kind.name == "coexistence" else ds, wanted.window)
-    wanted = replace(wanted, overlays=lines, against=None if against is None else select_window(against, wanted.window))
+    shown = select_window(every if kind.name == "coexistence" else ds, request.window)
+    request = replace(
+        request, overlays=lines, against=None if against is None else select_window(against, request.window)
+    )
     from atlas.render.painters import draw  # imports matplotlib
 
     with counted() as reads:
-        drawn = draw(kind, shown, wanted)
+        drawn = draw(kind, shown, request)
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
     return drawn
 
 
-def _of_stack(ds: "xr.Dataset", wanted: PictureRequest) -> "Figure":
+def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
     """The planes of a stack as maps on one scale, each under its value of the third axis; a single plane as a map."""
-    kind, page, name, shown = wanted.kind, wanted.page, axis_names(ds)[-1], select_window(ds, wanted.window)
-    rest = {axis: ends for axis, ends in (wanted.window or {}).items() if axis != name}
+    kind, page, name, shown = request.kind, request.page, axis_names(ds)[-1], select_window(ds, request.window)
+    rest = {axis: ends for axis, ends in (request.window or {}).items() if axis != name}
     count = shown.sizes[name]
     if count == 1:
-        return _of_atlas(shown.isel({name: 0}), replace(wanted, window=rest))
+        return _of_atlas(shown.isel({name: 0}), replace(request, window=rest))
     first = f"--select {name}={float(shown[name][0]):g}"
     if count > MAX_PANELS:
         raise InputError(f"a stack of {count} planes: at most {MAX_PANELS} are drawn together; pick one by {first}")
     alone = {
-        "overlay": wanted.overlays, "curves": wanted.curves is not None, "against": wanted.against is not None,
-        "ax": page.given, "variable": wanted.variable, "log": wanted.log, "observe": wanted.observe,
+        "overlay": request.overlays, "curves": request.curves is not None, "against": request.against is not None,
+        "ax": page.given, "variable": request.variable, "log": request.log, "observe": request.observe,
     }  # fmt: skip
     for option in [option for option, given in alone.items() if given]:
         raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")
@@ -203,7 +205,7 @@ def _of_stack(ds: "xr.Dataset", wanted: PictureRequest) -> "Figure":
     from atlas.render import side_by_side
 
     check_units(ds)
-    return side_by_side.side_by_side([shown.isel({name: k}) for k in range(count)], replace(wanted, window=rest))
+    return side_by_side.side_by_side([shown.isel({name: k}) for k in range(count)], replace(request, window=rest))
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
@@ -215,7 +217,7 @@ def check_units(*atlases: "xr.Dataset") -> None:
             raise InputError(f"pictures draw exponents {PER_PERIOD}, found {PER_TIME}; draw it as stored")
 
 
-def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page: "FigureLayout") -> None:
+def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], layout: "FigureLayout") -> None:
     """Note above a map that it is coarser than its atlas, with the exact shares of doubtful cells."""
     shares = fractions(ds)
     names = [regime.name for regime in REGIMES if regime.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
@@ -223,5 +225,5 @@ def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], page:
     # A share below 0.01 % is shown as such.
     listed = [f"{name} {100 * part:.2g} %" if part >= 1e-4 else f"{name} < 0.01 %" for name, part in doubtful.items()]
     text = ",  ".join([f"one cell drawn for {' × '.join(map(str, block))} computed", *listed])
-    with page.context():
+    with layout.context():
         ax.set_title(f"{ax.get_title('left')}\n{text}".strip(), loc="left")

@@ -176,8 +176,8 @@ CURVES = (
 class OverlayError(InputError):
     """An overlay, named ``overlay``, that an atlas does not support. The map can be drawn without it."""
 
-    def __init__(self, overlay: str, why: str) -> None:
-        super().__init__(why)
+    def __init__(self, overlay: str, reason: str) -> None:
+        super().__init__(reason)
         self.overlay = overlay
 
 

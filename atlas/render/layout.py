@@ -47,10 +47,10 @@ _BESIDE = 5.0
 class NotebookFigure(Figure):
     """A figure that a notebook shows by itself, without pyplot or a magic line, and that threads draw in turn."""
 
-    def savefig(self, *given: Any, **options: Any) -> None:
+    def savefig(self, *value: Any, **options: Any) -> None:
         """As in Matplotlib."""
         with drawing_context():
-            super().savefig(*given, **options)
+            super().savefig(*value, **options)
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
         width, height = self.get_size_inches()
@@ -144,11 +144,11 @@ class FigureLayout:
             plots[0].set_title(title, loc="left", gid=TITLE)
         return drawn, plots
 
-    def add_title(self, drawn: Figure, title: str, **look: Any) -> None:
+    def add_title(self, fig: Figure, title: str, **style: Any) -> None:
         """Add a title over all plots of a figure."""
         if self.title:
             size = mpl.rcParams["font.size"]
-            drawn.suptitle(title, fontsize=size, ha="left", x=0.012, **look).set_gid(TITLE)
+            fig.suptitle(title, fontsize=size, ha="left", x=0.012, **style).set_gid(TITLE)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
         """The ends of a scale: the given ones, else these; InputError unless they rise."""
@@ -158,12 +158,12 @@ class FigureLayout:
             raise InputError(f"the scale must rise: found {low:g} to {high:g}; give vmin, vmax or both")
         return low, high
 
-    def check_no_limits(self, why: str) -> None:
+    def check_no_limits(self, reason: str) -> None:
         """InputError with this reason if ends of a scale are given."""
         if self.vmin is not None or self.vmax is not None:
-            raise InputError(f"{why}: it has no scale that vmin and vmax could end")
+            raise InputError(f"{reason}: it has no scale that vmin and vmax could end")
 
-    def legend(self, drawn: Figure, entries: Sequence[Artist], beside: str | None = None, **look: Any) -> None:
+    def legend(self, fig: Figure, entries: Sequence[Artist], beside: str | None = None, **style: Any) -> None:
         """A legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
 
         Narrow pages always have it below. No legend without entries, or if none is wanted. A long legend extends a page
@@ -173,25 +173,25 @@ class FigureLayout:
             return
         aside = beside is not None and (self.has_side_legend or bool(self.given))
         if beside:
-            look |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
+            style |= {"title": beside if aside else beside.replace("\n", " "), "alignment": "left"}
         if aside:
-            drawn_legend = self._one_legend(drawn, entries, True, {"labelspacing": 0.45, **look})
-            self._grow(drawn, drawn_legend.get_window_extent().height - drawn.bbox.height + 0.1 * drawn.dpi)
+            drawn_legend = self._one_legend(fig, entries, True, {"labelspacing": 0.45, **style})
+            self._grow(fig, drawn_legend.get_window_extent().height - fig.bbox.height + 0.1 * fig.dpi)
             return
-        room = self.given[-1].get_window_extent().width if self.given else drawn.bbox.width
+        room = self.given[-1].get_window_extent().width if self.given else fig.bbox.width
         for columns in range(len(entries), 0, -1):
             rows = -(-len(entries) // columns)
             if columns > 1 and -(-len(entries) // rows) != columns:
                 continue  # legends fill columns first; rows of equal length look best
-            drawn_legend = self._one_legend(drawn, entries, False, {"ncols": columns, **look})
+            drawn_legend = self._one_legend(fig, entries, False, {"ncols": columns, **style})
             extent = drawn_legend.get_window_extent()
             if columns == 1 or extent.width <= room - 4.0:
-                self._grow(drawn, extent.height * (rows - 2) / rows)
+                self._grow(fig, extent.height * (rows - 2) / rows)
                 return
             drawn_legend.remove()
 
-    def _one_legend(self, drawn: Figure, entries: Sequence[Artist], aside: bool, look: dict[str, Any]) -> Legend:
-        host: Any = drawn if not self.given else self.given[0 if aside else -1]
+    def _one_legend(self, fig: Figure, entries: Sequence[Artist], aside: bool, style: dict[str, Any]) -> Legend:
+        host: Any = fig if not self.given else self.given[0 if aside else -1]
         place: dict[str, Any]
         if not self.given:
             place = {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
@@ -200,34 +200,34 @@ class FigureLayout:
         else:
             drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
             place = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
-        legend: Legend = host.legend(handles=list(entries), **place | look)
+        legend: Legend = host.legend(handles=list(entries), **place | style)
         return legend
 
-    def _grow(self, drawn: Figure, dots: float) -> None:
+    def _grow(self, fig: Figure, dots: float) -> None:
         if dots > 0.0 and not self.given and self.height is None:
-            drawn.set_size_inches(self.width, drawn.get_size_inches()[1] + dots / drawn.dpi)
+            fig.set_size_inches(self.width, fig.get_size_inches()[1] + dots / fig.dpi)
 
-    def wrap_texts(self, drawn: Figure) -> None:
+    def wrap_texts(self, fig: Figure) -> None:
         """Break labels and titles that are longer than the page into lines, except in given axes."""
         if not self.given:
             with self.context():
-                fit(drawn)
+                fit(fig)
 
-    def finalize(self, drawn: Figure) -> None:
+    def finalize(self, fig: Figure) -> None:
         """Fit the texts and lay the figure out: its plots then have their final size."""
-        self.wrap_texts(drawn)
-        drawn.draw_without_rendering()
+        self.wrap_texts(fig)
+        fig.draw_without_rendering()
 
 
 STANDARD = FigureLayout()
 
 
-def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> FigureLayout:
+def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
     """The page with these options, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one per plot.
 
     Raises InputError for an invalid length, size or resolution, and for an unreadable style.
     """
-    unknown = set(look) - set(ScaleOptions.__annotations__)
+    unknown = set(style) - set(ScaleOptions.__annotations__)
     if unknown:
         raise InputError(
             f"unknown option {sorted(unknown)[0]!r}; possible: {', '.join([*ScaleOptions.__annotations__, 'ax'])}"
@@ -242,19 +242,19 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> FigureLayout:
     if any(not isinstance(plot, Axes) for plot in given):
         raise wrong
     for name in ("width", "height"):
-        if given and look.get(name) is not None:
+        if given and style.get(name) is not None:
             raise InputError(f"{name}: the given axes have a size already")
-    rc = _style(look.get("style"))
+    rc = _style(style.get("style"))
     figsize = rc.pop("figure.figsize", (None, None))
-    width = _length("width", look.get("width")) or figsize[0] or WIDTH
-    asked = _number("font_size", look.get("font_size"), positive=True)
+    width = _length("width", style.get("width")) or figsize[0] or WIDTH
+    asked = _number("font_size", style.get("font_size"), positive=True)
     usual = mpl.rcParams["font.size"] if given else np.interp(width, (_NARROW, WIDTH), (_NARROW_FONT, _FONT))
     font = float(asked or rc.get("font.size") or usual)
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
         rc |= {name: rc_params(font / _FONT)[name] for name in _SIZES if given}
     styled = rc.pop("savefig.dpi", DPI)  # removed from the style, whose settings override the page's
-    dpi = _number("dpi", look.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
+    dpi = _number("dpi", style.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
     if font * dpi / 72.0 < _LEAST_DOTS:
         raise InputError(
             f"dpi: found {dpi:g}, with type of {font:g} points, makes letters of {font * dpi / 72.0:.2g} dots; must "
@@ -262,13 +262,13 @@ def page(ax: Axes | Iterable[Axes] | None = None, **look: Any) -> FigureLayout:
         )
     return FigureLayout(
         width=width,
-        height=_length("height", look.get("height")) or (figsize[1] if look.get("width") is None else None),
+        height=_length("height", style.get("height")) or (figsize[1] if style.get("width") is None else None),
         font=font,
         dpi=dpi,
-        vmin=_number("vmin", look.get("vmin")),
-        vmax=_number("vmax", look.get("vmax")),
-        title=validate_flag("title", look.get("title", True)),
-        explained=validate_flag("legend", look.get("legend", True)),
+        vmin=_number("vmin", style.get("vmin")),
+        vmax=_number("vmax", style.get("vmax")),
+        title=validate_flag("title", style.get("title", True)),
+        explained=validate_flag("legend", style.get("legend", True)),
         rc=rc,
         given=given,
     )
@@ -343,13 +343,13 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
     return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
 
 
-def _make_room(drawn: Figure) -> None:
+def _make_room(fig: Figure) -> None:
     """Have a figure without a layout engine make room for a legend beside or under its plots, which is cut off else.
 
     The tight engine bears with a later ``tight_layout`` or ``subplots_adjust``. Axes at places of their own stay there.
     """
-    if drawn.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in drawn.axes):
-        drawn.set_layout_engine("tight")
+    if fig.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in fig.axes):
+        fig.set_layout_engine("tight")
 
 
 def _root(ax: Axes) -> Figure:

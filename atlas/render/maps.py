@@ -44,21 +44,21 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
     return drawn
 
 
-def read(kind: PictureKind, ds: xr.Dataset, wanted: PictureRequest) -> MapView:
+def read(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> MapView:
     """Read the variables and regimes needed for a map and its overlays, at most at the resolution of pixels.
 
     InputError if the atlas lacks one. This is the only function of maps that reads an atlas.
     """
-    names = [*kind.variables] if wanted.variable is None else [wanted.variable]
-    names += [LARGEST.name] if "isolines" in wanted.overlays else []
+    names = [*kind.variables] if request.variable is None else [request.variable]
+    names += [LARGEST.name] if "isolines" in request.overlays else []
     kind.require(ds, names)
-    plane = Plane.from_dataset(in_view(ds, names, pixels=wanted.pixels or wanted.page.map_pixels), names)
-    return MapView(kind, ds, plane, wanted)
+    plane = Plane.from_dataset(in_view(ds, names, pixels=request.pixels or request.page.map_pixels), names)
+    return MapView(kind, ds, plane, request)
 
 
-def lay(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> list[Artist]:
+def lay(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> list[Artist]:
     """Draw the layers of a map into a plot, and return its legend entries."""
-    enlarged = raster.draw_cells(ax, plane, layers, page)
+    enlarged = raster.draw_cells(ax, plane, layers, layout)
     for texture in layers.textures:
         raster.hatch(ax, plane, texture.cells, texture.hatch, texture.hatch_color)
         if texture.outlined is not None:
@@ -93,7 +93,7 @@ def name_regions(
     plane: Plane,
     named: Sequence[tuple[Cells, str, str]],
     type_sizes: Sequence[float],
-    most: int = 2,
+    limit: int = 2,
     free: Cells | None = None,
 ) -> None:
     """Write names into the largest regions of sets of cells (y, x): see ``places``. The plot must have its final size.
@@ -110,7 +110,7 @@ def name_regions(
 
     cells = [(region[place], name) for region, name, _ in named]
     for number, cell, size, angle, region in places(
-        cells, step, type_sizes, most, None if free is None else free[place]
+        cells, step, type_sizes, limit, None if free is None else free[place]
     ):
         _, name, color = named[number]
         look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}

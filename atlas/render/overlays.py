@@ -183,7 +183,7 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool,
 
 
 def _draw_marks(
-    ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, look: dict[str, Any]
+    ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, style: dict[str, Any]
 ) -> list[Artist]:
     """Mark the places (x, y) in view, coinciding ones once; returns the legend entry."""
     marked: list[Array] = []
@@ -191,8 +191,8 @@ def _draw_marks(
         at = raster.in_points(ax, np.array([[x, y]]), size)[0]
         if np.all((at >= 0.0) & (at <= size)) and all(np.hypot(*(at - other)) >= _MERGE_DISTANCE for other in marked):
             marked.append(at)
-            ax.plot(x, y, zorder=zorder, gid=gid, **look)
-    return [Line2D([], [], **look)] if marked else []
+            ax.plot(x, y, zorder=zorder, gid=gid, **style)
+    return [Line2D([], [], **style)] if marked else []
 
 
 def _saddles(ax: Axes, view: MapView) -> list[Artist]:

@@ -26,9 +26,9 @@ FIGURES: Mapping[str, Callable[[xr.Dataset, PictureRequest], Figure]] = {
 """For each other kind the function that draws it."""
 
 
-def draw(kind: PictureKind, ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def draw(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> Figure:
     """The picture of a kind, for a map with its overlays; InputError if the atlas lacks its variables."""
     if kind.name in FIGURES:
-        return FIGURES[kind.name](ds, wanted)
-    view = maps.read(kind, ds, wanted)
+        return FIGURES[kind.name](ds, request)
+    view = maps.read(kind, ds, request)
     return maps.draw_layers(view, PAINTERS[kind.name](view))

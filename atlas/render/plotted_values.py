@@ -29,24 +29,24 @@ class PlottedValues:
     observable: Observable | None = None
 
     @classmethod
-    def resolve(cls, asked: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
+    def resolve(cls, requested: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
         """The named observable, else section values, else the first observable held by all of these atlases, else None.
 
         InputError for an observable that one of them lacks.
         """
-        if asked is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
+        if requested is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
             return cls()
         stored = [atlas_observables(ds) for ds in atlases]
-        if asked is None:
+        if requested is None:
             common = [observable for observable in stored[0] if all(observable in held for held in stored)]
             return cls(common[0]) if common else None
         for held in stored:
-            if asked not in [observable.name for observable in held]:
+            if requested not in [observable.name for observable in held]:
                 possible = (
                     f"it holds {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
                 )
-                raise InputError(f"observe: this atlas does not hold {asked!r}; {possible}")
-        return cls(next(observable for observable in stored[0] if observable.name == asked))
+                raise InputError(f"observe: this atlas does not hold {requested!r}; {possible}")
+        return cls(next(observable for observable in stored[0] if observable.name == requested))
 
     @property
     def name(self) -> str:

@@ -44,7 +44,7 @@ class PortraitCoordinate(NamedTuple):
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
-def figure(orbit: CellTrajectory, page: FigureLayout = STANDARD, gap_plane: bool = True) -> Figure:
+def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD, gap_plane: bool = True) -> Figure:
     """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
     Of a cell with observables the return map of the first one is in place of the section.
@@ -58,17 +58,17 @@ def figure(orbit: CellTrajectory, page: FigureLayout = STANDARD, gap_plane: bool
         planes.append((masses[0], masses[1]))  # plane of both displacements
     chatter = selection.chatter(orbit)
     many = len(selection.written(orbit)) > _IN_A_COLUMN
-    with page.context():
-        if page.has_side_legend:
-            height, pad, columns = (7.6 if orbit.gap_row.size > 1 else 6.4) * page.width / 7.0, 0.06, 1 + many
+    with layout.context():
+        if layout.has_side_legend:
+            height, pad, columns = (7.6 if orbit.gap_row.size > 1 else 6.4) * layout.width / 7.0, 0.06, 1 + many
         else:
-            height, pad, columns = (2.6 if orbit.gap_row.size > 1 else 2.0) * page.width, 0.02, 2 + 2 * many
+            height, pad, columns = (2.6 if orbit.gap_row.size > 1 else 2.0) * layout.width, 0.02, 2 + 2 * many
             height += 1.2 * (chatter is not None)
-        drawn = page.figure(height)
+        drawn = layout.figure(height)
         drawn.set_layout_engine("constrained", hspace=pad, wspace=pad)
         title = f"{text.system_line(orbit.system, orbit.parameters)}\n{describe(orbit)}"
-        page.add_title(drawn, title, linespacing=1.4)
-        rows, heights = _mosaic(page.has_side_legend, len(masses), len(planes), chatter is not None, many)
+        layout.add_title(drawn, title, linespacing=1.4)
+        rows, heights = _mosaic(layout.has_side_legend, len(masses), len(planes), chatter is not None, many)
         plots: dict[str, Axes] = drawn.subplot_mosaic(rows, height_ratios=heights)  # type: ignore[arg-type]
         for k, mass in enumerate(masses):
             ax = plots[f"history {k}"]
@@ -88,7 +88,7 @@ def figure(orbit: CellTrajectory, page: FigureLayout = STANDARD, gap_plane: bool
             _section(plots["section"], orbit)
         _convergence(plots["exponents"], orbit)
         _write_values(plots["values"], orbit, columns)
-        page.legend(drawn, _legend(orbit), handlelength=1.4)
+        layout.legend(drawn, _legend(orbit), handlelength=1.4)
     return drawn
 
 

@@ -45,11 +45,11 @@ def check_path(path: str | Path) -> str:
     return suffix.removeprefix(".")
 
 
-def save(drawn: "Figure", target: Path, provenance: Provenance, page: "FigureLayout") -> None:
+def save(fig: "Figure", target: Path, provenance: Provenance, layout: "FigureLayout") -> None:
     """Write a figure with its provenance; InputError if that fails: an older picture is then still there."""
     suffix = check_path(target)
-    with replace_on_success(target) as unfinished, page.context():
-        drawn.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
+    with replace_on_success(target) as unfinished, layout.context():
+        fig.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
 
 
 def provenance_of(*subjects: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:

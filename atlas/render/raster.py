@@ -27,7 +27,7 @@ _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT
 MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
-def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) -> set[int]:
+def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
     """Draw the cells of a map from edge to edge, as pixels also in vector files; returns codes of enlarged regimes.
 
     An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
@@ -47,7 +47,7 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, page: FigureLayout) ->
         shown = layers.as_regime(code)
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
-        if code in MARKED and _mark_small(ax, plane, shown, style.COLORS[code], page.map_size):
+        if code in MARKED and _mark_small(ax, plane, shown, style.COLORS[code], layout.map_size):
             enlarged.add(code)
     return enlarged
 

@@ -26,14 +26,14 @@ _CORNER = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 _SIDES = "\ns: symmetric, u: unsymmetric"
 
 
-def figure(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """The region chart as a figure; InputError if the atlas has no curves or no impact counts."""
     sides, row = ("symmetric",) if "symmetric" in ds else (), KIND_TABLE["regions"]
-    view = maps.read(replace(row, variables=(*row.variables, *sides)), ds, wanted)
+    view = maps.read(replace(row, variables=(*row.variables, *sides)), ds, request)
     plane, page, size = view.plane, view.page, view.page.map_size
     curves = overlays.requested_curves(view, "kind 'regions'")
     twins = machine.twins_everywhere(ds, {plane.x.name: plane.x.values, plane.y.name: plane.y.values})
-    rest = replace(wanted, overlays=tuple(name for name in wanted.overlays if name != "curves"))
+    rest = replace(request, overlays=tuple(name for name in request.overlays if name != "curves"))
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(ds))
         raster.scale_axes(ax, x=plane.x, y=plane.y)
@@ -41,9 +41,9 @@ def figure(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
             *overlays.draw_curves(ax, curves, view),
             *overlays.draw(ax, replace(view, wanted=rest)),
         ]
-        title = text.motion_key(ds) + (_SIDES if wanted.names and sides and twins else "")
+        title = text.motion_key(ds) + (_SIDES if request.names and sides and twins else "")
         page.legend(drawn, entries, beside=title, handlelength=2.6)
-        if not wanted.names:
+        if not request.names:
             return drawn
         page.finalize(drawn)
         times = max(1, round(max(np.array(size) / plane.regime.shape[::-1]) / _FINE))

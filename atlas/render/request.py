@@ -73,11 +73,11 @@ class PictureRequest:
         return cls(page(**look), kind, validate_window(window), lines, curves, pixels=validate_pixels(pixels), **own)
 
 
-def resolve_kind(ds: "xr.Dataset", wanted: PictureRequest) -> PictureKind:
+def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
     """The kind to draw: the named one, or the first that fits; InputError if it does not fit."""
-    axes, atlases, axes_found = len(axis_names(ds)), 1 if wanted.against is None else 2, found_axes(ds)
-    if wanted.kind == SCALAR or wanted.variable is not None or wanted.log:
-        _check_scalar(ds, wanted)
+    axes, atlases, axes_found = len(axis_names(ds)), 1 if request.against is None else 2, found_axes(ds)
+    if request.kind == SCALAR or request.variable is not None or request.log:
+        _check_scalar(ds, request)
         return KIND_TABLE[SCALAR]
     fitting = [name for name in KINDS if KIND_TABLE[name].axes == axes]
     possible = [name for name in fitting if KIND_TABLE[name].atlases == atlases]
@@ -85,7 +85,7 @@ def resolve_kind(ds: "xr.Dataset", wanted: PictureRequest) -> PictureKind:
         raise InputError(f"two atlases are drawn together as sweeps, {axes_found}")
     held = [name for name in possible if KIND_TABLE[name].variables[0] in ds]
     held = [BASINS] if BASINS in held else held or possible
-    chosen, here = held[0] if wanted.kind is None else wanted.kind, f"; possible here: {', '.join(held)}"
+    chosen, here = held[0] if request.kind is None else request.kind, f"; possible here: {', '.join(held)}"
     kind = KIND_TABLE[chosen]
     if chosen not in fitting:
         raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {axes_found}{here}")
@@ -93,18 +93,18 @@ def resolve_kind(ds: "xr.Dataset", wanted: PictureRequest) -> PictureKind:
         needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
         raise InputError(f"kind {chosen!r} needs {needed}{here}")
     if kind.scale is CLASSES:
-        wanted.page.check_no_limits(f"kind {chosen!r} draws classes")
+        request.page.check_no_limits(f"kind {chosen!r} draws classes")
     return kind
 
 
-def _check_scalar(ds: "xr.Dataset", wanted: PictureRequest) -> None:
+def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
     """InputError unless the named variable is a number of each cell of a plane."""
-    name = wanted.variable
-    if wanted.kind not in (None, SCALAR):
-        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {wanted.kind!r}")
+    name = request.variable
+    if request.kind not in (None, SCALAR):
+        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {request.kind!r}")
     if name is None:
         raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
-    if wanted.against is not None:
+    if request.against is not None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
         raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")

@@ -88,9 +88,9 @@ def exponent(view: MapView, norm: TwoSlopeNorm | None = None) -> MapLayers:
     return replace(layers, textures=[texture, *layers.textures])
 
 
-def two_sided(page: FigureLayout, low: float, high: float) -> TwoSlopeNorm:
+def two_sided(layout: FigureLayout, low: float, high: float) -> TwoSlopeNorm:
     """The scale between these ends, or those of the page; InputError unless zero is between them."""
-    low, high = page.ends(low, high)
+    low, high = layout.ends(low, high)
     if not low < 0.0 < high:
         raise InputError(f"the scale of exponents has zero in its middle: found {low:g} to {high:g}")
     return TwoSlopeNorm(0.0, low, high)
@@ -160,9 +160,9 @@ def _scaled(view: MapView, field: ScalarLayer, others: Sequence[Class] = ()) -> 
     return build_layers(view.plane.regime, others, [field], textures=textures)
 
 
-def color_norm(values: Array, log: bool, page: FigureLayout = STANDARD) -> Normalize:
+def color_norm(values: Array, log: bool, layout: FigureLayout = STANDARD) -> Normalize:
     """The scale of finite values, see ``number_ends``; ends of the page are kept."""
-    low, high = page.ends(*number_ends(values, log))
+    low, high = layout.ends(*number_ends(values, log))
     if log and low <= 0.0:
         raise InputError(f"this scale is logarithmic: found vmin {low:g}, must be positive")
     return LogNorm(low, high) if log else Normalize(low, high)
@@ -196,16 +196,16 @@ def error(view: MapView) -> MapLayers:
     for name, (colormap, codes) in ERRORS.items():
         values = np.where(np.isin(regime, codes), known, np.nan)
         if not np.all(np.isnan(values)):
-            norm = color_norm(values, log=True, page=view.page if CHAOTIC in codes else STANDARD)
+            norm = color_norm(values, log=True, layout=view.page if CHAOTIC in codes else STANDARD)
             fields.append(ScalarLayer(colormap, norm, values, text.in_its_unit(view.ds, view.kind.scale.label), name))
     return build_layers(regime, fields=fields)
 
 
 def draw_bars(
-    drawn: Figure,
+    fig: Figure,
     panels: Sequence[Axes],
     bars: Sequence[ScalarLayer],
-    page: FigureLayout = STANDARD,
+    layout: FigureLayout = STANDARD,
     below: bool = False,
 ) -> None:
     """Draw the scales of plots to their right or below: one along all plots, or several stacked beside the first.
@@ -220,44 +220,44 @@ def draw_bars(
         if bar.title:
             share, gap = 1.0 / len(bars), 0.13 if len(bars) > 1 else 0.05
             inset = panels[0].inset_axes((1.03, place * share, 0.035, share - gap))
-            colorbar = drawn.colorbar(mappable, cax=inset, extend=extend, extendfrac=0.05)
-            size, pad = mpl.rcParams["legend.fontsize"], 3.0 + 5.0 * page.scale
+            colorbar = fig.colorbar(mappable, cax=inset, extend=extend, extendfrac=0.05)
+            size, pad = mpl.rcParams["legend.fontsize"], 3.0 + 5.0 * layout.scale
             inset.set_title(bar.title, loc="left", fontsize=size, pad=pad)
         else:
             side = "bottom" if below else "right"
             look: Any = {"aspect": 28, "pad": 0.02, "extendfrac": 0.03}
             beside: Any = panels[0] if len(panels) == 1 else list(panels)  # one alone keeps to its grid
-            colorbar = drawn.colorbar(mappable, ax=beside, location=side, extend=extend, **look)
+            colorbar = fig.colorbar(mappable, ax=beside, location=side, extend=extend, **look)
             two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
             colorbar.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
         colorbar.outline.set_linewidth(0.6)
         if isinstance(bar.norm, LogNorm):
-            _log_ticks(colorbar, low, high, most=4 if len(bars) > 1 else 8)
+            _log_ticks(colorbar, low, high, limit=4 if len(bars) > 1 else 8)
         elif isinstance(bar.norm, TwoSlopeNorm):
             colorbar.set_ticks(_ticks(low, high, 3 if below else 5))  # side by side, numbers need more room
             (colorbar.ax.axvline if below else colorbar.ax.axhline)(0.0, color="black", linewidth=0.7)
     if bars and bars[0].title:
         panels[0].annotate(
-            bars[0].label, (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * page.scale, 0.0),
+            bars[0].label, (1.065, 0.5), xycoords="axes fraction", xytext=(38.0 * layout.scale, 0.0),
             textcoords="offset points", rotation=90, va="center", fontsize=mpl.rcParams["axes.labelsize"],
         )  # fmt: skip
 
 
-def _ticks(low: float, high: float, most: int) -> list[float]:
+def _ticks(low: float, high: float, limit: int) -> list[float]:
     """Round numbers on each half, which have separate scales, and zero."""
-    nice = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+    nice = MaxNLocator(limit, steps=[1, 2, 2.5, 5, 10])
     both = np.concatenate([nice.tick_values(low, 0.0), nice.tick_values(0.0, high)])
     return [float(tick) for tick in np.unique(both[(both >= low) & (both <= high)].round(12))]
 
 
-def _log_ticks(bar: Colorbar, low: float, high: float, most: int) -> None:
+def _log_ticks(bar: Colorbar, low: float, high: float, limit: int) -> None:
     """Ticks of a logarithmic colour bar: powers of ten over many decades, else 1, 2, 5 in plain numbers."""
     decades, axis = math.log10(high / low), bar.ax.yaxis
     if decades > 3.0 or high < 1e-3:
-        bar.set_ticks(LogLocator(numticks=most))
+        bar.set_ticks(LogLocator(numticks=limit))
         if decades > 3.0:
             axis.set_minor_locator(NullLocator())
         axis.set_minor_formatter(NullFormatter())
         return
-    fitting = [steps for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)) if decades * len(steps) <= most]
+    fitting = [steps for steps in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)) if decades * len(steps) <= limit]
     raster.plain_ticks(axis, fitting[0] if fitting else (1.0,))

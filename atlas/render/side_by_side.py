@@ -38,7 +38,7 @@ _SHARE = 2.0
 """Percentage of the differences that may lie beyond the ends of the scale."""
 
 
-def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
+def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
     """Two maps: the difference of the exponents, there minus here, and the regimes there where they differ.
 
     Without exponents only the second map. InputError for atlases with one axis.
@@ -48,41 +48,41 @@ def difference(compared: Comparison, page: FigureLayout = STANDARD) -> Figure:
         hint = "sweeps: atlas plot --against" if count == 1 else "pick a plane with .sel"
         raise InputError(f"a comparison is drawn as a map, {found_axes(compared.first)}; {hint}")
     if not compared.has_exponents:
-        page.check_no_limits("a comparison without exponents draws classes")
+        layout.check_no_limits("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
-    with counted() as reads, page.context():
-        drawn, panels, own = _sheet(page, count, most=2)
+    with counted() as reads, layout.context():
+        drawn, panels, own = _sheet(layout, count, limit=2)
         here, there = compared.planes(own.map_pixels)
-        page.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
+        layout.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
         pending = (here.regime == PENDING) | (there.regime == PENDING)
         shown = [(there, "another regime", _changes(here, there, pending, compared.second))]
         if compared.has_exponents:
             label = text.in_its_unit(compared.first, rf"change of $\lambda_1$ [{PER_PERIOD}]")
-            shown.append((here, "difference of exponents", _difference(here, there, pending, page, label)))
+            shown.append((here, "difference of exponents", _difference(here, there, pending, layout, label)))
         entries: list[Artist] = []
         for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
             entries += maps.lay(ax, plane, layers, own)
             ax.set_title(title, loc="left")
             scalar_maps.draw_bars(drawn, [ax], layers.bars, own, below=True)
         _label_outside(panels)
-        page.legend(drawn, entries)
+        layout.legend(drawn, entries)
     return drawn
 
 
-def side_by_side(atlases: Sequence[xr.Dataset], wanted: PictureRequest, names: Sequence[str] = ()) -> Figure:
+def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: Sequence[str] = ()) -> Figure:
     """Maps of several atlases in one figure, on one scale, each under the parameters that differ.
 
     Their kind is one of KINDS, by default the first that all of them hold; ``names`` are titles if no parameter
     differs. Axes have the same limits. Raises InputError for fewer than two atlases, for another kind, and for
     different axes or variables.
     """
-    chosen, page = KIND_TABLE[_check(atlases, wanted.kind)], wanted.page
+    chosen, page = KIND_TABLE[_check(atlases, request.kind)], request.page
     if chosen.name == "period":
         page.check_no_limits("kind 'period' draws classes")
-    shown = [select_window(ds, wanted.window) for ds in atlases]
+    shown = [select_window(ds, request.window) for ds in atlases]
     changed = differing(shown)
     with counted() as reads, page.context():
-        drawn, panels, own = _sheet(page, len(shown), most=3)
+        drawn, panels, own = _sheet(page, len(shown), limit=3)
         views = [maps.read(chosen, ds, PictureRequest(own)) for ds in shown]
         page.add_title(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
@@ -109,22 +109,22 @@ def side_by_side(atlases: Sequence[xr.Dataset], wanted: PictureRequest, names: S
     return drawn
 
 
-def _sheet(page: FigureLayout, count: int, most: int) -> tuple[Figure, list[Axes], FigureLayout]:
+def _sheet(layout: FigureLayout, count: int, limit: int) -> tuple[Figure, list[Axes], FigureLayout]:
     """A figure of several plots with common axes, the plots, and the page of one plot.
 
-    Rows have at most ``most`` plots on a wide page, one less on a narrow page.
+    Rows have at most ``limit`` plots on a wide page, one less on a narrow page.
     """
-    most = most if page.has_side_legend else most - 1
-    columns = count if count <= most else 2 if count == 4 else most
+    limit = limit if layout.has_side_legend else limit - 1
+    columns = count if count <= limit else 2 if count == 4 else limit
     rows = math.ceil(count / columns)
-    under = 0.9 if page.has_side_legend else 1.5  # with a colour bar
+    under = 0.9 if layout.has_side_legend else 1.5  # with a colour bar
     # The height of a row grows with the width of its maps.
-    height = page.scale * (under + 1.1 * rows) + 0.51 * page.width / columns * rows
-    drawn = page.figure(height)
+    height = layout.scale * (under + 1.1 * rows) + 0.51 * layout.width / columns * rows
+    drawn = layout.figure(height)
     plots = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
     for empty in plots[count:]:
         empty.remove()
-    return drawn, plots[:count], replace(page, width=page.width / columns, height=(page.height or height) / rows)
+    return drawn, plots[:count], replace(layout, width=layout.width / columns, height=(layout.height or height) / rows)
 
 
 def _label_outside(plots: Sequence[Axes]) -> None:
@@ -178,27 +178,27 @@ def _coarseness(block: int) -> str:
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
-def _difference(here: Plane, there: Plane, pending: Cells, page: FigureLayout, label: str) -> MapLayers:
+def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayout, label: str) -> MapLayers:
     """The differences of exponents, with their scale under this label."""
-    change = differences(here.regime, there.regime, here[LARGEST.name], there[LARGEST.name])
+    change = differences(first.regime, second.regime, first[LARGEST.name], second[LARGEST.name])
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
     # The scale is symmetric: one given end decides the other.
-    wanted = [end for end in (page.vmax, page.vmin) if end is not None]
+    wanted = [end for end in (layout.vmax, layout.vmin) if end is not None]
     end = abs(wanted[0]) if wanted else most or 1.0
-    norm = scalar_maps.two_sided(page, -end, end)
+    norm = scalar_maps.two_sided(layout, -end, end)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
     layers = build_layers(
-        np.where(pending, np.int8(PENDING), here.regime), [unknown], [ScalarLayer(DIFFERENCE, norm, change, label)]
+        np.where(pending, np.int8(PENDING), first.regime), [unknown], [ScalarLayer(DIFFERENCE, norm, change, label)]
     )
     return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
 
 
-def _changes(here: Plane, there: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
+def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
     """The regimes there, in the words of that atlas, of cells with another regime here."""
-    same = (here.regime == there.regime) & ~pending, SAME, "same regime"
-    layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), there.regime), [same]), ds)
+    same = (first.regime == second.regime) & ~pending, SAME, "same regime"
+    layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
     own = LegendEntry(*same[1:])
     others = [entry for entry in layers.legend if entry != own]
     named = [e if e.regime == PENDING else replace(e, label=f"{e.label} instead") for e in others]

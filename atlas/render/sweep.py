@@ -58,24 +58,24 @@ _FEW, _MANY = 2.2, 1.5
 """Least diameter in points of the points of an orbit, and of a cloud such as chaos."""
 
 
-def figure(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """The sweep as a figure, each panel if the atlas holds its variable; InputError if it holds neither."""
-    return _of_one(ds, wanted, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
+    return _of_one(ds, request, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
 
 
-def figure_of_all(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """The sweep with all exponents as a figure; InputError if the atlas lacks them."""
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
     entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
-    return _of_one(ds, wanted, {SPECTRUM.name: _draw_spectrum}, entries)
+    return _of_one(ds, request, {SPECTRUM.name: _draw_spectrum}, entries)
 
 
 def _of_one(
-    ds: xr.Dataset, wanted: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
+    ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
     """The plotted points of a sweep over a panel of its exponents, which has these entries in the legend."""
-    shown = PlottedValues.resolve(wanted.observe, ds)
+    shown = PlottedValues.resolve(request.observe, ds)
     panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
     if not panels:
         raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
@@ -84,19 +84,19 @@ def _of_one(
     read = line(ds, [*panels, *more, *errors])
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
     notes = [] if shown is None else shown.notes(read[0])
-    return stack(ds, read, panels, [*regimes, *entries, *notes], wanted, shown)
+    return stack(ds, read, panels, [*regimes, *entries, *notes], request, shown)
 
 
-def figure_of_two(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """Two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
 
     The rule is ``atlas.query.hysteresis.compare``. InputError unless they have the same axis and a common variable.
     """
-    against = wanted.against
+    against = request.against
     assert against is not None
     hysteresis.check_same_axis(ds, against)
     atlases = (ds, against)
-    shown = PlottedValues.resolve(wanted.observe, *atlases)
+    shown = PlottedValues.resolve(request.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
@@ -109,7 +109,7 @@ def figure_of_two(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
                 ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
         # The second is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
-            size = point_size(x, _FEW, wanted.page) * larger
+            size = point_size(x, _FEW, request.page) * larger
             draw_points(ax, x, _values(cells, x, name, shown), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -121,10 +121,10 @@ def figure_of_two(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     for (what, color), meaning in zip(SHADES.items(), ("mirror images", "different motions"), strict=True):
         if np.any(outcome == what):
             legend.append(Patch(facecolor=color, edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
-    return stack(ds, (first, x), panels, legend, wanted, shown)
+    return stack(ds, (first, x), panels, legend, request, shown)
 
 
-def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
+def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
     """The sections of all attractors in the colours of their regimes, over their shares.
 
     Over their exponents if no sections are kept. Orbits of labelled attractors have the colours of their labels.
@@ -134,7 +134,7 @@ def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
-    shown = PlottedValues.resolve(wanted.observe, ds)
+    shown = PlottedValues.resolve(request.observe, ds)
     names = held([LARGEST.name], ds) if shown is None else [shown.name]
     panels = {name: _panel_of_attractors(name, known, shown) for name in names} | {"share": _panel_of_shares(known)}
     ends = [name for name in INTERVAL if name in ds]
@@ -151,21 +151,21 @@ def figure_of_attractors(ds: xr.Dataset, wanted: PictureRequest) -> Figure:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
         entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
-    return stack(ds, read, panels, entries, wanted, shown)
+    return stack(ds, read, panels, entries, request, shown)
 
 
-def figure_of_branches(branches: "BranchTable", page: FigureLayout = STANDARD) -> Figure:
+def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD) -> Figure:
     """Branches as a separate figure, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = CoordinateInfo(parameter.meaning, parameter.symbol, parameter.unit)
     shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
-    with page.context():
-        drawn, (ax,) = page.panels(1.2 + 0.45 * page.width, 1, text.system_line(system, shown))
-        entries = draw_branches(ax, branches, page)
+    with layout.context():
+        drawn, (ax,) = layout.panels(1.2 + 0.45 * layout.width, 1, text.system_line(system, shown))
+        entries = draw_branches(ax, branches, layout)
         label = shown_label(branches.observable, system)
         ax.set(xlabel=text.axis_label(parameter.name, meaning), ylabel=label, xlim=branches.window)
         ax.margins(y=0.06)
-        page.legend(drawn, entries)
+        layout.legend(drawn, entries)
     return drawn
 
 
@@ -188,17 +188,17 @@ def stack(
     read: tuple[xr.Dataset, PlaneAxis],
     panels: Mapping[str, Panel],
     legend: Sequence[Artist],
-    wanted: PictureRequest,
+    request: PictureRequest,
     shown: PlottedValues | None = None,
 ) -> Figure:
     """Panels over one shared axis, under the title line of the fixed parameters; branches over the section.
 
     ``shown`` is drawn by the first panel.
     """
-    page, (cells, x), (least, share) = wanted.page, read, _HEIGHT[len(panels)]
+    page, (cells, x), (least, share) = request.page, read, _HEIGHT[len(panels)]
     branches = None
-    if "branches" in wanted.overlays:
-        sweeps = [select_dominant(ds), *([] if wanted.against is None else [wanted.against])]
+    if "branches" in request.overlays:
+        sweeps = [select_dominant(ds), *([] if request.against is None else [request.against])]
         if shown is None:
             raise InputError(
                 "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
@@ -225,16 +225,16 @@ def stack(
 def _panel_of_points(shown: PlottedValues) -> Panel:
     """Section values, or values of an observable."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         regime, values = ds[REGIME.name].values, shown.values(ds, x)
         for code in np.unique(regime[regime != PENDING]):
             least = _FEW if code in (PERIODIC, NO_IMPACT) else _MANY
-            draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, page), cells=regime == code)
+            draw_points(ax, x, values, style.INK[int(code)], point_size(x, least, layout), cells=regime == code)
 
     return draw
 
 
-def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
+def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
     largest = ds[LARGEST.name].values
     finite = np.where(np.isfinite(largest), largest, np.nan)
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
@@ -243,11 +243,11 @@ def _draw_largest(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) ->
         ax.fill_between(x.values, finite - error, finite + error, color="#b0b0b0", linewidth=0, zorder=1.5)
     ax.plot(x.values, finite, color="#a6a6a6", linewidth=0.5, zorder=2)
     for cells, color in _groups(ds, None):
-        draw_points(ax, x, finite, color, point_size(x, _FEW, page), cells=cells)
+        draw_points(ax, x, finite, color, point_size(x, _FEW, layout), cells=cells)
     _mark_lost(ax, x, np.isneginf(largest), text.in_its_unit(ds, LARGEST_LABEL), r"(▾: $-\infty$)")
 
 
-def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
+def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
@@ -256,7 +256,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -
     )
     for i in range(spectrum.shape[-1]):
         ax.plot(x.values, finite[:, i], "-", color=color_of(i), linewidth=0.4, zorder=1.5)
-        marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, page)
+        marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, layout)
         ax.plot(x.values, marked, ".", color=color_of(i), markersize=size, markeredgewidth=0, zorder=2)
     label = text.in_its_unit(ds, f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]")
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
@@ -265,10 +265,10 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -
 def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValues | None) -> Panel:
     """Section values, an observable or exponents of every attractor; larger shares lie on top."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
             here = ds.isel({ATTRACTOR: k})
-            size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, page)
+            size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, layout)
             values = _values(here, x, name, shown)
             for cells, color in _groups(here, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
@@ -280,7 +280,7 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValu
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     """The shares of all attractors stacked, separated by white lines; the rest up to 1 is undecided."""
 
-    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, page: FigureLayout) -> None:
+    def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         bands: list[tuple[str, Array]] = []
         for k in range(ds.sizes[ATTRACTOR]):
             here = ds.isel({ATTRACTOR: k})
@@ -318,19 +318,19 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
     ax.set_ylabel(f"{label}\n{note}" if lost.any() else label)
 
 
-def draw_branches(ax: Axes, branches: "BranchTable", page: FigureLayout) -> list[Artist]:
+def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Artist]:
     """Draw branches, also of mirror images, with their events, and return the legend entries drawn."""
     lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
         shown, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
         if shown:
-            look = {"color": INK, "linewidth": width * page.scale, "linestyle": dashes}
+            look = {"color": INK, "linewidth": width * layout.scale, "linestyle": dashes}
             ax.add_collection(LineCollection(shown, zorder=4, **look))
             entries.append(Line2D([], [], label=label, **look))
     for kind, event in style.EVENT_STYLES.items():
         at = [place for mark, place in places if mark == kind]
         if at:
-            mark = style.mark(event.marker, _MARKER * page.scale, event.color, "white", 0.5) | {"label": event.label}
+            mark = style.mark(event.marker, _MARKER * layout.scale, event.color, "white", 0.5) | {"label": event.label}
             ax.plot(*np.concatenate(at).T, zorder=5, **mark)
             entries.append(Line2D([], [], **mark))
     ax.autoscale_view()
@@ -342,9 +342,9 @@ def color_of(i: int) -> str:
     return EXPONENTS[i % len(EXPONENTS)]
 
 
-def point_size(x: PlaneAxis, least: float, page: FigureLayout) -> float:
+def point_size(x: PlaneAxis, minimum: float, layout: FigureLayout) -> float:
     """The diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
-    return float(np.clip(1.6 * page.plot_size(1.0)[0] / x.values.size, least, 4.0))
+    return float(np.clip(1.6 * layout.plot_size(1.0)[0] / x.values.size, minimum, 4.0))
 
 
 def draw_points(

@@ -16,21 +16,21 @@ OWN_TITLE = "own title"
 """The same for titles limited to the width of their plot by neighbours."""
 
 
-def fit(drawn: Figure) -> None:
+def fit(fig: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
     for _ in range(3):  # a label in two lines leaves less room for others
-        drawn.draw_without_rendering()
-        titles: Any = drawn.findobj(lambda artist: isinstance(artist, Text) and artist.get_gid() in (TITLE, OWN_TITLE))
-        if not any([_fit_title(drawn, title) for title in titles] + [_fit_labels(drawn)]):
+        fig.draw_without_rendering()
+        titles: Any = fig.findobj(lambda artist: isinstance(artist, Text) and artist.get_gid() in (TITLE, OWN_TITLE))
+        if not any([_fit_title(fig, title) for title in titles] + [_fit_labels(fig)]):
             return
 
 
-def _fit_title(drawn: Figure, text: Text) -> bool:
+def _fit_title(fig: Figure, text: Text) -> bool:
     """Put as many comma-separated parts of a title into each line as fit."""
     before = text.get_text()
-    end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else drawn.bbox.x1 - 3.0
+    end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else fig.bbox.x1 - 3.0
     place = text.get_window_extent()
-    for legend in drawn.legends:
+    for legend in fig.legends:
         box = legend.get_window_extent()
         if box.x0 > place.x0 and box.y1 > place.y0:  # an artist beside the title
             end = min(end, box.x0 - 3.0)
@@ -50,17 +50,17 @@ def _fit_title(drawn: Figure, text: Text) -> bool:
     return text.get_text() != before
 
 
-def _fit_labels(drawn: Figure) -> bool:
+def _fit_labels(fig: Figure) -> bool:
     """Break labels that leave the figure, exceed an upright axis, or meet their neighbours."""
-    levels = [ax.xaxis.label.get_window_extent() for ax in drawn.axes if ax.get_xlabel()]
-    uprights = [ax.yaxis.label.get_window_extent() for ax in drawn.axes if ax.get_ylabel()]
+    levels = [ax.xaxis.label.get_window_extent() for ax in fig.axes if ax.get_xlabel()]
+    uprights = [ax.yaxis.label.get_window_extent() for ax in fig.axes if ax.get_ylabel()]
     changed = False
-    for ax in drawn.axes:
+    for ax in fig.axes:
         across, up = (text.get_window_extent() for text in (ax.xaxis.label, ax.yaxis.label))
         too_long = {
-            ax.xaxis.label: across.x0 < 0.0 or across.x1 > drawn.bbox.width or _meets(across, levels),
+            ax.xaxis.label: across.x0 < 0.0 or across.x1 > fig.bbox.width or _meets(across, levels),
             ax.yaxis.label: up.y0 < 0.0
-            or up.y1 > drawn.bbox.height
+            or up.y1 > fig.bbox.height
             or up.height > max(ax.bbox.height, _LEAST * up.width)
             or _meets(up, uprights),
         }

@@ -32,14 +32,14 @@ class AttractorSearch:
     @classmethod
     def from_arguments(
         cls,
-        given: Mapping[str, Any],
+        parameters: Mapping[str, Any],
         system: str | Mapping[str, Any] | System,
         settings: Settings | None,
         starts: int,
     ) -> Self:
         """The search of a question; InputError for a parameter that does not exist or is out of range, and so on."""
         record, settings = parse_system(system), given_settings(settings)
-        return cls(record, validate_parameters(record, given), settings, cell_attractors(starts, record, settings))
+        return cls(record, validate_parameters(record, parameters), settings, cell_attractors(starts, record, settings))
 
     @property
     def described(self) -> dict[str, Any]:
@@ -78,7 +78,7 @@ class AttractorSearch:
 
 
 def attractors(
-    given: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
@@ -102,5 +102,5 @@ def attractors(
     >>> [(one["regime"], one["period"], one["share"]) for one in found["coexisting"]]
     [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
-    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
     return asked.described | asked.results

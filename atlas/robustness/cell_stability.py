@@ -27,7 +27,7 @@ SHOWN = (REGIME.name, "share", "share_low", "share_high", "period", LARGEST.name
 
 
 def stability(
-    given: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
@@ -60,7 +60,7 @@ def stability(
     [(1, 4.245), (3, 4.276)]
     """
     validate_flag("shocks", shocks)
-    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
     must_have_force(asked.record, "stability measures")
     if asked.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
@@ -77,19 +77,19 @@ def stability(
     return asked.described | results | {"coexisting": entries}
 
 
-def _measured(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
+def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
     """The linear measures of the attractor in this place of the table."""
     from atlas.robustness.linear_measures import measures_of
 
-    measures = measures_of(table.cell.oscillator, table.attractors[place], weights)._asdict()
+    measures = measures_of(table.cell.oscillator, table.attractors[index], weights)._asdict()
     return measures if measures["reason"] else {name: value for name, value in measures.items() if name != "reason"}
 
 
-def _shocked(table: "AttractorTable", place: int, weights: "Array") -> dict[str, Any]:
+def _shocked(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
     """The minimal fatal shock of the attractor in this place of the table."""
     from atlas.robustness.fatal_shock import shock_of
 
-    shock = shock_of(table, place, weights)
+    shock = shock_of(table, index, weights)
     if shock is None:
         return {"fatal_shock": np.nan, "shock_reason": "no other attractor is known"}
     return {

@@ -170,14 +170,14 @@ def reactivity(matrices: Array) -> float:
         return float(np.log(np.linalg.norm(matrices, 2, axis=(1, 2)).max()))
 
 
-def amplification(matrices: Array, most: int = MAX_PRODUCTS) -> tuple[float, int] | None:
+def amplification(matrices: Array, limit: int = MAX_PRODUCTS) -> tuple[float, int] | None:
     """The largest 2-norm of products of consecutive matrices (p, d, d), cyclic; and the number of factors.
 
-    1 and 0 if no product has a norm above 1; None if that is still open after ``most`` products.
+    1 and 0 if no product has a norm above 1; None if that is still open after ``limit`` products.
     """
     p = len(matrices)
     products, best = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape), (1.0, 0)
-    for m in range(1, most // p + 1):
+    for m in range(1, limit // p + 1):
         products = matrices[(np.arange(p) + m - 1) % p] @ products
         size = float(np.linalg.norm(products, 2, axis=(1, 2)).max())
         if size < 1.0:

@@ -17,18 +17,22 @@ from atlas.spec.axis import number
 from atlas.store.store import AtlasStore
 
 
-def validate_scale(handle: AtlasStore, given: Mapping[str, Any] | None) -> dict[str, float]:
+def validate_scale(handle: AtlasStore, parameters: Mapping[str, Any] | None) -> dict[str, float]:
     """The unit of distance along each axis, x first: those given, else the width of the plane.
 
     Along a logarithmic axis it is a unit of the natural logarithm. InputError for a bad name or a unit not above 0.
     """
     plane = plane_of(handle)
-    given = {} if given is None else validate_type("scale", given, Mapping, "units by axis, such as {'omega': 0.1}")
-    check_names("axis in scale", given, plane.axes)
+    parameters = (
+        {}
+        if parameters is None
+        else validate_type("scale", parameters, Mapping, "units by axis, such as {'omega': 0.1}")
+    )
+    check_names("axis in scale", parameters, plane.axes)
     units = {}
     for name, log in zip(plane.axes, plane.log, strict=True):
         low, high = (np.log(end) if log else end for end in plane.window[name])
-        unit = number(f"scale.{name}", given[name]) if name in given else float(high - low)
+        unit = number(f"scale.{name}", parameters[name]) if name in parameters else float(high - low)
         if unit <= 0.0:
             raise InputError(f"scale.{name}: found {unit:g}, must be above 0")
         units[name] = unit

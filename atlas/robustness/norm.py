@@ -12,30 +12,34 @@ from workers.model.oscillator import Array
 from workers.model.system import System
 
 
-def validate_weights(given: Mapping[str, Any] | None, record: System) -> dict[str, float]:
+def validate_weights(parameters: Mapping[str, Any] | None, system: System) -> dict[str, float]:
     """The weights that a user gives, by component of the state; InputError for a bad name or a weight that is not > 0.
 
     >>> from workers.model.system import find_system
     >>> checked_weights({"v1": 2}, find_system("two-mass"))
     {'v1': 2.0}
     """
-    given = {} if given is None else validate_type("norm", given, Mapping, "weights by component, such as {'v1': 2}")
-    check_names("component of the state in norm", given, record.states)
-    weights = {name: number(f"norm.{name}", value) for name, value in given.items()}
+    parameters = (
+        {}
+        if parameters is None
+        else validate_type("norm", parameters, Mapping, "weights by component, such as {'v1': 2}")
+    )
+    check_names("component of the state in norm", parameters, system.states)
+    weights = {name: number(f"norm.{name}", value) for name, value in parameters.items()}
     for name, weight in weights.items():
         if weight <= 0.0:
             raise InputError(f"norm.{name}: found {weight:g}, must be above 0")
     return weights
 
 
-def weights_of(given: Mapping[str, float], record: System, period: float) -> Array:
+def weights_of(parameters: Mapping[str, float], system: System, period: float) -> Array:
     """The weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2): those given, else 1, for velocities 1 / omega.
 
     So the norm has the unit of displacement by default. period: the forcing period T
     """
-    n, time = len(record.states) // 2, period / (2.0 * np.pi * record.definition.turns)
+    n, time = len(system.states) // 2, period / (2.0 * np.pi * system.definition.turns)
     default = [1.0] * n + [time] * n
-    return np.array([given.get(name, usual) for name, usual in zip(record.states, default, strict=True)])
+    return np.array([parameters.get(name, usual) for name, usual in zip(system.states, default, strict=True)])
 
 
 def weight_matrices(matrices: Array, weights: Array) -> Array:

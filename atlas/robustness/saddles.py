@@ -36,7 +36,7 @@ BEYOND = 0.5
 
 
 def saddles(
-    given: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     /,
     *,
     system: str | Mapping[str, Any] | System = DEFAULT,
@@ -64,22 +64,22 @@ def saddles(
     [(1, [0, 1])]
     """
     validate_flag("manifolds", manifolds)
-    asked = AttractorSearch.from_arguments(given_values(given, named), system, settings, starts)
+    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
     return saddles_between(asked, validate_weights(norm, asked.record), manifolds, box)
 
 
 def saddles_between(
-    asked: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
+    requested: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
 ) -> dict[str, Any]:
     """``saddles`` of a search."""
     from atlas.robustness.boundary_tracking import saddles_of
 
-    record = asked.record
+    record = requested.record
     must_offer(record, "saddles")
     if manifolds and len(record.states) != 2:
         raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
-    table = asked.table
-    w = asked.weights(norm)
+    table = requested.table
+    w = requested.weights(norm)
     tracked = saddles_of(table, w)
     entries = [_described(saddle) for saddle in tracked.saddles]
     if manifolds:
@@ -89,7 +89,7 @@ def saddles_between(
             entry["manifold"] = [(piece / w).tolist() for branch in branches for piece in branch.pieces]
             entry["ends"] = [branch.end for branch in branches]
     results = {"norm": dict(zip(record.states, w.tolist(), strict=True)), "attractors": len(table.attractors)}
-    return asked.described | results | {"saddles": entries, "troubles": tracked.troubles}
+    return requested.described | results | {"saddles": entries, "troubles": tracked.troubles}
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
@@ -122,13 +122,15 @@ def _described(saddle: "Saddle") -> dict[str, Any]:
     }
 
 
-def _box(table: "AttractorTable", given: Box | None) -> tuple["Array", "Array"]:
+def _box(table: "AttractorTable", parameters: Box | None) -> tuple["Array", "Array"]:
     """The lowest and the highest state; InputError for a bad name or ends that do not rise."""
     from workers.attractors.initial_states import boxes
 
     names = table.record.states
     low, high = (side[0].copy() for side in boxes(table.starts, table.oscillators, table.record))
-    for name, ends in ({} if given is None else validate_type("box", given, Mapping, "(low, high) by state")).items():
+    for name, ends in (
+        {} if parameters is None else validate_type("box", parameters, Mapping, "(low, high) by state")
+    ).items():
         first, last = validate_interval(f"box.{name}", ends)
         if name not in names or not first < last:
             raise InputError(f"box.{name}: found {first:g} to {last:g}; must rise, of {' or '.join(names)}")

@@ -24,7 +24,7 @@ SAME_ATTRACTOR = 1e-6
 
 
 def linear_measures(
-    record: System, params: Mapping[str, Array], cells: Mapping[str, NDArray[Any]], norm: Mapping[str, float]
+    system: System, params: Mapping[str, Array], cells: Mapping[str, NDArray[Any]], norm: Mapping[str, float]
 ) -> Arrays:
     """Return time, reactivity and amplification of attractors (N, keep) of cells, in a norm of weights by name.
 
@@ -34,7 +34,7 @@ def linear_measures(
     regime = cells["regime"]
     measures = empty(of_family(LINEAR), regime.shape)
     measures["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
-    oscillators, reasons = record.build_many(params)
+    oscillators, reasons = system.build_many(params)
     stable = np.isin(regime, STABLE) & (reasons == NO_REASON)[:, None] & np.isfinite(cells["state"]).all(axis=-1)
     cell, place = np.nonzero(stable)
     motions, _ = begin(at_rows(oscillators, cell), reasons[cell], cells["state"][stable])
@@ -47,7 +47,7 @@ def linear_measures(
             h=motions.h[k],
             period=int(cells["period"][at]),
         )
-        linear = measures_of(one, orbit, weights_of(norm, record, float(one.period[0])))
+        linear = measures_of(one, orbit, weights_of(norm, system, float(one.period[0])))
         for name, value in linear._asdict().items():
             if name in measures:
                 measures[name][at] = value
@@ -57,7 +57,7 @@ def linear_measures(
 
 
 def shock_measures(
-    record: System,
+    system: System,
     params: Mapping[str, Array],
     cells: Mapping[str, NDArray[Any]],
     norm: Mapping[str, float],
@@ -70,10 +70,10 @@ def shock_measures(
     """
     measures = empty(of_family(SHOCKS), cells["regime"].shape)
     for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
-        table = AttractorTable(record, {name: float(values[n]) for name, values in params.items()}, settings, starts)
+        table = AttractorTable(system, {name: float(values[n]) for name, values in params.items()}, settings, starts)
         if len(table.attractors) < 2:
             continue
-        weights = weights_of(norm, record, float(table.oscillators.period[0]))
+        weights = weights_of(norm, system, float(table.oscillators.period[0]))
         places = [
             _place(attractor, {name: values[n] for name, values in cells.items()}) for attractor in table.attractors
         ]

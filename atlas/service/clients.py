@@ -105,6 +105,6 @@ def check_report(client: "Client | None", options: RunOptions) -> None:
         raise InputError("performance_report: the scheduler draws it, and has no Bokeh: pip install bokeh")
 
 
-def _not_written(options: RunOptions, why: str) -> None:
+def _not_written(options: RunOptions, reason: str) -> None:
     stage = "ending"
-    options.report(Progress(stage, note=f"performance report {options.performance_report}: not written ({why})"))
+    options.report(Progress(stage, note=f"performance report {options.performance_report}: not written ({reason})"))

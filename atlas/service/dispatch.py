@@ -52,12 +52,12 @@ class WorkerStatus:
 
 
 @contextmanager
-def open_dispatcher(client: "Client", labour: JobType[J, R], timing: Timing = TIMING) -> "Iterator[Dispatcher[J, R]]":
+def open_dispatcher(client: "Client", job_type: JobType[J, R], timing: Timing = TIMING) -> "Iterator[Dispatcher[J, R]]":
     """The workers of a cluster, set up for their jobs until the end of the block."""
     from atlas.service.worker_setup import prepare_workers  # imports Dask, which takes a while to load
 
-    with prepare_workers(client, labour, timing.connect) as act:
-        yield Dispatcher(client, act, timing, labour.memory)
+    with prepare_workers(client, job_type, timing.connect) as act:
+        yield Dispatcher(client, act, timing, job_type.memory)
 
 
 class Dispatcher(Generic[J, R]):
@@ -70,9 +70,14 @@ class Dispatcher(Generic[J, R]):
     """
 
     def __init__(
-        self, client: "Client", act: Callable[[J], R], timing: Timing, memory: int, ahead: float = QUEUED_SECONDS
+        self,
+        client: "Client",
+        act: Callable[[J], R],
+        timing: Timing,
+        memory: int,
+        queued_seconds: float = QUEUED_SECONDS,
     ) -> None:
-        self.client, self.timing, self.memory, self.ahead = client, timing, memory, ahead
+        self.client, self.timing, self.memory, self.ahead = client, timing, memory, queued_seconds
         self.pending: Iterator[J] = iter(())
         self.in_flight: InFlightJobs[J, R] = InFlightJobs(client, act, timing.connect)
         self.retries: deque[JobAttempt[J]] = deque()
@@ -85,11 +90,11 @@ class Dispatcher(Generic[J, R]):
         self.heard: dict[str, float] = {}
         self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
 
-    def iter_outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
+    def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
 
         ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
-        room. ``tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop.
+        room. ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop.
         Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
         """
         self.pending, ticked = iter(jobs), -math.inf
@@ -99,13 +104,13 @@ class Dispatcher(Generic[J, R]):
             while True:
                 if time.monotonic() - ticked >= self.timing.tick:
                     self.refresh_workers()
-                    tick(self.worker_status())
+                    on_tick(self.worker_status())
                     ticked = time.monotonic()
                 self.submit_jobs()
                 if not (self.in_flight or self.retries):
                     yield from self.judge_doubtful()
                     if not self.retries:
-                        tick(self.worker_status())  # shows workers excluded since the last tick
+                        on_tick(self.worker_status())  # shows workers excluded since the last tick
                         return
                     continue
                 for attempt, result in self.in_flight.ended():

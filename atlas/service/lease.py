@@ -94,8 +94,8 @@ class Lease:
     most ``patience`` seconds, or ``timing.dead`` if that is more.
     """
 
-    def __init__(self, notes: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
-        self._notes, self._record, self._data, self._timing = notes, record, record.pack(), timing
+    def __init__(self, sidecar: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
+        self._notes, self._record, self._data, self._timing = sidecar, record, record.pack(), timing
         self._advanced, self._most_silent = time.monotonic(), max(timing.expire_after, patience)
         self.lost = ""
         self._failure: OSError | None = None
@@ -186,29 +186,29 @@ class Lease:
 
 @contextmanager
 def hold_lease(
-    notes: Sidecar,
+    sidecar: Sidecar,
     name: str,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
     patience: float = 0.0,
 ) -> Iterator[Lease]:
     """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
 
-    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``say`` is called with a line
+    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``notify`` is called with a line
     about it. ``patience``: see ``Lease``.
     """
     mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
-        while not notes.compare_and_set(LEASE_NAME, mine.pack(), expected=None):
-            other = notes.read(LEASE_NAME)
-            abandoned = other is not None and _is_abandoned(notes, name, other, say, timing)
-            if abandoned and notes.compare_and_set(LEASE_NAME, mine.pack(), expected=other):
+        while not sidecar.compare_and_set(LEASE_NAME, mine.pack(), expected=None):
+            other = sidecar.read(LEASE_NAME)
+            abandoned = other is not None and _is_abandoned(sidecar, name, other, notify, timing)
+            if abandoned and sidecar.compare_and_set(LEASE_NAME, mine.pack(), expected=other):
                 break
     except NetworkError:
         raise
     except OSError as error:
         raise InputError(f"{name}: cannot be written: {error.strerror or error}") from None
-    claim = Lease(notes, mine, timing, patience)
+    claim = Lease(sidecar, mine, timing, patience)
     try:
         yield claim
     finally:
@@ -253,8 +253,8 @@ class LeaseObserver:
     seconds. ``mark`` is the part of the claim that only its holder changes.
     """
 
-    def __init__(self, notes: Sidecar, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
-        self._notes, self._timing, self._sleep = notes, timing, sleep
+    def __init__(self, sidecar: Sidecar, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
+        self._notes, self._timing, self._sleep = sidecar, timing, sleep
         self.mark, self._since = object(), 0.0
 
     def observe(self) -> LeaseObservation | None:
@@ -279,10 +279,10 @@ class LeaseObserver:
 
 
 def cancel(
-    notes: Sidecar,
+    sidecar: Sidecar,
     name: str,
     wait_seconds: float,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
 ) -> LeaseRecord:
     """Ask the run that holds a store to stop, and wait until it has; InputError if no run holds it.
@@ -291,7 +291,7 @@ def cancel(
     stands.
     """
     while True:
-        data = notes.read(LEASE_NAME)
+        data = sidecar.read(LEASE_NAME)
         if data is None:
             raise InputError(f"{name}: no run is at work on it")
         record = LeaseRecord.unpack(data)
@@ -299,10 +299,12 @@ def cancel(
             raise RunError(f"{name}: {LeaseObservation(None).trouble}")
         if record.is_alive is False:
             raise InputError(f"{name}: no run is at work on it: {LeaseObservation(record, alive=False).trouble}")
-        if record.cancelled or notes.compare_and_set(LEASE_NAME, replace(record, cancelled=True).pack(), expected=data):
+        if record.cancelled or sidecar.compare_and_set(
+            LEASE_NAME, replace(record, cancelled=True).pack(), expected=data
+        ):
             break
-    say(f"asked {record} to stop")
-    observer, end = LeaseObserver(notes, timing), time.monotonic() + wait_seconds
+    notify(f"asked {record} to stop")
+    observer, end = LeaseObserver(sidecar, timing), time.monotonic() + wait_seconds
     while time.monotonic() < end:
         seen = observer.observe()
         if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
@@ -313,25 +315,27 @@ def cancel(
     raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next beat")
 
 
-def record_end(notes: Sidecar, text: str) -> None:
+def record_end(sidecar: Sidecar, text: str) -> None:
     """Note the end of a submitted run, for the status; the next run that ends well clears the note."""
     with suppress(Exception):  # a failure to write the note must not hide the run's own error
-        notes.compare_and_set(ENDED, text.encode(), expected=notes.read(ENDED))
+        sidecar.compare_and_set(ENDED, text.encode(), expected=sidecar.read(ENDED))
 
 
-def read_end(notes: Sidecar) -> str:
+def read_end(sidecar: Sidecar) -> str:
     """The note about the end of the last submitted run, empty if it ended well."""
-    return (notes.read(ENDED) or b"").decode(errors="replace")
+    return (sidecar.read(ENDED) or b"").decode(errors="replace")
 
 
-def _is_abandoned(notes: Sidecar, name: str, data: bytes, say: Callable[[str], None], timing: Timing) -> bool:
+def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
     """Watch a claim: True once its counter has stood still long enough; InputError as soon as the counter moves."""
     record = LeaseRecord.unpack(data)
     if record and record.is_alive is False:
-        say(f"replacing the claim of {record}, which is gone")
+        notify(f"replacing the claim of {record}, which is gone")
         return True
-    say(f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim")
-    observer = LeaseObserver(notes, timing)
+    notify(
+        f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim"
+    )
+    observer = LeaseObserver(sidecar, timing)
     while (seen := observer.observe()) is not None:
         if observer.mark != _mark(data):
             raise InputError(
@@ -339,7 +343,7 @@ def _is_abandoned(notes: Sidecar, name: str, data: bytes, say: Callable[[str], N
                 f"atlas cancel {name}"
             )
         if seen.silence >= timing.expire_after:
-            say("replacing a claim without a sign of life")
+            notify("replacing a claim without a sign of life")
             return True
         time.sleep(min(timing.lease_poll, timing.expire_after / 4))
     return False  # released meanwhile

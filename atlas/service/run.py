@@ -154,14 +154,14 @@ class _Run:
         self.begin()
         self.totals.start()
         self.report(f"solving tile {index} in this process")
-        receipt = run_tile_job(RunJob(index, self.pool.store_ref))
-        self.records.add(receipt.index, receipt.record)
-        self.totals.add(receipt)
+        report = run_tile_job(RunJob(index, self.pool.store_ref))
+        self.records.add(report.index, report.record)
+        self.totals.add(report)
 
     def hand_out(self) -> None:
         """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
         handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.pool.store_ref
-        force = self.pool.dispatcher
+        dispatcher = self.pool.dispatcher
         totals.start()
         try:
             for outcome in self.pool.iter_outcomes((RunJob(index, site) for index in order), self._tick):
@@ -173,7 +173,7 @@ class _Run:
                 self.report("solving")
             if handle.spec.basins:
                 self.stage = "labelling the attractors"
-                force.require_memory(force.memory + labelling_bytes(handle))
+                dispatcher.require_memory(dispatcher.memory + labelling_bytes(handle))
                 self._make([RunJob((), site, LABELS)])
             self.stage = "writing overviews"
             for level in self.overviews.levels:

@@ -18,9 +18,9 @@ NEIGHBOURS = 4
 class TileOrder:
     """An iterator over the indices of the unfinished tiles; costs noted meanwhile decide the order of the rest."""
 
-    def __init__(self, due: np.ndarray) -> None:
-        self._due = due
-        self._cost = np.full(due.shape, np.nan)
+    def __init__(self, unfinished: np.ndarray) -> None:
+        self._due = unfinished
+        self._cost = np.full(unfinished.shape, np.nan)
         self._noted = 0
 
     def record_cost(self, index: tuple[int, ...], cost: float) -> None:

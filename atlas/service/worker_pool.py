@@ -117,10 +117,10 @@ class WorkerPool(Generic[J, R]):
         )
         return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
 
-    def iter_outcomes(self, jobs: Iterable[J], tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
+    def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """The outcomes of jobs, see ``Dispatcher.outcomes``; RunError, too, if the claim has been taken meanwhile."""
         try:
-            yield from self.dispatcher.iter_outcomes(jobs, tick)
+            yield from self.dispatcher.iter_outcomes(jobs, on_tick)
         except RunError:
             with suppress(OSError):  # a store that cannot be reached says nothing of its claim
                 self.handle.backend.check_fence()  # if the claim was taken, workers refuse for that reason
@@ -129,19 +129,19 @@ class WorkerPool(Generic[J, R]):
     def run_jobs(
         self: "WorkerPool[J, T]",
         jobs: Sequence[J],
-        doing: Callable[[], Progress],
-        take: Callable[[T], None] = lambda _: None,
+        get_progress: Callable[[], Progress],
+        on_result: Callable[[T], None] = lambda _: None,
     ) -> None:
-        """Let the workers do jobs whose results are parts of the store; ``take`` is called with every receipt.
+        """Let the workers do jobs whose results are parts of the store; ``on_result`` is called with every receipt.
 
-        ``doing`` gives the progress to report. RunError if a job fails for good.
+        ``get_progress`` gives the progress to report. RunError if a job fails for good.
         """
 
         def tick(workers: WorkerStatus) -> None:
             self.lease.check()
             self.threads = max(self.threads, workers.threads)
             waiting = "" if workers.threads else "no worker left: waiting for one"
-            self._report(doing(), workers.trouble or waiting)
+            self._report(get_progress(), workers.trouble or waiting)
 
         for outcome in self.iter_outcomes(jobs, tick) if jobs else ():
             if isinstance(outcome, TileFailure):
@@ -150,8 +150,8 @@ class WorkerPool(Generic[J, R]):
                 )
             self.tasks += 1
             self.processor_seconds += outcome.processor_seconds
-            take(outcome)
-            self._report(doing())
+            on_result(outcome)
+            self._report(get_progress())
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
         """Report the progress of the jobs; in a log once every few seconds."""

@@ -66,17 +66,17 @@ def run_after_setup(name: str, act: Callable[[J], R], job: J) -> R:
 
 
 @contextmanager
-def prepare_workers(client: "Client", labour: JobType[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
+def prepare_workers(client: "Client", job_type: JobType[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
     """Prepare every worker once, and yield ``labour.act`` as a function that waits for its worker's preparation.
 
     A run that resumes after a kill has the same name, and replaces the setup left behind. Dask asks all workers; this
     waits for at most ``seconds``, so that a worker that hangs does not hold up the others. A worker without the setup
     does its jobs all the same, since every job checks what it needs.
     """
-    name = labour.name
-    _asked(client, lambda: client.register_plugin(WorkerSetup(name, labour.setup, labour.teardown)), seconds)
+    name = job_type.name
+    _asked(client, lambda: client.register_plugin(WorkerSetup(name, job_type.setup, job_type.teardown)), seconds)
     try:
-        yield partial(run_after_setup, name, labour.run)
+        yield partial(run_after_setup, name, job_type.run)
     finally:
         _asked(client, lambda: client.unregister_worker_plugin(name), seconds)
 

@@ -15,7 +15,7 @@ MOST_COST = 2**31 - 1
 """Largest cost of a cell in forcing periods, by the width of ``periods_used``."""
 
 
-def parse_attractors(given: object, record: System, settings: Settings) -> AttractorSettings | None:
+def parse_attractors(given: object, system: System, settings: Settings) -> AttractorSettings | None:
     """The initial states in a table; InputError with the wrong key. None if no table is given."""
     if given is None:
         return None
@@ -27,7 +27,7 @@ def parse_attractors(given: object, record: System, settings: Settings) -> Attra
         raise InputError('attractors: need method = "adaptive", found "fixed"')
     whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
     try:
-        starts = AttractorSettings(**whole, box=_checked_box(table.get("box", {}), record))
+        starts = AttractorSettings(**whole, box=_checked_box(table.get("box", {}), system))
     except ValueError as error:
         raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
     cost = settings.max_periods + settings.survival
@@ -39,19 +39,19 @@ def parse_attractors(given: object, record: System, settings: Settings) -> Attra
     return starts
 
 
-def cell_attractors(starts: int, record: System, settings: Settings) -> AttractorSettings:
+def cell_attractors(starts: int, system: System, settings: Settings) -> AttractorSettings:
     """The initial states of a search for the attractors of one cell, which keeps all; InputError as above."""
-    search = parse_attractors({"starts": starts, "keep": MAX_KEPT}, record, settings)
+    search = parse_attractors({"starts": starts, "keep": MAX_KEPT}, system, settings)
     assert search is not None
     return search
 
 
 def search_to_json(
-    record: System, parameters: Mapping[str, float], settings: Settings, search: AttractorSettings
+    system: System, parameters: Mapping[str, float], settings: Settings, search: AttractorSettings
 ) -> dict[str, Any]:
     """The system, parameters, settings and search of one cell in full, as plain JSON."""
     described = {"parameters": parameters, "solve": asdict(settings), "search": attractors_to_json(search)}
-    return record.to_resolved() | described
+    return system.to_resolved() | described
 
 
 def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:
@@ -60,14 +60,14 @@ def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:
     return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
 
 
-def _checked_box(value: object, record: System) -> tuple[tuple[str, float, float], ...]:
+def _checked_box(value: object, system: System) -> tuple[tuple[str, float, float], ...]:
     if not isinstance(value, Mapping):
         raise InputError(
             f"attractors.box: found {brief_repr(value)}, must be a table of components of the initial state"
         )
-    check_names("component in attractors.box", value, record.states)
+    check_names("component in attractors.box", value, system.states)
     box = []
-    for name in record.states:
+    for name in system.states:
         if name not in value:
             continue
         ends = value[name]

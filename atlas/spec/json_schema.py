@@ -235,14 +235,14 @@ def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:
     return {"type": "object", "properties": dict(entries), "additionalProperties": False, **needed}
 
 
-def _map(value: Schema, least: int = 0, most: int | None = None) -> Schema:
+def _map(value: Schema, minimum: int = 0, limit: int | None = None) -> Schema:
     """A table of any names, each with such a value."""
-    ends = ({"minProperties": least} if least else {}) | ({} if most is None else {"maxProperties": most})
+    ends = ({"minProperties": minimum} if minimum else {}) | ({} if limit is None else {"maxProperties": limit})
     return {"type": "object", "additionalProperties": value, **ends}
 
 
-def _list(value: Schema, least: int = 0, most: int | None = None) -> Schema:
-    ends = ({"minItems": least} if least else {}) | ({} if most is None else {"maxItems": most})
+def _list(value: Schema, minimum: int = 0, limit: int | None = None) -> Schema:
+    ends = ({"minItems": minimum} if minimum else {}) | ({} if limit is None else {"maxItems": limit})
     return {"type": "array", "items": value, **ends}
 
 

@@ -57,22 +57,22 @@ def row_count(points: Columns) -> int:
     return points.rows if isinstance(points, StoredColumns) else len(next(iter(points.values())))
 
 
-def parse_points(given: object, record: System, folder: Path | None = None) -> Columns:
+def parse_points(given: object, system: System, folder: Path | None = None) -> Columns:
     """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to value lists of one length.
 
     A path is relative to the folder, if any. InputError with row and column for a value that is no number, or outside
     its parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
     """
     if isinstance(given, StoredColumns):
-        check_names("parameter", given, [parameter.name for parameter in record.parameters])
+        check_names("parameter", given, [parameter.name for parameter in system.parameters])
         return given
     if isinstance(given, Mapping) and isinstance(given.get(FILE), str | Path):
         check_names("key in points", given, [FILE])
         path = Path(given[FILE])
-        return _read_file(path if folder is None else folder / path, record)
+        return _read_file(path if folder is None else folder / path, system)
     if not isinstance(given, Mapping):
         raise InputError(f"points: found {brief_repr(given)}, must be a table with the key {FILE}, or with columns")
-    return _checked_columns("points", given, record)
+    return _checked_columns("points", given, system)
 
 
 def axis_of(points: Columns) -> Axis:
@@ -99,7 +99,7 @@ def describe_difference(stored: Columns, given: Columns) -> list[str]:
     return [f"point {row}: {name} = {stored[name][row]!r} in the store, {given[name][row]!r} in the spec"]
 
 
-def _read_file(path: Path, record: System) -> Columns:
+def _read_file(path: Path, system: System) -> Columns:
     """The columns of a CSV file."""
     if path.exists() and not path.is_dir() and not path.is_file():  # a device or a pipe may never end
         raise InputError(f"{path}: cannot be read: not a regular file")
@@ -107,7 +107,7 @@ def _read_file(path: Path, record: System) -> Columns:
         if (size := path.stat().st_size) > MAX_FILE:
             raise InputError(f"{path}: found {size} bytes, must be at most {MAX_FILE}; make several atlases")
         with path.open(newline="", encoding="utf-8-sig") as file:
-            return _read_rows(str(path), csv.reader(file, strict=True), record)
+            return _read_rows(str(path), csv.reader(file, strict=True), system)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -116,9 +116,9 @@ def _read_file(path: Path, record: System) -> Columns:
         raise InputError(f"{path}: is not CSV: {error}") from None
 
 
-def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns:
+def _read_rows(where: str, rows: Iterator[list[str]], system: System) -> Columns:
     names = [name.strip() for name in next(rows, [])]
-    _check_handle(where, names, record)
+    _check_handle(where, names, system)
     columns: dict[str, list[object]] = {name: [] for name in names}
     for place, row in enumerate(rows, 2):
         if not any(field.strip() for field in row):
@@ -132,14 +132,14 @@ def _read_rows(where: str, rows: Iterator[list[str]], record: System) -> Columns
                 raise InputError(
                     f"{where}, row {place}, column {name}: found {brief_repr(field)}, must be a number"
                 ) from None
-    return _checked_columns(where, columns, record)
+    return _checked_columns(where, columns, system)
 
 
-def _check_handle(where: str, names: Sequence[object], record: System) -> None:
+def _check_handle(where: str, names: Sequence[object], system: System) -> None:
     if not any(names):
         raise InputError(f"{where}: is empty; its first row must name parameters")
     try:
-        check_names("parameter", names, [parameter.name for parameter in record.parameters])
+        check_names("parameter", names, [parameter.name for parameter in system.parameters])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
@@ -147,15 +147,15 @@ def _check_handle(where: str, names: Sequence[object], record: System) -> None:
         raise InputError(f"{where}: column {twice} occurs twice")
 
 
-def _checked_columns(where: str, given: Mapping[str, Any], record: System) -> Columns:
-    _check_handle(where, list(given), record)
+def _checked_columns(where: str, given: Mapping[str, Any], system: System) -> Columns:
+    _check_handle(where, list(given), system)
     columns: dict[str, tuple[float, ...]] = {}
     for name, values in given.items():
         listed = values.tolist() if isinstance(values, np.ndarray) and values.ndim == 1 else values
         if not isinstance(listed, Sequence) or isinstance(listed, str):
             raise InputError(f"{where}: column {name}: found {brief_repr(values)}, must be a list of numbers")
-        columns[name] = _all_admitted(record.parameter(name), listed) or tuple(
-            _value(f"{where}, row {place}, column {name}", name, value, record) for place, value in enumerate(listed, 2)
+        columns[name] = _all_admitted(system.parameter(name), listed) or tuple(
+            _value(f"{where}, row {place}, column {name}", name, value, system) for place, value in enumerate(listed, 2)
         )
     for (one, values), (other, others) in itertools.pairwise(columns.items()):
         if len(values) != len(others):
@@ -171,9 +171,9 @@ def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float
     return floats if np.all(parameter.admits(np.array(floats))) else ()
 
 
-def _value(where: str, name: str, value: object, record: System) -> float:
+def _value(where: str, name: str, value: object, system: System) -> float:
     checked = number(where, value)
     try:
-        return admitted(record.parameter(name), checked)
+        return admitted(system.parameter(name), checked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None

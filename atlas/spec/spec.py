@@ -333,18 +333,18 @@ def given_settings(given: Settings | None) -> Settings:
     return Settings() if given is None else validate_type("settings", given, Settings, "atlas.Settings(...)")
 
 
-def check_parameters(record: System, given: Iterable[object], kind: str = "parameter") -> None:
+def check_parameters(system: System, given: Iterable[object], kind: str = "parameter") -> None:
     """Raise InputError at the first name that is no parameter of a system."""
-    known = {parameter.name for parameter in record.parameters}
+    known = {parameter.name for parameter in system.parameters}
     for name in given:
         if name not in known:
-            raise InputError(record.unknown_name_message(name if isinstance(name, str) else brief_repr(name), kind))
+            raise InputError(system.unknown_name_message(name if isinstance(name, str) else brief_repr(name), kind))
 
 
-def validate_parameters(record: System, given: Mapping[str, Any]) -> dict[str, float]:
+def validate_parameters(system: System, given: Mapping[str, Any]) -> dict[str, float]:
     """All parameters of a system: given ones checked against their ranges, others at their defaults."""
-    check_parameters(record, given)
-    return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in record.parameters}
+    check_parameters(system, given)
+    return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in system.parameters}
 
 
 def parse_settings(given: Mapping[str, Any]) -> Settings:
@@ -365,10 +365,10 @@ def parse_settings(given: Mapping[str, Any]) -> Settings:
         raise InputError(f"solve.{error}") from None
 
 
-def observable_settings(settings: Settings, record: System) -> Settings:
+def observable_settings(settings: Settings, system: System) -> Settings:
     """These settings; InputError for an observable that the system does not have."""
     try:
-        record.observables(settings)
+        system.observables(settings)
     except ValueError as error:
         raise InputError(f"solve.{error}") from None
     return settings
@@ -398,13 +398,13 @@ def _check_tables(**tables: object) -> None:
             raise InputError(f"{name}: found {brief_repr(table)}, must be a table")
 
 
-def _check_continuation(axes: tuple[Axis, ...], record: System) -> None:
+def _check_continuation(axes: tuple[Axis, ...], system: System) -> None:
     continued = [axis.name for axis in axes if axis.continuation]
     if len(axes) == MAX_AXES and continued:
         raise InputError(f"axes.{continued[0]}: a stack has no continued axis; compute its planes one by one")
     if len(continued) > 1:
         raise InputError(f"axes: found continuation on {' and '.join(continued)}, must be on one")
-    if continued and continued[0] in record.states:
+    if continued and continued[0] in system.states:
         raise InputError(f"axes.{continued[0]}: an initial state cannot be continued; continue another parameter")
 
 

@@ -88,35 +88,35 @@ def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
         return spec, lacking
 
 
-def impacts_of(record: System, cell: Mapping[str, Any]) -> str:
+def impacts_of(system: System, cell: Mapping[str, Any]) -> str:
     """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" if there are infinitely many.
 
     With several contacts, the counts of each in the order of the definition, p-q/r-s, or the total if the cell lacks
     them.
     """
-    one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in record.definition.contacts]
-    if not record.has_modes or not any(name in cell for pair in one_by_one for name in pair):
+    one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in system.definition.contacts]
+    if not system.has_modes or not any(name in cell for pair in one_by_one for name in pair):
         one_by_one = [("impacts_upper", "impacts_lower")]
     counts = [[int(cell.get(name, 0)) for name in pair] for pair in one_by_one]
     return "sticks" if min(map(min, counts)) < 0 else "/".join(f"{p}-{q}" for p, q in counts)
 
 
-def unused_lines(record: System) -> list[str]:
+def unused_lines(system: System) -> list[str]:
     """A line about parameters without effect; none if all are used."""
-    return [f"no entry of {record.name} uses {', '.join(record.unused_parameters)}"] if record.unused_parameters else []
+    return [f"no entry of {system.name} uses {', '.join(system.unused_parameters)}"] if system.unused_parameters else []
 
 
-def must_offer(record: System, what: str, unforced: bool = False) -> None:
+def must_offer(system: System, what: str, unforced: bool = False) -> None:
     """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
     ``unforced``: whether it exists without one."""
     with _as_input_error():
-        record.must_offer(what, unforced)
+        system.must_offer(what, unforced)
 
 
-def must_have_force(record: System, what: str) -> None:
+def must_have_force(system: System, what: str) -> None:
     """InputError, in one line, that ``what`` does not exist where there is no force."""
     with _as_input_error():
-        record.must_have_force(what)
+        system.must_have_force(what)
 
 
 @contextmanager

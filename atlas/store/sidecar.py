@@ -83,18 +83,18 @@ class NullSidecar:
         pass
 
 
-def read_lease_token(notes: Sidecar) -> str:
+def read_lease_token(sidecar: Sidecar) -> str:
     """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
-    return _token(notes.read(LEASE_NAME))
+    return _token(sidecar.read(LEASE_NAME))
 
 
-def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError], lost: str) -> Fence:
-    """A fence that raises ``error`` with the text ``lost`` unless a note of a store holds a token: one read."""
+def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError], reason: str) -> Fence:
+    """A fence that raises ``error`` with the text ``reason`` unless a note of a store holds a token: one read."""
     notes = sidecar_of(store)
 
     def check() -> None:
         if _token(notes.read(name)) != token:
-            raise error(f"{store}: {lost}")
+            raise error(f"{store}: {reason}")
 
     return check
 
@@ -112,28 +112,28 @@ class TileAttempt:
         """The note's bytes."""
         return json.dumps(vars(self)).encode()
 
-    def remove(self, notes: Sidecar, name: str) -> None:
+    def remove(self, sidecar: Sidecar, name: str) -> None:
         """Remove the attempt's note, unless a later attempt has replaced it."""
-        notes.compare_and_remove(name, self.pack())
+        sidecar.compare_and_remove(name, self.pack())
 
 
-def start_attempt(notes: Sidecar, name: str, run: str, most: int) -> TileAttempt:
+def start_attempt(sidecar: Sidecar, name: str, run: str, limit: int) -> TileAttempt:
     """Write the note of a new attempt of a run, replacing an older note.
 
-    RunError if the older note is of attempt number ``most`` of that run: all of them died before they removed it.
+    RunError if the older note is of attempt number ``limit`` of that run: all of them died before they removed it.
     """
     note, process = None, f"{socket.gethostname()}, process {os.getpid()}"
     while True:
         before = _read_note(note)
         number = before.get("number") if before.get("run") == run else 0
         number = number if isinstance(number, int) else 0
-        if number >= most:
+        if number >= limit:
             last = before.get("process", "an unknown one")
             raise RunError(f"the process that solves it has died {number} times, the last was {last}")
         attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
-        if notes.compare_and_set(name, attempt.pack(), expected=note):
+        if sidecar.compare_and_set(name, attempt.pack(), expected=note):
             return attempt
-        note = notes.read(name)
+        note = sidecar.read(name)
 
 
 def _token(note: bytes | None) -> str:

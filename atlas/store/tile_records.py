@@ -142,8 +142,8 @@ class RunTileRecords:
     ``due`` is a mask of the tiles that the workers may write.
     """
 
-    def __init__(self, handle: AtlasStore, records: TileRecords, due: NDArray[np.bool_]) -> None:
-        self._handle, self._rows, self._open = handle, records.rows.copy(), due.copy()
+    def __init__(self, handle: AtlasStore, records: TileRecords, unfinished: NDArray[np.bool_]) -> None:
+        self._handle, self._rows, self._open = handle, records.rows.copy(), unfinished.copy()
         self._new = bool(records.single)
         self._done = records.done.copy()
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)

@@ -48,8 +48,8 @@ def run_tile_job(job: RunJob) -> TileReport:
         notes = sidecar_of(handle.backend)
         if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
-            receipt = make_report(handle, job.index, stored_tile(handle, job.index), solved)
-            return replace(receipt, record=stored_record(handle, job.index))
+            report = make_report(handle, job.index, stored_tile(handle, job.index), solved)
+            return replace(report, record=stored_record(handle, job.index))
         attempt = start_attempt(notes, job.attempt_key, job.store_ref.lease, MAX_DEATHS)
     try:
         job = replace(job, attempt=attempt.token)

@@ -41,18 +41,18 @@ class StoreRef:
     patience: float = LONG_PATIENCE
     lease: str = ""
 
-    def open(self, note: str = "", attempt: str = "") -> AtlasStore:
+    def open(self, name: str = "", attempt: str = "") -> AtlasStore:
         """The handle of the store, see ``open_checked``, behind the fence of the run's claim.
 
-        With the token of an ``attempt`` also behind the fence of the ``note`` that holds it.
+        With the token of an ``attempt`` also behind the fence of the ``name`` that holds it.
         """
         with translate_file_errors(self.store):
             handle = open_checked(self.store, self.run_id, self.solver_version, self.patience)
-            return self.with_fences(handle, note, attempt)
+            return self.with_fences(handle, name, attempt)
 
-    def with_fences(self, handle: AtlasStore, note: str = "", attempt: str = "") -> AtlasStore:
+    def with_fences(self, handle: AtlasStore, name: str = "", attempt: str = "") -> AtlasStore:
         """The same handle behind these fences."""
-        return handle.with_backend(self._guarded(handle.backend, note, attempt))
+        return handle.with_backend(self._guarded(handle.backend, name, attempt))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
         """Store a part of a group."""
@@ -63,7 +63,7 @@ class StoreRef:
         """Drop this process's cached handles of the store."""
         evict_handle(self.store, self.patience)
 
-    def _guarded(self, place: StoreBackend, note: str, attempt: str) -> StoreBackend:
+    def _guarded(self, place: StoreBackend, name: str, attempt: str) -> StoreBackend:
         """A place behind the fence of a job: its run has the claim, and a note holds the token of the attempt.
 
         RefusedError if another run has the claim; RunError after another attempt, since nothing is wrong with this
@@ -75,7 +75,7 @@ class StoreRef:
             fences.append(token_fence(place, LEASE_NAME, self.lease, WorkerRefusedError, lost))
         if attempt:
             lost = "another attempt at this tile has begun; nothing more is written"
-            fences.append(token_fence(place, note, attempt, RunError, lost))
+            fences.append(token_fence(place, name, attempt, RunError, lost))
 
         def fence() -> None:
             for check in fences:

@@ -38,7 +38,7 @@ MACHINE = host_from_facts({"processor": "Z80", "software": "numpy 2"})
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store without a tile, and with every kind of group."""
     handle = create.create_store(tmp_path_factory.mktemp("made") / "plane.zarr", SPEC, (4, 4))
-    OverviewBuilder(handle, side=4, least=4)
+    OverviewBuilder(handle, side=4, minimum=4)
     column = {"w": StoredArray(np.arange(3.0), ("row",), {"units": "1"})}
     write_table(handle, STABILITY, column, {})
     write_group(handle, CURVES, column, {})

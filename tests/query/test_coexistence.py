@@ -159,7 +159,7 @@ def test_cells_of_a_tile_that_ends_its_process_are_failed_in_the_first_place(sol
 
 def test_overviews_are_of_the_attractor_with_the_largest_share(solved: Path, tmp_path: Path) -> None:
     handle = open_store(shutil.copytree(solved, tmp_path / "out.zarr"))
-    made = OverviewBuilder(handle, side=2, least=2)
+    made = OverviewBuilder(handle, side=2, minimum=2)
     assert made.finish() > 0
     assert not check_overviews(handle, set(), lambda _level: None)[1]
     coarse = xr.open_zarr(handle.path, group="overviews/1")

@@ -92,7 +92,7 @@ def test_the_amplification_of_a_cycle_is_that_of_all_products_far_beyond_its_end
 
 
 def test_growth_that_never_ends_is_not_called_bounded() -> None:
-    assert amplification(np.array([[[1.0, 1.0], [0.0, 1.0]]]), most=1000) is None
+    assert amplification(np.array([[[1.0, 1.0], [0.0, 1.0]]]), limit=1000) is None
 
 
 def test_a_contraction_has_no_amplification_and_negative_reactivity() -> None:

@@ -199,10 +199,10 @@ def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
     handle = open_store(finished)
     with pytest.raises(LostError):
-        OverviewBuilder(handle.with_backend(handle.backend.with_fence(lost)), side=2, least=1)
+        OverviewBuilder(handle.with_backend(handle.backend.with_fence(lost)), side=2, minimum=1)
     assert not handle.backend.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = OverviewBuilder(handle.with_backend(handle.backend.with_fence(lambda: claims[-1]())), side=2, least=1)
+    overviews = OverviewBuilder(handle.with_backend(handle.backend.with_fence(lambda: claims[-1]())), side=2, minimum=1)
     claims.append(lost)
     with pytest.raises(LostError):
         overviews.finish()

@@ -93,11 +93,11 @@ def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
 
 def test_an_overview_whose_regime_a_crash_has_emptied_is_made_again(finished: Path) -> None:
     shutil.rmtree(finished / GROUP, ignore_errors=True)
-    OverviewBuilder(open_store(finished), side=2, least=1).finish()
+    OverviewBuilder(open_store(finished), side=2, minimum=1).finish()
     (key, *_) = [key for key in LocalBackend(finished).list_keys(f"{GROUP}/") if "/regime/c/" in key]
     before = (finished / key).read_bytes()
     (finished / key).write_bytes(b"")
-    OverviewBuilder(open_store(finished), side=2, least=1).finish()
+    OverviewBuilder(open_store(finished), side=2, minimum=1).finish()
     assert (finished / key).read_bytes() == before
 
 

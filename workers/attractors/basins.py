@@ -35,9 +35,9 @@ class AttractorTable(CoexistenceSearch):
     """
 
     def __init__(
-        self, record: System, values: Mapping[str, float], settings: Settings, starts: AttractorSettings
+        self, system: System, values: Mapping[str, float], settings: Settings, starts: AttractorSettings
     ) -> None:
-        super().__init__(record, {name: np.array([value]) for name, value in values.items()}, settings, starts)
+        super().__init__(system, {name: np.array([value]) for name, value in values.items()}, settings, starts)
         self.solve()
         (self.cell,) = self.cells
         self.attractors = self.cell.attractors
@@ -82,10 +82,10 @@ def solve_basins(
     return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
 
-def fixed_values(record: System, given: Mapping[str, Any]) -> dict[str, float]:
+def fixed_values(system: System, given: Mapping[str, Any]) -> dict[str, float]:
     """The parameters of the machine; its initial state is at rest, on any plane."""
-    at_rest = {name: record.parameter(name).default for name in record.states}
-    return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in record.parameters} | at_rest
+    at_rest = {name: system.parameter(name).default for name in system.states}
+    return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in system.parameters} | at_rest
 
 
 @lru_cache(maxsize=4)

@@ -71,13 +71,13 @@ class CoexistenceSearch:
     """
 
     def __init__(
-        self, record: System, params: Mapping[str, Array], settings: Settings, starts: AttractorSettings
+        self, system: System, params: Mapping[str, Array], settings: Settings, starts: AttractorSettings
     ) -> None:
-        self.record, self.params = record, params
-        self.oscillators, self.reasons = record.build_many(params)
+        self.record, self.params = system, params
+        self.oscillators, self.reasons = system.build_many(params)
         self.settings, self.starts = settings, starts
         with np.errstate(all="ignore"):
-            self.states = initial_states(starts, self.oscillators, record, initial_state(record, params))
+            self.states = initial_states(starts, self.oscillators, system, initial_state(system, params))
         self.cells = [CellAttractors(at_rows(self.oscillators, np.array([c]))) for c in range(len(self.reasons))]
         self.periods_used, self.starts_tried = np.zeros((2, len(self.cells)), dtype=np.int64)
 
@@ -234,7 +234,7 @@ def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
     return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
 
 
-def _write(arrays: dict[str, NDArray[Any]], cell: int, place: int, result: Mapping[str, Any]) -> None:
+def _write(arrays: dict[str, NDArray[Any]], cell: int, index: int, result: Mapping[str, Any]) -> None:
     for name, value in result.items():
         if name != "periods_used":
-            arrays[name][cell, place] = value
+            arrays[name][cell, index] = value

@@ -159,18 +159,18 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
     return batch.sections[0]
 
 
-def image_of(oscillators: Oscillator, r: int, osc: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
+def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
     """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed.
 
-    ``osc`` is machine r as seen from the section of this state.
+    ``oscillator`` is machine r as seen from the section of this state.
     With modes it is an image in the centre of the machine, with all contacts and slips on the other side.
     """
     own = oscillators.table.machines
-    later = oscillators.with_modes(lambda _: motion_after(osc, h, mode, 0.5), np.array([r]))
+    later = oscillators.with_modes(lambda _: motion_after(oscillator, h, mode, 0.5), np.array([r]))
     image, other = -later.h, 2 * FLIGHT - int(later.mode[0])
     if oscillators.has_modes:
         centre = about_centre(at_rows(own, np.array([r])))[1][0]
-        image += (2.0 * osc.to_blocks[:, : len(centre)] @ centre).reshape(h.shape)
+        image += (2.0 * oscillator.to_blocks[:, : len(centre)] @ centre).reshape(h.shape)
         _, contacts, slips = code_of(int(later.mode[0]), *own.sizes[1:], *own.segments)
         code = ModeCode(0, tuple(-state for state in contacts), tuple(-sign for sign in slips))
         other = code.number_of(*own.segments)

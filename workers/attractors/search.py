@@ -88,7 +88,7 @@ class MotionSearch:
 
     def __init__(
         self,
-        record: System,
+        system: System,
         params: Mapping[str, Array],
         oscillators: Oscillator,
         reasons: Reasons,
@@ -99,9 +99,9 @@ class MotionSearch:
         mode: Rows | None = None,
     ) -> None:
         N = len(owner)
-        self.record, self.params, self.variables = record, params, record.variables(settings)
-        arrays = result_arrays(self.variables, settings, N, len(record.states), exponents=record.exponents)
-        self.cells = CellBatch(oscillators, reasons, states, settings, arrays, mode, record.definition.unforced)
+        self.record, self.params, self.variables = system, params, system.variables(settings)
+        arrays = result_arrays(self.variables, settings, N, len(system.states), exponents=system.exponents)
+        self.cells = CellBatch(oscillators, reasons, states, settings, arrays, mode, system.definition.unforced)
         self.course = course_of(self.cells, self._is_known, self._leaves)
         self.known, self.owner, self.regime = known, owner, arrays["regime"]
         self.label, self.arrival = np.full((2, N), -1)

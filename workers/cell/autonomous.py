@@ -140,10 +140,10 @@ def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
     return np.flatnonzero(later)
 
 
-def course_of(cells: CellBatch, is_known: Property = none_of, leaves: Property = none_of) -> AdaptiveSchedule:
+def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Property = none_of) -> AdaptiveSchedule:
     """The adaptive schedule of cells, see Course."""
     kind = AutonomousSchedule if cells.unforced else VertexCourse if np.any(without_force(cells)) else AdaptiveSchedule
-    return kind(cells, is_known, leaves)
+    return kind(cells, is_known, must_leave)
 
 
 def without_force(cells: CellBatch) -> Mask:
@@ -254,30 +254,30 @@ class AutonomousSchedule(VertexCourse):
         return None, trail is not None and not len(trail.keys)
 
 
-def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, most: int = 0) -> Iterator[EventTrail]:
+def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, limit: int = 0) -> Iterator[EventTrail]:
     """Trails of one motion from its present state, or from ``start``, a physical state and the number of its mode; ever
     longer, until it cannot be followed or its work is spent.
 
     They are of each number of periods up to LEAST_LOOK and ever rarer ones beyond, of at most as many as the motion has
-    flown, or ``most``.
+    flown, or ``limit``.
     """
     one = np.array([r])
     machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions
     state, number = start or (physical_states(cells.oscillators, motions, one)[0], int(motions.mode[r, 0]))
     legs, trail, period = list[Array](), None, float(cells.oscillators.period[r])
-    most, following = most or max(MIN_EXAMINED_PERIODS, int(cells.periods_flown[r])), 1
+    limit, following = limit or max(MIN_EXAMINED_PERIODS, int(cells.periods_flown[r])), 1
     with suppress(ValueError):
         for k, rows in enumerate(legs_of_periods(machine, state, number, motions.tally[r]), 1):
             cells.periods_used[r] += 1
             legs.append(rows)
-            if k < min(following, most):
+            if k < min(following, limit):
                 continue
             following = k + max(1, int(SPARSER * k) if k >= MIN_EXAMINED_PERIODS else 1)
             legs = [np.concatenate(legs)]
             if trail is None or np.any(legs[0][:, LEG.signal] >= 0.0):
                 trail = trail_of(legs[0], size, period)
             yield trail
-            if k >= most:
+            if k >= limit:
                 return
 
 

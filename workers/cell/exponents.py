@@ -8,26 +8,26 @@ from workers.kernel.motion import LOST, LOWER, MIN_SPEED, STUCK, UPPER
 from workers.model.oscillator import COLUMN, Array, Oscillator
 
 
-def free_exponents(osc: Oscillator) -> Array:
+def free_exponents(oscillator: Oscillator) -> Array:
     """Exponents (2n,) per period of motion without impact, largest first; (N, 2n) for many oscillators.
 
     -eta_j T twice for an underdamped block, -(eta_j -+ sqrt(eta_j^2 - lam_j)) T for another.
     """
-    block = osc.gap.blocks
+    block = oscillator.gap.blocks
     rates = np.concatenate([block[..., COLUMN.slow], block[..., COLUMN.fast]], axis=-1)
-    return -np.sort(rates, axis=-1) * np.asarray(osc.period)[..., None]
+    return -np.sort(rates, axis=-1) * np.asarray(oscillator.period)[..., None]
 
 
-def sum_of_exponents(osc: Oscillator, impacts_per_period: Array | float) -> Any:
+def sum_of_exponents(oscillator: Oscillator, impacts_per_period: Array | float) -> Any:
     """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
     NaN for impacts with R = 0, and for machines with modes.
     """
-    if osc.has_modes:
-        return np.full(np.shape(osc.period), np.nan)
-    hits, R = np.asarray(impacts_per_period), np.asarray(osc.R)
+    if oscillator.has_modes:
+        return np.full(np.shape(oscillator.period), np.nan)
+    hits, R = np.asarray(impacts_per_period), np.asarray(oscillator.R)
     loss = 2.0 * np.log(np.where(R > 0.0, R, np.nan)) * hits
-    return -osc.trace * osc.period + np.where(hits == 0.0, 0.0, loss)
+    return -oscillator.trace * oscillator.period + np.where(hits == 0.0, 0.0, loss)
 
 
 def kaplan_yorke(spectrum: Array) -> Array:

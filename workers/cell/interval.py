@@ -114,9 +114,9 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
     return states
 
 
-def run_periods(osc: Oscillator, motion: Motion, periods: int) -> int:
+def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
     """Advance a motion by some periods, in place; returns the periods completed, fewer if it or its work ends."""
-    batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]))
+    batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))
     return int(batch.done[0])

@@ -48,10 +48,10 @@ def record_observables(
     observables: tuple[Observable, ...],
     outputs: tuple[Array, Array],
     motions: tuple[Array, Rows, Rows, Mask],
-    most: int,
+    limit: int,
     turns: int,
 ) -> tuple[Values, Mask]:
-    """The first values of each observable of N motions, at most ``most``; and a mask of motions that could be followed.
+    """The first values of each observable of N motions, at most ``limit``; and a mask of motions that could be followed.
 
     outputs: see outputs_for. motions: physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions
     for which these are one turn of an orbit. turns: see Definition.
@@ -64,7 +64,7 @@ def record_observables(
         np.array([observable.side for observable in observables]),
     )
     counts, endless = np.zeros((2, N, M), dtype=np.int64)
-    seen = ObservedValues(np.full((N, M, most), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
+    seen = ObservedValues(np.full((N, M, limit), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
     seen.course[..., COURSE.value] = np.nan
     starts, states, codes, status = (states, codes), states.copy(), codes.copy(), np.full(N, RUNNING)
     periods = periods.astype(np.int64)  # as results periods are int32, which kernels would be compiled for once more
@@ -97,7 +97,7 @@ def outputs_for(
 
 
 def observe_orbits(
-    definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, most: int
+    definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, limit: int
 ) -> Values:
     """Values of observables, named with commas between, on orbits from physical section states (N, 2n), over one turn.
 
@@ -108,7 +108,7 @@ def observe_orbits(
     begun, reasons = begin(machines, reasons, states)
     motions = states, begun.mode, periods, np.ones(len(states), dtype=bool)
     shown, whole = record_observables(
-        machines, observables, outputs_for(observables, definition, values), motions, most, definition.turns
+        machines, observables, outputs_for(observables, definition, values), motions, limit, definition.turns
     )
     there = whole & (reasons == NO_REASON)
     for observable in observables:

@@ -108,12 +108,12 @@ class AdaptiveSchedule:
         self,
         cells: CellBatch,
         is_known: Property = none_of,
-        leaves: Property = none_of,
-        part: Callable[[Array], Array] = survival_share,
+        must_leave: Property = none_of,
+        survival_share_of: Callable[[Array], Array] = survival_share,
     ) -> None:
         N = len(cells.periods_used)
         self.cells, self.settings = cells, cells.settings
-        self.is_known, self.leaves, self.part = is_known, leaves, part
+        self.is_known, self.leaves, self.part = is_known, must_leave, survival_share_of
         self.half = math.sqrt(2.0) * self.settings.tolerance
         self.stage = np.full(N, SEARCHING)
         self.interval = np.full(N, FIRST_INTERVAL)

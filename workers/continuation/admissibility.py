@@ -196,12 +196,12 @@ def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
 
 
-def peak_of(motion: OrbitMotion, why: AdmissibilityFault) -> float | None:
+def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
     """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
-    k = int(np.searchsorted(motion.begins[0], why.time, side="right")) - 1
-    s = np.linspace(why.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
-    _, (_, rates, _, _) = motion.states_at(s[None], why.signal)
-    turned = np.flatnonzero(why.side * rates[0] <= 0.0)
+    k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
+    s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
+    _, (_, rates, _, _) = motion.states_at(s[None], reason.signal)
+    turned = np.flatnonzero(reason.side * rates[0] <= 0.0)
     return float(s[turned[0]]) if len(turned) else None
 
 

@@ -14,19 +14,19 @@ from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array, Mask
 
 
-def check_orbits(lin: OrbitMachines, itinerary: Itinerary) -> None:
+def check_orbits(machines: OrbitMachines, itinerary: Itinerary) -> None:
     """ValueError, in one line, where these equations hold for no machine: see ``admit``."""
-    for wrong, why in _faults(lin, itinerary):
+    for wrong, why in _faults(machines, itinerary):
         if np.all(wrong):
             raise ValueError(why)
 
 
-def admit(lin: OrbitMachines, itinerary: Itinerary) -> Mask:
+def admit(machines: OrbitMachines, itinerary: Itinerary) -> Mask:
     """For which machines (N,) these equations hold: not for false symmetry, rebounds with R = 0, missing stops."""
-    return ~np.any([np.broadcast_to(wrong, lin.omega.shape) for wrong, _ in _faults(lin, itinerary)], axis=0)
+    return ~np.any([np.broadcast_to(wrong, machines.omega.shape) for wrong, _ in _faults(machines, itinerary)], axis=0)
 
 
-def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
+def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
     """The machines (N,) for which the equations do not hold, with the reasons."""
     unknown = itinerary.periods < (0 if itinerary.sides else 1)
     unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
@@ -35,16 +35,16 @@ def _faults(lin: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, st
     yield np.array(even), f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}"
     if itinerary.symmetric:
         uneven = "a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt"
-        yield ~lin.mirrored, uneven
+        yield ~machines.mirrored, uneven
     if unknown:
         return
     slow = "this orbit leaves a stop at once after an impact without rebound, where others rest"
-    reached = plan_of(lin, itinerary).reached
+    reached = plan_of(machines, itinerary).reached
     rebounds = reached[reached[:, ACT] == REBOUNDS]
     for signal, end in {(signal, end) for signal, end in rebounds[:, [SIGNAL, END]].tolist()}:
         contact, name = signal // SIGNALS, ("lower", "upper")[end]
-        yield lin.elements.R[:, contact] <= 0.0, f"R = 0: {slow}; take R > 0"
-        stop = lin.elements.stops[:, contact, end]
+        yield machines.elements.R[:, contact] <= 0.0, f"R = 0: {slow}; take R > 0"
+        stop = machines.elements.stops[:, contact, end]
         yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
 
 
@@ -54,25 +54,25 @@ def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) ->
     return replace(machines, omega=2.0 * np.pi * itinerary.turn / lengths, known=machines.known)
 
 
-def motion_of_unknowns(lin: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
+def motion_of_unknowns(machines: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
     """Motions of unknowns X (N, ...), of which states and times come first; see ``Orbit.unknown_times``."""
-    size = lin.dimension
+    size = machines.dimension
     start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
     if itinerary.is_cycle:
-        lin, times = at_lengths(lin, itinerary, times[:, 0]), times.copy()
+        machines, times = at_lengths(machines, itinerary, times[:, 0]), times.copy()
         times[:, 0] = 0.0
-    return OrbitMotion(lin, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
+    return OrbitMotion(machines, itinerary, np.ascontiguousarray(times), np.ascontiguousarray(start))
 
 
-def motion_of(lin: OrbitMachines, orbits: Orbit) -> OrbitMotion:
+def motion_of(machines: OrbitMachines, orbits: Orbit) -> OrbitMotion:
     """Motions with events at the times of a record of many orbits, and the states that solve the equations best.
 
     For given times these are linear in the state, 2n + m equations for 2n numbers.
     """
-    times, size = np.ascontiguousarray(orbits.times), lin.dimension
+    times, size = np.ascontiguousarray(orbits.times), machines.dimension
     if orbits.itinerary.is_cycle:
-        lin = at_lengths(lin, orbits.itinerary, orbits.length)
-    still = OrbitMotion(lin, orbits.itinerary, times, np.zeros((len(times), size)))
+        machines = at_lengths(machines, orbits.itinerary, orbits.length)
+    still = OrbitMotion(machines, orbits.itinerary, times, np.zeros((len(times), size)))
     J, right = still.linearised()[:, :, :size], still.turn.residuals[..., None]
     start = -apply_stacked(np.linalg.pinv, J.swapaxes(1, 2).shape, J) @ right
-    return OrbitMotion(lin, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))
+    return OrbitMotion(machines, orbits.itinerary, times, np.ascontiguousarray(start[..., 0]))

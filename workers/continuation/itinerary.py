@@ -93,9 +93,9 @@ class Itinerary(NamedTuple):
         """The length of a turn in periods of the machine, one of which a whole cycle takes."""
         return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
 
-    def span(self, lin: OrbitMachines) -> Array:
+    def span(self, machines: OrbitMachines) -> Array:
         """The length (N,) of a turn of machines."""
-        length: Array = self.turn * 2.0 * math.pi / lin.omega
+        length: Array = self.turn * 2.0 * math.pi / machines.omega
         return length
 
     @property
@@ -156,9 +156,9 @@ class Orbit(NamedTuple):
             return self.times
         return np.concatenate([np.asarray(self.length)[..., None], self.times[..., 1:]], axis=-1)
 
-    def span(self, lin: OrbitMachines) -> float:
+    def span(self, machines: OrbitMachines) -> float:
         """The length of a turn of this one orbit of one machine."""
-        return float(self.length if self.itinerary.is_cycle else self.itinerary.span(lin)[0])
+        return float(self.length if self.itinerary.is_cycle else self.itinerary.span(machines)[0])
 
 
 def many_orbits(orbits: Sequence[Orbit]) -> Orbit:

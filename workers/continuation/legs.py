@@ -67,7 +67,7 @@ def act_on(elements, r, act, signal, z, W):
 
 
 @kernel
-def saltate(modes, elements, plan, leg, r, omega, z, turn, least, D, P):
+def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
     """Take tangents D (m, 2n) at a time through the event at the end of a leg, S w = R w + (f+ - R f-) (r . w) / r'.
 
     All is taken where the guard is at its end, next to z if z is not: the map of a turn is smooth off the orbit too,
@@ -82,7 +82,7 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, least, D, P):
     right_hand_side(modes, k, at, turn, f[0])
     rate, shares = guard_rate(modes, k, g, f[0], omega, turn), np.empty(len(D))
     for e in range(len(D)):
-        shares[e] = 0.0 if act == SLOWS and abs(rate) < least else product(row, D[e], 0) / rate
+        shares[e] = 0.0 if act == SLOWS and abs(rate) < minimum else product(row, D[e], 0) / rate
     act_on(elements, r, act, g, at, f)
     right_hand_side(modes, plan[leg + 1, MODE], at, turn, late)
     act_on(elements, r, act, g, at, D)
@@ -92,7 +92,7 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, least, D, P):
 
 
 @kernel
-def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, least):
+def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, minimum):
     """Turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN): the legs, which end at ends (N, L).
 
     signals (N, 3, m)  each guard's value, its rate, and the rate after the event; states (N, L, 2n) where legs begin
@@ -128,7 +128,7 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, lea
             right_hand_side(modes, k, z, later, f)
             if i == NO_EVENT:
                 continue
-            saltate(modes, elements, plan, leg, r, omega[r], z, later, least[r, i], D, room)
+            saltate(modes, elements, plan, leg, r, omega[r], z, later, minimum[r, i], D, room)
             own, row = size + i, modes.rows[k, g, :size]
             value, _ = guard_value(modes, k, g, z, later)
             signals[r, 0, i], signals[r, 1, i] = value, guard_rate(modes, k, g, f, omega[r], later)
@@ -193,26 +193,26 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 
 
 @kernel
-def event_of_leg(pieces, r, k, z, phase, begun, H):
+def event_of_leg(pieces, r, k, z, phase, signal_starts, H):
     """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
     where that is undecidable."""
     modes, n = row_in(by_reference(pieces), r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
     enter(modes, k, z, none, harmonics_at(phase, modes.waves.shape[2]), h, V)
-    s, hit, side = first_event(modes, k, h, phase, begun, H, np.empty((n, 2)), tally)
+    s, hit, side = first_event(modes, k, h, phase, signal_starts, H, np.empty((n, 2)), tally)
     return s, hit if tally[STATUS] == RUNNING else -2, side
 
 
 @kernel
-def beyond_range(pieces, r, k, begun, z, phase, share):
+def beyond_range(pieces, r, k, signal_starts, z, phase, share):
     """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
     modes = row_in(by_reference(pieces), r)
     turn = harmonics_at(phase, modes.waves.shape[2])
     for g in range(modes.ends.shape[1]):
         value, size = guard_value(modes, k, g, z, turn)
-        if begun[g] == 0 and value > modes.ends[k, g, 1] + share * size:
+        if signal_starts[g] == 0 and value > modes.ends[k, g, 1] + share * size:
             return g, 1
-        if begun[g] == 0 and value < modes.ends[k, g, 0] - share * size:
+        if signal_starts[g] == 0 and value < modes.ends[k, g, 0] - share * size:
             return g, -1
     return -1, 0

@@ -153,40 +153,40 @@ def section_states(
     return (comparison_states if known else states_at_sections)(machines, many_orbits(orbits), shift)
 
 
-def states_at_sections(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
+def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``.
 
     Sections of a cycle are the passages of its rarest event, just after it; of several the first by signal, side and
     mode. With a ``shift`` they are the passages of that event of the mirror images.
     """
     if many.itinerary.is_cycle:
-        return _states_after(lin, many, _rarest(lin, many.itinerary, shift > 0.0))
-    period = 2.0 * np.pi / lin.omega[:, None]
+        return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
+    period = 2.0 * np.pi / machines.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
     many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
-    states, _ = motion_of(lin, many).states_at((np.arange(many.itinerary.periods) + shift) * period)
-    return np.asarray(states + lin.rest[:, None])
+    states, _ = motion_of(machines, many).states_at((np.arange(many.itinerary.periods) + shift) * period)
+    return np.asarray(states + machines.rest[:, None])
 
 
-def comparison_states(lin: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
+def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
     """Physical states (N, K, 2d) that two orbits share if they are one: at sections; of cycles after all events."""
     if not many.itinerary.is_cycle:
-        return states_at_sections(lin, many, shift)
-    return _states_after(lin, many, range(len(many.itinerary.sides) * (1 + many.itinerary.symmetric)))
+        return states_at_sections(machines, many, shift)
+    return _states_after(machines, many, range(len(many.itinerary.sides) * (1 + many.itinerary.symmetric)))
 
 
-def _states_after(lin: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
+def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
     """The states just after some events of a whole cycle, its second half included if it is symmetric."""
-    motion, m = motion_of(lin, many), len(many.itinerary.sides)
+    motion, m = motion_of(machines, many), len(many.itinerary.sides)
     legs = 1 + np.searchsorted(np.cumsum(motion.plan.table[:, EVENT] != NO_EVENT), np.arange(1, m + 1))
     after = motion.turn.states[:, legs]
-    return np.asarray(np.concatenate([after, -after], axis=1)[:, list(events)] + lin.rest[:, None])
+    return np.asarray(np.concatenate([after, -after], axis=1)[:, list(events)] + machines.rest[:, None])
 
 
-def _rarest(lin: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
+def _rarest(machines: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
     """The sections of a cycle among its events, see ``states_at_sections``; or of the mirror image."""
     chains = (itinerary.twice if itinerary.symmetric else itinerary).chains
     legs = [leg.mirrored if mirrored else leg for leg, *_ in chains]
-    keys = [(leg.signal, leg.side, leg.code.number_of(*lin.machines.segments)) for leg in legs]
+    keys = [(leg.signal, leg.side, leg.code.number_of(*machines.machines.segments)) for leg in legs]
     rarest = min(keys, key=lambda key: (keys.count(key), key))
     return [i for i, key in enumerate(keys) if key == rarest]

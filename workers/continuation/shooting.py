@@ -73,9 +73,9 @@ class TurnPlan(NamedTuple):
     slows: bool
 
 
-def plan_of(lin: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
+def plan_of(machines: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
     """The plan of an itinerary of machines."""
-    return _plan_of(itinerary, tuple(lin.elements.soft[0].tolist()))
+    return _plan_of(itinerary, tuple(machines.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)

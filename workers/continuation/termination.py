@@ -33,11 +33,11 @@ loses there: rates fall faster than distances, to rounding.
 """
 
 
-def leaving(step: ContinuationStep, why: AdmissibilityFault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible on a step, the first one; ``why`` it is not at the end."""
+def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent | None:
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``reason`` it is not at the end."""
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
-        event = _of_fault(step, X, why)
+        event = _of_fault(step, X, reason)
         if event is not None:
             return event
         half = 0.5 * (low + high)
@@ -48,7 +48,7 @@ def leaving(step: ContinuationStep, why: AdmissibilityFault) -> LocatedEvent | N
         if seen is None:
             low = half
         else:
-            high, X, why = half, middle.X, seen
+            high, X, reason = half, middle.X, seen
     return None
 
 
@@ -64,42 +64,44 @@ def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
     return _of_loss(step, step.here, motion, AdmissibilityFault(LOST, slowest), near)
 
 
-def _of_fault(step: ContinuationStep, X: Array, why: AdmissibilityFault) -> LocatedEvent | None:
+def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> LocatedEvent | None:
     """The graze, the lost event or the change of stick that a fault at X comes from."""
     own, motion = step.equations.conditions, step.equations.motion(X)
-    if why.reason == ORDER:
+    if reason.reason == ORDER:
         return None
-    if why.reason != CONTACT:
-        return (_of_loss if why.reason == LOST else _of_holding)(step, X, motion, why)
-    peak, graze = peak_of(motion, why), Condition(GRAZE, side=why.side, signal=why.signal)
+    if reason.reason != CONTACT:
+        return (_of_loss if reason.reason == LOST else _of_holding)(step, X, motion, reason)
+    peak, graze = peak_of(motion, reason), Condition(GRAZE, side=reason.side, signal=reason.signal)
     return None if peak is None else solve_on_step(step, X, (*own, graze), (peak,))
 
 
-def _of_holding(step: ContinuationStep, X: Array, motion: OrbitMotion, why: AdmissibilityFault) -> LocatedEvent | None:
+def _of_holding(
+    step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault
+) -> LocatedEvent | None:
     """The point at which the force that would hold friction at an event equals its static level; or at which any other
     signal reaches its end at an event: the two exchange their order there.
     """
-    if why.impact < 0:
+    if reason.impact < 0:
         return None
-    friction = why.signal - SIGNALS * motion.lin.elements.soft.shape[1]
-    after = next(leg for (_, event), (leg, _) in pairwise(motion.plan.legs) if event == why.impact)
-    turns = any((event, signal) == (why.impact, why.signal) for event, signal, _ in motion.plan.turning)
+    friction = reason.signal - SIGNALS * motion.lin.elements.soft.shape[1]
+    after = next(leg for (_, event), (leg, _) in pairwise(motion.plan.legs) if event == reason.impact)
+    turns = any((event, signal) == (reason.impact, reason.signal) for event, signal, _ in motion.plan.turning)
     sticks = friction >= 0 and after.code.slips[friction] == 0
     kind = ONSET if turns else ENDS if sticks else MEETS
-    condition = Condition(kind, side=why.side, impact=why.impact, signal=why.signal)
+    condition = Condition(kind, side=reason.side, impact=reason.impact, signal=reason.signal)
     return solve_on_step(step, X, (*step.equations.conditions, condition))
 
 
 def _of_loss(
-    step: ContinuationStep, X: Array, motion: OrbitMotion, why: AdmissibilityFault, near: float = 0.0
+    step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault, near: float = 0.0
 ) -> LocatedEvent | None:
     """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
     without it, on the step or ``near`` it.
     """
     eq = step.equations
-    if motion.plan.impacts or motion.plan.reached[why.impact, ACT] == SLOWS:
-        return solve_on_step(step, X, (*eq.conditions, Condition(SPEED, impact=why.impact)))
-    shorter = without_event(eq.orbit(X), why.impact, float(motion.span[0]))
+    if motion.plan.impacts or motion.plan.reached[reason.impact, ACT] == SLOWS:
+        return solve_on_step(step, X, (*eq.conditions, Condition(SPEED, impact=reason.impact)))
+    shorter = without_event(eq.orbit(X), reason.impact, float(motion.span[0]))
     if shorter is None:
         return None
     orbit, leg, time = shorter
@@ -112,7 +114,7 @@ def _of_loss(
         # of any number of periods it is the answer of one, which touches once in that
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
     solved = solution(eq, orbit, conditions, contacts, X)
-    before, after = (eq.motion(end).turn.signals[0, 1, why.impact] for end in (step.here, step.there))
+    before, after = (eq.motion(end).turn.signals[0, 1, reason.impact] for end in (step.here, step.there))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
     if (
         solved is None

@@ -52,9 +52,9 @@ def by_value(given: Given) -> Given:
     return given
 
 
-def with_phase(osc: Any, tau: Any) -> Any:
+def with_phase(oscillator: Any, tau: Any) -> Any:
     """An oscillator with another forcing phase at a section; in kernels lent."""
-    return osc._replace(tau=tau)
+    return oscillator._replace(tau=tau)
 
 
 def without_mode_table(oscillators: Any) -> Any:

@@ -105,6 +105,6 @@ def rest_projection(blocks, cA2k, V):
 
 
 @inline_always
-def stop_position(osc, side):
+def stop_position(oscillator, side):
     """Position of a stop: +b_upper or -b_lower."""
-    return osc.head[HEAD.top] if side > 0 else osc.head[HEAD.bottom]
+    return oscillator.head[HEAD.top] if side > 0 else oscillator.head[HEAD.bottom]

@@ -26,39 +26,43 @@ from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
 
 
-def motion_from(osc: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
+def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
     """A motion that starts at physical section state (x..., v...).
 
     The state decides the mode: on a stop with v = 0 it is held or about to leave. InvalidError beyond a stop.
     """
-    h = np.zeros((len(osc.gap_row), 2))
-    mode = start_at(osc, np.asarray(state, dtype=np.float64), h)
+    h = np.zeros((len(oscillator.gap_row), 2))
+    mode = start_at(oscillator, np.asarray(state, dtype=np.float64), h)
     if mode == BEYOND:
         raise InvalidError(BEYOND_STOP)
     return motion_at(h, mode, vectors, record)
 
 
 @external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
-def start_hybrid(osc, state, h):
+def start_hybrid(oscillator, state, h):
     """start_at for a machine with modes."""
     state, h = by_value(state), by_value(h)
-    enter_frame(osc.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
-    return mode_number_of_state(osc.table.elements, state)
+    enter_frame(oscillator.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
+    return mode_number_of_state(oscillator.table.elements, state)
 
 
 @kernel
-def start_at(osc, state, h):
+def start_at(oscillator, state, h):
     """Write the block coordinates h (n, 2), less forced response, of a physical section state; its mode, or BEYOND."""
-    if has_modes(osc):
-        return start_hybrid(osc, state, h)
-    row, blocks, turn = osc.gap_row, osc.gap.blocks, harmonics_at(osc.tau, osc.gap.waves.shape[0])
+    if has_modes(oscillator):
+        return start_hybrid(oscillator, state, h)
+    row, blocks, turn = (
+        oscillator.gap_row,
+        oscillator.gap.blocks,
+        harmonics_at(oscillator.tau, oscillator.gap.waves.shape[0]),
+    )
     n, y, v, y_sum, v_sum = h.shape[0], 0.0, 0.0, 0.0, 0.0
     for j in range(n):
         for k in range(2):
             full = 0.0
             for i in range(2 * n):
-                full += osc.to_blocks[2 * j + k, i] * state[i]
-            h[j, k] = full - wave(osc.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
+                full += oscillator.to_blocks[2 * j + k, i] * state[i]
+            h[j, k] = full - wave(oscillator.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
         if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
             h[j, 1] = 0.0  # else rounding of h would drift forever
@@ -66,19 +70,19 @@ def start_at(osc, state, h):
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
-    side = side_of(y, ROUNDING * y_sum, osc.head[HEAD.upper], osc.head[HEAD.lower])
+    side = side_of(y, ROUNDING * y_sum, oscillator.head[HEAD.upper], oscillator.head[HEAD.lower])
     if side == 0:
-        return BEYOND if y > osc.head[HEAD.upper] or y < osc.head[HEAD.lower] else FLIGHT
-    return mode_at_rest(osc, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
+        return BEYOND if y > oscillator.head[HEAD.upper] or y < oscillator.head[HEAD.lower] else FLIGHT
+    return mode_at_rest(oscillator, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
 
 
 @inline_always
-def mode_at_rest(osc, side, h, turn):
+def mode_at_rest(oscillator, side, h, turn):
     """The mode of a state at rest on this stop: held if the load presses, else about to leave."""
     n = h.shape[0]
     u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
-    to_held(osc, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
-    return FLIGHT + side * (ON if load_on_stop(osc, u, turn, side) > 0.0 else DETACHED)
+    to_held(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
+    return FLIGHT + side * (ON if load_on_stop(oscillator, u, turn, side) > 0.0 else DETACHED)
 
 
 @inline_always
@@ -105,29 +109,34 @@ def put_on_stop(row, stop, x):
 
 
 @external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
-def leave_hybrid(osc, h, mode, state):
+def leave_hybrid(oscillator, h, mode, state):
     """leave_blocks for a machine with modes."""
     h, state = by_value(h), by_value(state)
-    leave_frame(osc.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
-    snap_to_mode(osc.table.elements, mode, state)
+    leave_frame(oscillator.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
+    snap_to_mode(oscillator.table.elements, mode, state)
 
 
 @kernel
-def leave_blocks(osc, h, mode, state):
+def leave_blocks(oscillator, h, mode, state):
     """Add ``blocks_to_physical`` of block coordinates h (n, 2) in a mode to a state (2n,) of zeros."""
-    if has_modes(osc):
-        leave_hybrid(osc, h, mode, state)
+    if has_modes(oscillator):
+        leave_hybrid(oscillator, h, mode, state)
         return
-    row, blocks, upper, lower = osc.gap_row, osc.gap.blocks, osc.head[HEAD.upper], osc.head[HEAD.lower]
-    n, turn = h.shape[0], harmonics_at(osc.tau, osc.gap.waves.shape[0])
+    row, blocks, upper, lower = (
+        oscillator.gap_row,
+        oscillator.gap.blocks,
+        oscillator.head[HEAD.upper],
+        oscillator.head[HEAD.lower],
+    )
+    n, turn = h.shape[0], harmonics_at(oscillator.tau, oscillator.gap.waves.shape[0])
     terms = np.zeros(n)
     for j in range(n):
         for k in range(2):
-            full = h[j, k] + wave(osc.gap.forced[j, k], turn)[0] + blocks[j, COLUMN.rest0 + k]
+            full = h[j, k] + wave(oscillator.gap.forced[j, k], turn)[0] + blocks[j, COLUMN.rest0 + k]
             for i in range(2 * n):
-                state[i] += osc.to_physical[i, 2 * j + k] * full
+                state[i] += oscillator.to_physical[i, 2 * j + k] * full
             for i in range(n):
-                terms[i] += abs(osc.to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
+                terms[i] += abs(oscillator.to_physical[i, 2 * j + k]) * (abs(full) + abs(h[j, k]))
     y, size = 0.0, 0.0
     for i in range(n):
         y += row[i] * state[i]
@@ -142,11 +151,11 @@ def leave_blocks(osc, h, mode, state):
 
 
 @kernel
-def blocks_to_physical(osc, motion):
+def blocks_to_physical(oscillator, motion):
     """Physical section state (2n,) of a motion; at rest it is exactly on the stop with v = 0.
 
     A motion is never beyond a stop: overshoot by rounding is removed.
     """
     state = np.zeros(2 * motion.h.shape[0])
-    leave_blocks(osc, motion.h, motion.mode[0], state)
+    leave_blocks(oscillator, motion.h, motion.mode[0], state)
     return state

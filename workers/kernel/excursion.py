@@ -42,7 +42,7 @@ def velocity_of(gap):
 
 
 @inline_always
-def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
+def next_turn(velocity, offset, h, phase, falls, signal_starts, left, scratch):
     """(time, side, evaluations) of the next turning point within ``left``, as of next_crossing.
 
     The motion starts at block state h (n, 2), falling or rising; h is moved to the turning point or to the end. The
@@ -50,7 +50,7 @@ def next_turn(velocity, offset, h, phase, falls, begun, left, scratch):
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
     signal = by_reference(velocity)
-    s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, begun, left, scratch)
+    s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, signal_starts, left, scratch)
     flow(velocity.blocks, s, h)
     return s, side, evaluations
 

@@ -101,9 +101,9 @@ def _(machines: HybridMachines, context: Any) -> types.Type:
 
 
 @inline_always
-def has_modes(osc):
+def has_modes(oscillator):
     """Whether a machine has modes: see Oscillator.has_modes."""
-    return osc.table.codes.shape[0] > 0
+    return oscillator.table.codes.shape[0] > 0
 
 
 @inline_always

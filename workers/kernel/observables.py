@@ -107,13 +107,13 @@ def head(seen, m, highest, direction, y, counts):
 
 
 @kernel
-def see_output(pieces, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
+def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
     """Record the turns of an output in a flight of s in mode k from h (n, 2), which begins at time ``start``.
 
     Turns up to the time ``begins`` do not count.
     """
-    full, direct = output_row(pieces, k, row, order)
-    mode, offset = mode_with(pieces, k, full, direct)
+    full, direct = output_row(modes, k, row, order)
+    mode, offset = mode_with(modes, k, full, direct)
     velocity, drift = velocity_of(mode)
     blocks, waves, omega, course = mode.blocks, mode.waves, mode.numbers[NUMBER.omega], seen.course[m]
     y, v, a, jerk, size = evaluate(blocks, waves, omega, h, 0.0, phase, offset)

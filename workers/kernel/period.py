@@ -81,18 +81,18 @@ def come_to_rest(blocks, cA2k, motion, v):
 
 
 @inline_always
-def leave_stop(osc, motion, phase, side, remaining, chatter):
+def leave_stop(oscillator, motion, phase, side, remaining, chatter):
     """Rest on a stop until release or for ``remaining``: the time spent, and whether the motion continues.
 
     The mass spends the first part of it, ``chatter``, hopping.
     """
     h, V, tally = motion.h, motion.V, motion.tally
-    s, released, evaluations = stay_on_stop(osc, h, V, motion.growth, motion.triangle, phase, side, remaining)
+    s, released, evaluations = stay_on_stop(oscillator, h, V, motion.growth, motion.triangle, phase, side, remaining)
     tally[STUCK] += max(s - chatter, min(s, TINY))  # a rest counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
-    reset_frame(osc.gap.blocks, motion)
+    reset_frame(oscillator.gap.blocks, motion)
     if released == 0:
         motion.mode[0] = FLIGHT + side
     if released == 2:
@@ -128,11 +128,23 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
 
 
 @external(RIGID, MOTION, types.float64)
-def through_impacts(osc, motion, duration):
+def through_impacts(oscillator, motion, duration):
     """The one loop of mode, first guard and reset: see propagate."""
-    gap, h, V, tally, scratch, impacts = osc.gap, motion.h, motion.V, motion.tally, motion.scratch, motion.impacts
+    gap, h, V, tally, scratch, impacts = (
+        oscillator.gap,
+        motion.h,
+        motion.V,
+        motion.tally,
+        motion.scratch,
+        motion.impacts,
+    )
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
-    R, cA2k, top, bottom = osc.head[HEAD.R], osc.head[HEAD.cA2k], osc.head[HEAD.top], osc.head[HEAD.bottom]
+    R, cA2k, top, bottom = (
+        oscillator.head[HEAD.R],
+        oscillator.head[HEAD.cA2k],
+        oscillator.head[HEAD.top],
+        oscillator.head[HEAD.bottom],
+    )
     if motion.mode[0] == BEYOND:
         tally[STATUS] = STARTED_BEYOND
         return
@@ -140,18 +152,18 @@ def through_impacts(osc, motion, duration):
     motion.mode[0] = FLIGHT
     vectors, frame, watched = V.shape[0] > 0, motion.growth.shape[0] > 0, motion.extremes.shape[0] > 0
     rate = spread_rate(blocks) if vectors else 0.0
-    unit, loss = osc.head[HEAD.time_unit], loss_spread(R)
-    start, chatter, ends, period = 0, 0.0, UNKNOWN, osc.head[HEAD.period]
+    unit, loss = oscillator.head[HEAD.time_unit], loss_spread(R)
+    start, chatter, ends, period = 0, 0.0, UNKNOWN, oscillator.head[HEAD.period]
     w, fastest = 0.0, fastest_rate(blocks, waves, omega)
-    t, phase = 0.0, osc.tau
+    t, phase = 0.0, oscillator.tau
     if watched:
         y = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)[0]
-        widen(motion.extremes, min(max(y, bottom), top) if state == OPEN else stop_position(osc, state))
+        widen(motion.extremes, min(max(y, bottom), top) if state == OPEN else stop_position(oscillator, state))
     if abs(state) == DETACHED:
         start, state = state, OPEN
     while True:
         if state != OPEN:
-            s, released = leave_stop(osc, motion, phase, state, duration - t, chatter)
+            s, released = leave_stop(oscillator, motion, phase, state, duration - t, chatter)
             if not released:
                 return
             t += s
@@ -177,7 +189,7 @@ def through_impacts(osc, motion, duration):
         if needs_reset(tally[SPREAD], flown + spread, MAX_SPREAD):
             reset_frame(blocks, motion)
         if frame and tally[SPREAD] + flown > MAX_SPREAD:
-            fly_far(osc, motion, s)
+            fly_far(oscillator, motion, s)
         else:
             flow_with_tangent(blocks, s, h, V)
             tally[SPREAD] += flown
@@ -223,28 +235,28 @@ def through_impacts(osc, motion, duration):
 
 
 @inline_always
-def propagate(osc, motion, duration):
+def propagate(oscillator, motion, duration):
     """Advance a motion from a section by ``duration`` <= one period, in place, through all its impacts.
 
     Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
     """
-    if has_modes(osc):
-        through_events(osc, motion, duration)
+    if has_modes(oscillator):
+        through_events(oscillator, motion, duration)
     else:
-        through_impacts(without_mode_table(osc), motion, duration)
+        through_impacts(without_mode_table(oscillator), motion, duration)
 
 
 @inline_always
-def advance(osc, motion):
+def advance(oscillator, motion):
     """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
-    propagate(osc, motion, osc.head[HEAD.period])
+    propagate(oscillator, motion, oscillator.head[HEAD.period])
 
 
 @inline_always
-def step(osc, motion, half):
+def step(oscillator, motion, half):
     """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
-    period = osc.head[HEAD.period]
-    propagate(osc, motion, 0.5 * period if half else period)
+    period = oscillator.head[HEAD.period]
+    propagate(oscillator, motion, 0.5 * period if half else period)
     if half:
         mirror(motion)
 

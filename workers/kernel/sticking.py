@@ -26,73 +26,79 @@ ONLY = np.int64(0)
 
 
 @kernel
-def to_held(osc, h, V, turn, z, W, u, U):
+def to_held(oscillator, h, V, harmonics, z, W, u, U):
     """Write the block state u (n, 2) and tangent vectors U (m, n, 2) of motion held on a stop, from those of flight.
 
     The last block is y; its constant state, the stop, is left out of u: see load_on_stop. z (2n,), W (m, 2n) are room.
     """
-    held, n = osc.held, h.shape[0]
-    leave_flight(osc, h, turn, z)
-    leave_frame(osc.to_physical, V, W)
-    enter(held, ONLY, z, W, turn, u, U)
+    held, n = oscillator.held, h.shape[0]
+    leave_flight(oscillator, h, harmonics, z)
+    leave_frame(oscillator.to_physical, V, W)
+    enter(held, ONLY, z, W, harmonics, u, U)
     u[n - 1, 0] = u[n - 1, 1] = 0.0
     for e in range(len(U)):
         U[e, n - 1, 0] = U[e, n - 1, 1] = 0.0
 
 
 @kernel
-def from_held(osc, u, U, turn, side, z, W, h, V):
+def from_held(oscillator, u, U, harmonics, side, z, W, h, V):
     """Write the block state h (n, 2) and tangent vectors V (m, n, 2) in flight of held motion; see to_held."""
-    held, n = osc.held, h.shape[0]
-    u[n - 1, 0] = stop_position(osc, side)
-    leave(held, ONLY, u, U, turn, z, W)
+    held, n = oscillator.held, h.shape[0]
+    u[n - 1, 0] = stop_position(oscillator, side)
+    leave(held, ONLY, u, U, harmonics, z, W)
     for i in range(2 * n):
-        h[i // 2, i % 2] = product(osc.to_blocks[i], z, 0) - wave(osc.gap.forced[i // 2, i % 2], turn)[0]
-    enter_frame(osc.to_blocks, W, V)
+        h[i // 2, i % 2] = (
+            product(oscillator.to_blocks[i], z, 0) - wave(oscillator.gap.forced[i // 2, i % 2], harmonics)[0]
+        )
+    enter_frame(oscillator.to_blocks, W, V)
 
 
 @inlined
-def leave_flight(osc, h, turn, z):
+def leave_flight(oscillator, h, harmonics, z):
     """Write the physical state z (2n,), counted from rest, of a block state h (n, 2) in flight; see state.turned."""
     z[:] = 0.0
     for j in range(len(z)):
-        full = h[j // 2, j % 2] + wave(osc.gap.forced[j // 2, j % 2], turn)[0]
+        full = h[j // 2, j % 2] + wave(oscillator.gap.forced[j // 2, j % 2], harmonics)[0]
         for i in range(len(z)):
-            z[i] += osc.to_physical[i, j] * full
+            z[i] += oscillator.to_physical[i, j] * full
 
 
 @inlined
-def level_on_stop(osc, side):
+def level_on_stop(oscillator, side):
     """Constant part of the signal of held motion: the force by which a stop holds y, without motion of the others."""
-    last = osc.held.blocks.shape[2] - 1
-    return osc.held.offset[0, 0] + osc.held.blocks[0, 0, last, COLUMN.c0] * stop_position(osc, side)
+    last = oscillator.held.blocks.shape[2] - 1
+    return oscillator.held.offset[0, 0] + oscillator.held.blocks[0, 0, last, COLUMN.c0] * stop_position(
+        oscillator, side
+    )
 
 
 @kernel
-def load_on_stop(osc, u, turn, side):
+def load_on_stop(oscillator, u, harmonics, side):
     """The force that presses the resting mass on the stop, from its block state u (n, 2)."""
-    held = osc.held
-    return -side * (guard_of(held.blocks[0, 0], u) + wave(held.waves[0, 0], turn)[0] + level_on_stop(osc, side))
+    held = oscillator.held
+    return -side * (
+        guard_of(held.blocks[0, 0], u) + wave(held.waves[0, 0], harmonics)[0] + level_on_stop(oscillator, side)
+    )
 
 
 @inline_always
-def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
+def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
     """Rest on a stop until the load on it falls to zero, or for H; moves h and V in place.
 
     Returns (time, released, evaluations); released is 2 if the march gave up.
     """
     h, V = borrow(h), borrow(V)
-    held, n = osc.held, h.shape[0]
+    held, n = oscillator.held, h.shape[0]
     blocks, numbers = held.blocks[0, 0], held.numbers[0, 0]
     u, U, scratch = np.empty((n, 2)), np.empty((V.shape[0], n, 2)), np.empty((n - 1, 2))
     turn = harmonics_at(phase, held.waves.shape[2])
     z, W = np.empty(2 * n), np.empty((V.shape[0], 2 * n))
-    to_held(osc, h, V, turn, z, W, u, U)
+    to_held(oscillator, h, V, turn, z, W, u, U)
     upper, lower = (0.0, -np.inf) if side > 0 else (np.inf, 0.0)
     mode = by_reference(GuardedFlow(blocks[: n - 1], held.waves[0, 0], numbers, held.forced[0]))
     inside = np.int64(0)  # typed: a literal would compile the callees once more
     s, crossed, evaluations = next_crossing(
-        mode, u[: n - 1], phase, level_on_stop(osc, side), upper, lower, inside, H, scratch
+        mode, u[: n - 1], phase, level_on_stop(oscillator, side), upper, lower, inside, H, scratch
     )  # fmt: skip
     if growth.shape[0] > 0:
         flow(blocks, s, u)
@@ -100,5 +106,5 @@ def stay_on_stop(osc, h, V, growth, triangle, phase, side, H):
     else:
         flow_with_tangent(blocks, s, u, U)
     write_harmonics(phase + numbers[NUMBER.omega] * s, turn)
-    from_held(osc, u, U, turn, side, z, W, h, V)
+    from_held(oscillator, u, U, turn, side, z, W, h, V)
     return s, abs(crossed), evaluations

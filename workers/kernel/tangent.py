@@ -202,9 +202,9 @@ def spread_rate(blocks):
 
 
 @inline_always
-def fly_far(osc, motion, s):
+def fly_far(oscillator, motion, s):
     """Advance the state and the frame by s in free flight, for any spread of the frame."""
-    blocks = osc.gap.blocks
+    blocks = oscillator.gap.blocks
     rank = 2 * len(blocks) - int(motion.tally[LOST])
     flow(blocks, s, motion.h)
     graded_flow(blocks, s, motion.V, motion.growth, motion.triangle, rank)

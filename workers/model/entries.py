@@ -54,10 +54,10 @@ def read_flag(where: str, value: object) -> bool:
     return value
 
 
-def read_number(where: str, value: object, right: str = "must be a number", infinite: bool = False) -> float:
+def read_number(where: str, value: object, valid_form: str = "must be a number", infinite: bool = False) -> float:
     """The value as a float."""
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise fault(where, value, right)
+        raise fault(where, value, valid_form)
     try:
         number = float(value) + 0.0  # -0.0 becomes 0.0: equal definitions have one digest
     except OverflowError:
@@ -117,10 +117,10 @@ def name_taken(where: str, name: str) -> DefinitionError:
     return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
 
 
-def fault(where: str, value: object, right: str) -> DefinitionError:
+def fault(where: str, value: object, valid_form: str) -> DefinitionError:
     """The error of an entry, with the value found and the valid form."""
     try:
         shown = _short.repr(value)
     except ValueError:  # an integer with more digits than Python writes
         shown = "a whole number of thousands of digits"
-    return DefinitionError(f"{where}: found {shown}, {right}")
+    return DefinitionError(f"{where}: found {shown}, {valid_form}")

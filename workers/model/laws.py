@@ -49,10 +49,10 @@ ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
 
 
 @np.errstate(all="ignore")
-def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], most: float = SEGMENTS) -> Array:
+def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], limit: float = SEGMENTS) -> Array:
     """Vertices (N, V, 2), argument and force, of an element's law; infinite arguments fill up machines with fewer.
 
-    NaN if an expression takes more than ``most`` segments, or has no value.
+    NaN if an expression takes more than ``limit`` segments, or has no value.
     """
     if not isinstance(element.law, Expression):
         return evaluate_entries(element.law, named)
@@ -62,7 +62,7 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], m
     every = np.concatenate([*(named[name][:, None] for name in names), bounds], axis=1)
     kinds, kind = np.unique(every, axis=0, return_inverse=True)
     tables = [_fitted(element, dict(zip(names, values, strict=False)), *values[-3:].tolist()) for values in kinds]
-    tables = [table if len(table) - 1 <= most else np.full((2, 2), np.nan) for table in tables]
+    tables = [table if len(table) - 1 <= limit else np.full((2, 2), np.nan) for table in tables]
     padded = np.full((len(kinds), max(map(len, tables), default=2), 2), [np.inf, 0.0])
     for k, table in enumerate(tables):
         padded[k, : len(table)] = table

@@ -57,14 +57,14 @@ class Parameter:
         return entries
 
 
-def near_name(name: str, known: list[str]) -> str:
+def near_name(name: str, valid: list[str]) -> str:
     """The known name nearest to an unknown one; empty if none is near."""
-    return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.5)), "")
+    return next(iter(difflib.get_close_matches(name, valid, n=1, cutoff=0.5)), "")
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
     """One line for an unknown name: the nearest known name, or all of them."""
-    names = list(known)
+    names = list(valid)
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"
     return f"unknown {kind} {name!r}; {hint}"

@@ -140,9 +140,9 @@ def _read_waveform(where: str, one: Mapping[str, Any]) -> Waveform:
 
 
 def _harmonics_of(
-    where: str, one: Mapping[str, Any], wave: Waveform, part: Harmonic, turns: int, most: int, known: Collection[str]
+    where: str, one: Mapping[str, Any], wave: Waveform, part: Harmonic, turns: int, limit: int, known: Collection[str]
 ) -> list[Harmonic]:
-    """The harmonics of a waveform, at most ``most``, within the error bound of its table."""
+    """The harmonics of a waveform, at most ``limit``, within the error bound of its table."""
     if "within" not in one:
         raise DefinitionError(
             f"{where}: within missing; give the largest error of the waveform over its largest value, such as 0.05"
@@ -151,11 +151,11 @@ def _harmonics_of(
     if not 0.0 < within < 1.0:
         raise DefinitionError(f"{where}.within: found {within:g}, must be above 0 and below 1")
     reach = int(HIGHEST / (part.order * turns))
-    parts, error = wave.fewest(within, range(1, reach + 1), most)
+    parts, error = wave.fewest(within, range(1, reach + 1), limit)
     if error > within:
         digits = 10.0 ** (1 - math.floor(math.log10(error)))
         raise DefinitionError(
-            f"{where}.within: found {within:g}; the {most} harmonics that there is room for, up to {reach} times its "
+            f"{where}.within: found {within:g}; the {limit} harmonics that there is room for, up to {reach} times its "
             f"frequency, come within {math.ceil(error * digits) / digits:g}; give that or more"
         )
     return [

@@ -26,11 +26,11 @@ FIRST_LOOK = 64
 
 
 def fewest(
-    law: Callable[[Array], Array], end: float, bound: float, least: float = -np.inf, reach: float = 0.0
+    law: Callable[[Array], Array], end: float, bound: float, minimum: float = -np.inf, reach: float = 0.0
 ) -> Array:
     """Vertices (V, 2) from 0 to ``end``, of either sign, of a law within ``bound`` of the given one.
 
-    No slope, with the sign of ``end``, is below ``least``. The law is sampled at every POINTS-th part of ``reach``, or
+    No slope, with the sign of ``end``, is below ``minimum``. The law is sampled at every POINTS-th part of ``reach``, or
     of |end| if larger, so that both sides of an odd law agree where both exist. Not finite if the law is not.
     """
     run: Array = max(abs(end), reach) / POINTS * np.arange(POINTS, dtype=np.float64)
@@ -41,19 +41,21 @@ def fewest(
     i, at, y = 0, 0.0, float(f[0])
     vertices = [(at, y)]
     while i < len(run) - 1:
-        j, at, y = _segment(run, f, (1.0 - SPARE) * bound, i, at, y, least)
+        j, at, y = _segment(run, f, (1.0 - SPARE) * bound, i, at, y, minimum)
         vertices.append((float(np.copysign(at, end)), y))
         i = j
     return np.array(vertices)
 
 
-def _segment(run: Array, f: Array, bound: float, i: int, at: float, y: float, least: float) -> tuple[int, float, float]:
+def _segment(
+    run: Array, f: Array, bound: float, i: int, at: float, y: float, minimum: float
+) -> tuple[int, float, float]:
     """End of the longest segment from (at, y), at or after point i: the last point before it, and the end itself."""
     look = FIRST_LOOK
     while True:
         ahead = slice(i + 1, min(i + 1 + look, len(run)))
         steps = run[ahead] - at
-        low = np.maximum.accumulate(np.maximum((f[ahead] - bound - y) / steps, least))
+        low = np.maximum.accumulate(np.maximum((f[ahead] - bound - y) / steps, minimum))
         high = np.minimum.accumulate((f[ahead] + bound - y) / steps)
         over = low > high
         k = int(np.argmax(over))

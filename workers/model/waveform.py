@@ -77,15 +77,15 @@ class Waveform:
         r = sums - self.evaluate(shares)
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
-    def fewest(self, within: float, orders: Iterable[int], most: int) -> tuple[dict[int, HarmonicAmplitudes], float]:
+    def fewest(self, within: float, orders: Iterable[int], limit: int) -> tuple[dict[int, HarmonicAmplitudes], float]:
         """The fewest of its largest harmonics of these orders with an error of at most ``within``, and their error.
 
-        If ``most`` harmonics do not reach that error, the best approximation.
+        If ``limit`` harmonics do not reach that error, the best approximation.
         """
         every = {k: part for k in orders if any(part := self.harmonic(k))}
         ranked = sorted(every, key=lambda k: (-math.hypot(*every[k]), k))
         parts, best = dict[int, HarmonicAmplitudes](), math.inf
-        for count in range(min(most, len(ranked)) + 1):
+        for count in range(min(limit, len(ranked)) + 1):
             tried = {k: every[k] for k in sorted(ranked[:count])}
             if (error := self.error(tried)) < best:
                 parts, best = tried, error

@@ -94,13 +94,13 @@ def escaping(oscillators, motions, cells):
 
 
 @inline_always
-def escapes_in_modes(osc, h, mode):
+def escapes_in_modes(oscillator, h, mode):
     """Whether a growing motion meets no guard of its mode again; false where phases change the mode."""
-    table, pieces, at = osc.table, osc.table.pieces, np.zeros(h.shape)
+    table, pieces, at = oscillator.table, oscillator.table.pieces, np.zeros(h.shape)
     k = slot_of(table.codes, mode)
     if k < 0 or table.elements.starts.shape[0] > 2:
         return False
-    enter_from_section(osc, k, h, at)
+    enter_from_section(oscillator, k, h, at)
     left, met = False, False
     for g in range(pieces.ends.shape[1]):
         blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]

@@ -80,8 +80,8 @@ def block_logs(rotation, growth, triangle, ends, size):
 
 
 @inline_always
-def floquet(osc, point, steps, half, most):
-    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``most`` < 2.
+def floquet(oscillator, point, steps, half, limit):
+    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``limit`` < 2.
 
     A frame is carried round the orbit until it splits into invariant subspaces; the factors of QR are kept as
     logarithms, so multipliers of any spread keep their digits. Blocks that do not split have multipliers of nearly
@@ -93,20 +93,20 @@ def floquet(osc, point, steps, half, most):
     logs = np.full(size, -np.inf)
     rounding = np.inf
     turns = 0
-    for turn in range(1, most + 1):
+    for turn in range(1, limit + 1):
         m = frame.shape[0]
-        motion = iterate(osc, point.h, point.mode, frame.copy(), np.zeros(m), identity(m), steps, half)
+        motion = iterate(oscillator, point.h, point.mode, frame.copy(), np.zeros(m), identity(m), steps, half)
         if motion.tally[STATUS] != RUNNING:
             break
-        reset_frame(osc.gap.blocks, motion)
+        reset_frame(oscillator.gap.blocks, motion)
         kept = np.flatnonzero(motion.growth > -np.inf)
         before, frame = frame, motion.V[kept]
         if turn == 1 or len(kept) < m:
             continue
-        rotation = overlaps(osc.gap.blocks, before, frame, m)
+        rotation = overlaps(oscillator.gap.blocks, before, frame, m)
         ends = block_ends(rotation)
         spread = spread_of(motion.growth, ends)
-        if spread < NARROW or turn == most:
+        if spread < NARROW or turn == limit:
             logs, largest = block_logs(rotation, motion.growth, motion.triangle, ends, size)
             rounding = 1e-15 * (1.0 + largest) * math.exp(min(spread, 700.0))
             turns = turn

@@ -33,9 +33,9 @@ SETTLED, BOUNDED = 1e-12, 1e3
 
 
 @inline_always
-def meets_nothing(osc, h, mode):
+def meets_nothing(oscillator, h, mode):
     """Whether this motion meets no contact forever and no phase changes it; true without contacts and friction."""
-    table, pieces, n = osc.table, osc.table.pieces, h.shape[0]
+    table, pieces, n = oscillator.table, oscillator.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
         return F == 0
@@ -50,7 +50,7 @@ def meets_nothing(osc, h, mode):
         if not (same and np.all(pieces.drive[other] == pieces.drive[k])):
             return False
     at = np.zeros((n, 2))
-    enter_from_section(osc, k, h, at)
+    enter_from_section(oscillator, k, h, at)
     for c in range(C):
         g = SIGNALS * c
         reach = derivative_bounds(pieces.blocks[k, g], pieces.numbers[k, g], at, np.inf)[0] * (1.0 + 1e-12)
@@ -61,13 +61,13 @@ def meets_nothing(osc, h, mode):
 
 
 @inline_always
-def rates_if_undamped(osc, mode, logs):
+def rates_if_undamped(oscillator, mode, logs):
     """Write the exact logarithms of multipliers of a motion in this mode, if a block of it is not damped and no phase
     changes it; returns their error, infinity if they stay as they are.
 
     Two multipliers that meet at 1, as of a free mass, are known to the square root of rounding by the map.
     """
-    table, T = osc.table, osc.head[HEAD.period]
+    table, T = oscillator.table, oscillator.head[HEAD.period]
     k = slot_of(table.codes, mode)
     if k < 0 or table.elements.starts.shape[0] > 2 or not np.any(table.pieces.blocks[k, 0, :, COLUMN.eta] == 0.0):
         return np.inf

@@ -27,25 +27,25 @@ class FixedPoint(NamedTuple):
 
 
 @kernel
-def iterate(osc, h, mode, V, growth, triangle, steps, half):
+def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
     """The motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
 
     Its status is not RUNNING if it cannot be followed.
     """
     motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
-        step(osc, borrow(motion), half)
+        step(oscillator, borrow(motion), half)
         if motion.tally[STATUS] != RUNNING:
             return motion
-    if has_modes(osc):
-        freeze(osc, motion)
+    if has_modes(oscillator):
+        freeze(oscillator, motion)
     return motion
 
 
 @kernel
-def iterate_alone(osc, h, mode, steps, half):
+def iterate_alone(oscillator, h, mode, steps, half):
     """The image of h alone, without tangent vectors."""
-    return iterate(osc, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
+    return iterate(oscillator, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
 
 
 @kernel
@@ -59,9 +59,9 @@ def jacobian_of(V):
 
 
 @kernel
-def map_with_jacobian(osc, h, mode, steps, half):
+def map_with_jacobian(oscillator, h, mode, steps, half):
     """The motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
-    motion = iterate(osc, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
+    motion = iterate(oscillator, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 
 

@@ -82,20 +82,20 @@ def is_hopeless(J):
 
 
 @inline_always
-def newton(osc, start, mode, steps, half, scale, most):
+def newton(oscillator, start, mode, steps, half, scale, limit):
     """The fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
 
-    h <- h - (J - I)^-1 (F(h) - h), at most ``most`` times, until the residual stops falling. It must end below 1e-10 of
+    h <- h - (J - I)^-1 (F(h) - h), at most ``limit`` times, until the residual stops falling. It must end below 1e-10 of
     ``scale``; without a fixed point the residual is infinite.
     """
     h = start.copy()
-    blocks = osc.gap.blocks
+    blocks = oscillator.gap.blocks
     size = h.size
     best = FixedPoint(h, h, mode, np.zeros((size, size)), np.inf)
     spent = 0
-    while spent < most:
+    while spent < limit:
         spent += 1
-        motion, J = map_with_jacobian(osc, h, mode, steps, half)
+        motion, J = map_with_jacobian(oscillator, h, mode, steps, half)
         residual = separation(blocks, motion.h, h)
         arrived = motion.tally[STATUS] == RUNNING and motion.mode[0] == mode
         if not (arrived and residual <= 0.5 * best.residual):
@@ -110,7 +110,7 @@ def newton(osc, start, mode, steps, half, scale, most):
 
 
 @inline_always
-def least_turn(osc, point, steps, half, scale):
+def least_turn(oscillator, point, steps, half, scale):
     """(steps, half) of the shortest turn of an orbit that closes after these, and half periods flown to find it.
 
     Motion returns only after several turns if an impact alternates between both sides of the section t = k T.
@@ -119,28 +119,28 @@ def least_turn(osc, point, steps, half, scale):
     for fewer in range(1, steps + 1):
         for halved in (True, False):
             own = halved == half and fewer < steps
-            mirrors = halved and not half and fewer % 2 == 1 and osc.head[HEAD.symmetric] > 0.0
+            mirrors = halved and not half and fewer % 2 == 1 and oscillator.head[HEAD.symmetric] > 0.0
             if steps % fewer != 0 or not (own or mirrors):
                 continue
-            trial = iterate_alone(osc, point.h, point.mode, fewer, halved)
+            trial = iterate_alone(oscillator, point.h, point.mode, fewer, halved)
             spent += fewer if halved else 2 * fewer
             arrived = trial.tally[STATUS] == RUNNING
-            if arrived and separation(osc.gap.blocks, trial.h, point.h) < 1e-6 * scale:
+            if arrived and separation(oscillator.gap.blocks, trial.h, point.h) < 1e-6 * scale:
                 return fewer, halved, spent
     return steps, half, spent
 
 
 @inline_always
-def approaches(osc, point, h, steps, half, contraction, scale, most):
-    """Whether a motion at block state h converges to an orbit, judged in at most ``most`` turns; and these turns.
+def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
+    """Whether a motion at block state h converges to an orbit, judged in at most ``limit`` turns; and these turns.
 
     Every turn must pass the test of ``orbit.attraction`` until the motion is nearer for good, and one more turn, or
     until it is on the orbit.
     """
-    blocks, norm = osc.gap.blocks, shrinking_norm(osc.gap.blocks, point.jacobian, contraction)
+    blocks, norm = oscillator.gap.blocks, shrinking_norm(oscillator.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
-    for turn in range(1, most + 1):
-        trial = iterate_alone(osc, at, point.mode, steps, half)
+    for turn in range(1, limit + 1):
+        trial = iterate_alone(oscillator, at, point.mode, steps, half)
         image, arrived = trial.h, trial.tally[STATUS] == RUNNING
         if not (arrived and falls_into(norm, point.jacobian, contraction, point.h, at, image)):
             return False, turn
@@ -148,11 +148,11 @@ def approaches(osc, point, h, steps, half, contraction, scale, most):
             return True, turn
         nearer = stays_nearer(blocks, norm, point.jacobian, point.h, image, begun)
         at = image
-    return False, most
+    return False, limit
 
 
 @inline_always
-def find_orbit(osc, h, mode, steps, half, scale, budget):
+def find_orbit(oscillator, h, mode, steps, half, scale, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
     The orbit closes after ``steps`` or a divisor of them.
@@ -161,7 +161,7 @@ def find_orbit(osc, h, mode, steps, half, scale, budget):
     while True:
         unit = steps if half else 2 * steps
         turns_left = (budget - spent) // unit - RESERVED_TURNS
-        point, tried = newton(osc, guess, mode, steps, half, scale, min(PROOF_STEPS, turns_left))
+        point, tried = newton(oscillator, guess, mode, steps, half, scale, min(PROOF_STEPS, turns_left))
         spent += tried * unit
         orbit = PeriodicOrbit(point.h, mode, steps, half, np.full(h.size, -np.inf), 0.0)
         if point.residual == np.inf:
@@ -169,23 +169,23 @@ def find_orbit(osc, h, mode, steps, half, scale, budget):
         radius = spectral_radius(point.jacobian)
         if radius > 1.001:
             return NOTHING, orbit, spent
-        fewer, halved, flown = least_turn(osc, point, steps, half, scale)
+        fewer, halved, flown = least_turn(oscillator, point, steps, half, scale)
         spent += flown
         if fewer == steps and halved == half:
             break
         steps, half, guess = fewer, halved, point.h
-    logs, rounding, turns = floquet(osc, point, steps, half, min(CYCLES, turns_left - tried))
+    logs, rounding, turns = floquet(oscillator, point, steps, half, min(CYCLES, turns_left - tried))
     spent += turns * unit
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
         return NOTHING, orbit, spent
-    if separation(osc.gap.blocks, h, point.h) > ON_ORBIT * scale:
+    if separation(oscillator.gap.blocks, h, point.h) > ON_ORBIT * scale:
         most = min(CYCLES, turns_left - tried - turns + 2)
-        falls, flown = approaches(osc, point, h, steps, half, -math.expm1(largest), scale, most)
+        falls, flown = approaches(oscillator, point, h, steps, half, -math.expm1(largest), scale, most)
         spent += flown * unit
         if not falls:
             return NEAR, orbit, spent
-    again, J = map_with_jacobian(osc, point.image, mode, steps, half)
+    again, J = map_with_jacobian(oscillator, point.image, mode, steps, half)
     spent += unit
     if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
         rounding = max(rounding, 4.0 * abs(spectral_radius(J) / radius - 1.0))
@@ -235,7 +235,7 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 
 @inline_always
-def settle(osc, motion, sections, near, longest, budget):
+def settle(oscillator, motion, sections, near, longest, budget):
     """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit to which the motion converges.
 
     NEAR: its sections recur near a stable orbit, but convergence is not proved.
@@ -245,18 +245,18 @@ def settle(osc, motion, sections, near, longest, budget):
     ``orbit.attraction``. Sections recur if the last one has returned within ``near`` of the motion's scale, after at
     most ``longest`` periods. At most ``budget`` periods are spent.
     """
-    scale = scale_of(osc.gap.blocks, motion.h)
-    returns = recurrence(osc.gap.blocks, sections, near * scale, longest)
+    scale = scale_of(oscillator.gap.blocks, motion.h)
+    returns = recurrence(oscillator.gap.blocks, sections, near * scale, longest)
     shift, h, mode, flown = 0.0, motion.h.copy(), motion.mode[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
-        shift, h, mode, flown = quiet_section(osc, motion.h, motion.mode[0])
-    there = seen_later(osc, shift)
+        shift, h, mode, flown = quiet_section(oscillator, motion.h, motion.mode[0])
+    there = seen_later(oscillator, shift)
     none = PeriodicOrbit(h, mode, 1, False, np.full(h.size, -np.inf), 0.0)
     spent, nearest = 2 * flown, NOTHING
     for p in returns:
         for half in (True, False):
             left = 2 * budget - spent
-            halves = osc.head[HEAD.symmetric] > 0.0 and p % 2 == 1
+            halves = oscillator.head[HEAD.symmetric] > 0.0 and p % 2 == 1
             if (half and not halves) or left // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
             verdict, orbit, half_periods = find_orbit(there, h, mode, p, half, scale, left)

@@ -24,13 +24,13 @@ RELEASES = 16
 
 
 @inline_always
-def pass_period(osc, motion, rests):
+def pass_period(oscillator, motion, rests):
     """Advance a motion by a period: whether it rests at its end, and whether that is the first section after a rest.
 
     ``rests``: whether it rested before. At a section after a rest the tangent vectors are reset to the block axes.
     """
     motion.tally[LOST] = 0.0
-    advance(osc, motion)
+    advance(oscillator, motion)
     rests = rests or motion.tally[LOST] >= 2.0
     released = rests and abs(motion.mode[0] - FLIGHT) != ON
     if released:
@@ -39,12 +39,12 @@ def pass_period(osc, motion, rests):
 
 
 @inline_always
-def is_followed(osc, h, mode, periods):
+def is_followed(oscillator, h, mode, periods):
     """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
     motion = motion_with(h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
-        rests, released = pass_period(osc, borrow(motion), rests)
+        rests, released = pass_period(oscillator, borrow(motion), rests)
         begun = begun or released
         if motion.tally[STATUS] != RUNNING or (begun and not squares(motion.V) < FOLLOWED**2):
             return False

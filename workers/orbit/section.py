@@ -27,36 +27,36 @@ AT_SECTION = 1e-12
 
 
 @inline_always
-def seen_later(osc, shift):
+def seen_later(oscillator, shift):
     """The oscillator as seen from the section t = shift T; with modes from t = 0, where its phases begin."""
-    return with_phase(osc, osc.tau + 2.0 * math.pi * shift)
+    return with_phase(oscillator, oscillator.tau + 2.0 * math.pi * shift)
 
 
 @kernel
-def motion_after(osc, h, mode, shift):
+def motion_after(oscillator, h, mode, shift):
     """The motion from block state h (n, 2) after ``shift`` < 1 periods."""
     motion = motion_alone(h, mode)
-    propagate(osc, motion, shift * osc.head[HEAD.period])
+    propagate(oscillator, motion, shift * oscillator.head[HEAD.period])
     return motion
 
 
 @kernel
-def quiet_section(osc, h, mode):
+def quiet_section(oscillator, h, mode):
     """(shift, h (n, 2), contact, periods flown): a section of a motion without events nearby.
 
     Takes the block state at t = 0 and returns the block state at t = shift T; with modes that is t = 0.
     """
-    if has_modes(osc):
+    if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
     shift, there, at, tries = 0.0, h.copy(), mode, 0
     for tries in range(1, MAX_ATTEMPTS + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
-        motion = motion_after(osc, h, mode, shift - MARGIN)
+        motion = motion_after(oscillator, h, mode, shift - MARGIN)
         before = motion.mode[0]
         motion.tally[MAX_SPEED] = 0.0
-        propagate(seen_later(osc, shift - MARGIN), motion, MARGIN * osc.head[HEAD.period])
+        propagate(seen_later(oscillator, shift - MARGIN), motion, MARGIN * oscillator.head[HEAD.period])
         there, at = motion.h.copy(), motion.mode[0]
-        propagate(seen_later(osc, shift), motion, MARGIN * osc.head[HEAD.period])
+        propagate(seen_later(oscillator, shift), motion, MARGIN * oscillator.head[HEAD.period])
         same = before == at and at == motion.mode[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
@@ -64,11 +64,11 @@ def quiet_section(osc, h, mode):
 
 
 @inline_always
-def back_at_section(osc, shift, h, mode):
+def back_at_section(oscillator, shift, h, mode):
     """The motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
     An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
     """
-    motion = motion_after(seen_later(osc, shift), h, mode, 1.0 - shift)
-    after = motion_after(osc, motion.h, motion.mode[0], AT_SECTION)
+    motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
+    after = motion_after(oscillator, motion.h, motion.mode[0], AT_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

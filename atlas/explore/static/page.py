@@ -120,12 +120,12 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
     return text
 
 
-def lines_of(ds: "xr.Dataset", seen: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
+def lines_of(ds: "xr.Dataset", visible: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
     """The lines that can be drawn over the maps of these cells, by their names, and the arrays that they need."""
     view = MapView(
         KIND_TABLE["period"],
         ds,
-        Plane.from_dataset(seen, [LARGEST.name] if LARGEST.name in seen else []),
+        Plane.from_dataset(visible, [LARGEST.name] if LARGEST.name in visible else []),
         PictureRequest(STANDARD),
     )
     lines, arrays = dict[str, Any](), dict[str, Any]()
@@ -149,7 +149,7 @@ def _check_plane(ds: "xr.Dataset") -> None:
     check_units(ds)
 
 
-def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
+def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]:
     """The cells of a page, read, with all variables of one number a cell; and for how many cells each stands, (x, y).
 
     InputError where there are too many, and no overview of them.
@@ -157,19 +157,19 @@ def _cells(ds: "xr.Dataset", most: int) -> tuple["xr.Dataset", tuple[int, ...]]:
     across, up = axis_names(ds)
     names = [str(name) for name in ds.data_vars if {*ds[name].dims} == {across, up}]
     size = ds.sizes[across], ds.sizes[up]
-    if math.prod(size) > most:
+    if math.prod(size) > limit:
         part = find_part(ds, [REGIME.name])
         if part is None:
             hint = "select a part, or open the atlas anew"
-            raise InputError(f"a page shows at most {most} cells of values in memory, found {math.prod(size)}; {hint}")
+            raise InputError(f"a page shows at most {limit} cells of values in memory, found {math.prod(size)}; {hint}")
         known = {variable.name for variable in part.pyramid.variables}
         names = [name for name in names if name in known]
     halved = 0
     while True:  # unevenly spaced cells may take more halvings than their number says
         pixels = [-(-count >> halved) for count in size]
         with counted() as reads:
-            seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= most else ds
-        if seen[REGIME.name].size <= most:
+            seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= limit else ds
+        if seen[REGIME.name].size <= limit:
             return seen.load().transpose(up, across, ...), reads.block if len(reads.block) == 2 else (1, 1)
         halved += 1
 
@@ -189,8 +189,8 @@ def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
     return f"{variables[variable]['label']} of attractor number {int(place) + 1}"
 
 
-def _values(seen: "xr.Dataset", name: str) -> Any:
-    return seen[name].values
+def _values(visible: "xr.Dataset", name: str) -> Any:
+    return visible[name].values
 
 
 def _filled(

@@ -18,9 +18,9 @@ MAX_IMPACTS = 64
 
 
 def tree_from(
-    seed: BranchSeed, along: str, window: tuple[float, float], switch: bool = False, most: int = MAX_BRANCHES
+    seed: BranchSeed, along: str, window: tuple[float, float], switch: bool = False, limit: int = MAX_BRANCHES
 ) -> "BranchTree":
-    """The branch of a cell's orbit in one parameter; ``switch`` adds branches that begin on it; ``most`` in all.
+    """The branch of a cell's orbit in one parameter; ``switch`` adds branches that begin on it; ``limit`` in all.
 
     Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
     rise, is not valid or does not hold the cell, and where the orbit cannot be followed.
@@ -29,9 +29,9 @@ def tree_from(
 
     low, high = checked_window(seed, along, window)
     validate_flag("switch_branches", switch)
-    if not is_integer(most) or most < 1:
-        raise InputError(f"budget: found {most!r}, must be a whole number of branches, 1 or more")
-    tree = BranchTree(seed.system, seed.values, along, (low, high), most, MAX_IMPACTS)
+    if not is_integer(limit) or limit < 1:
+        raise InputError(f"budget: found {limit!r}, must be a whole number of branches, 1 or more")
+    tree = BranchTree(seed.system, seed.values, along, (low, high), limit, MAX_IMPACTS)
     try:
         tree.grow(seed.orbit, seed.values[along], switch)
     except ValueError as error:

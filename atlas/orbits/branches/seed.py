@@ -29,16 +29,16 @@ class BranchSeed:
 
 
 def seed_of_point(
-    given: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
+    parameters: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
 ) -> BranchSeed:
-    """The orbit of a cell, solved here; ``given`` are the parameters that differ from the defaults.
+    """The orbit of a cell, solved here; ``parameters`` are the parameters that differ from the defaults.
 
     Raises InputError for bad parameters, and where the cell's motion is not periodic.
     """
     from workers.tile import solve_tile
 
     record = parse_system(system)
-    values = validate_parameters(record, given)
+    values = validate_parameters(record, parameters)
     arrays = solve_tile(record, values, given_settings(settings))
     return seed_of({name: array[()] for name, array in arrays.items()}, record, values)
 

@@ -29,9 +29,9 @@ class BorderSchedule:
     Regions below ``least`` cells count as none. Edges between two cells of none are on no border.
     """
 
-    def __init__(self, plane: CurvePlane, least: int) -> None:
+    def __init__(self, plane: CurvePlane, minimum: int) -> None:
         self.plane = plane
-        self.inside: NDArray[np.bool_] = plane.region_sizes[plane.regions] >= least
+        self.inside: NDArray[np.bool_] = plane.region_sizes[plane.regions] >= minimum
         numbers = np.where(self.inside, plane.regions, PENDING - plane.regime - 1)
         keys, which = np.unique(np.sort(numbers[plane.edges], axis=1), axis=0, return_inverse=True)
         self.which: Cells = which.ravel()

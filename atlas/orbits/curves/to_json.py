@@ -22,15 +22,15 @@ def event_as_json(event: PlaneEvent) -> dict[str, Any]:
     }
 
 
-def event_from_json(given: dict[str, Any]) -> PlaneEvent:
+def event_from_json(data: dict[str, Any]) -> PlaneEvent:
     """The inverse of ``event_as_json``."""
     return PlaneEvent(
-        kind=given["kind"],
-        condition=Condition(*given["condition"]),
-        orbit=orbit_from_json(given["orbit"]),
-        contact_times=np.array(given["contacts"], dtype=np.float64),
-        values=np.array(given["values"]),
-        kappa=np.nan if given["kappa"] is None else given["kappa"],
+        kind=data["kind"],
+        condition=Condition(*data["condition"]),
+        orbit=orbit_from_json(data["orbit"]),
+        contact_times=np.array(data["contacts"], dtype=np.float64),
+        values=np.array(data["values"]),
+        kappa=np.nan if data["kappa"] is None else data["kappa"],
     )
 
 
@@ -53,22 +53,22 @@ def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
     }
 
 
-def curve_from_json(given: dict[str, Any]) -> FollowedCurve:
+def curve_from_json(data: dict[str, Any]) -> FollowedCurve:
     """The inverse of ``curve_as_json``."""
-    shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in given["itineraries"]]
+    shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in data["itineraries"]]
     orbits = [
         _orbit(shared[k][0], *fields)
-        for k, *fields in zip(given["which"], given["times"], given["speeds"], given["lengths"], strict=True)
+        for k, *fields in zip(data["which"], data["times"], data["speeds"], data["lengths"], strict=True)
     ]
-    first, last = given["ends"]
+    first, last = data["ends"]
     return FollowedCurve(
-        event=event_from_json(given["of"]),
-        values=np.array(given["values"]),
+        event=event_from_json(data["of"]),
+        values=np.array(data["values"]),
         orbits=orbits,
-        contact_times=np.array(given["contacts"], dtype=np.float64).reshape(len(orbits), -1),
-        conditions=[shared[k][1] for k in given["which"]],
-        unstable=np.array(given["unstable"], dtype=np.int64),
-        corners=[(kind, np.array(place)) for kind, place in given["corners"]],
+        contact_times=np.array(data["contacts"], dtype=np.float64).reshape(len(orbits), -1),
+        conditions=[shared[k][1] for k in data["which"]],
+        unstable=np.array(data["unstable"], dtype=np.int64),
+        corners=[(kind, np.array(place)) for kind, place in data["corners"]],
         ends=(first, last),
     )
 
@@ -83,9 +83,9 @@ def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def orbit_from_json(given: dict[str, Any]) -> Orbit:
+def orbit_from_json(data: dict[str, Any]) -> Orbit:
     """The inverse of ``orbit_as_json``."""
-    return _orbit(_itinerary(given["itinerary"]), given["times"], given["speeds"], given["length"])
+    return _orbit(_itinerary(data["itinerary"]), data["times"], data["speeds"], data["length"])
 
 
 def _as_length(orbit: Orbit) -> float | None:
@@ -97,11 +97,11 @@ def _orbit(itinerary: Itinerary, times: list[float], speeds: list[float], length
     return Orbit(itinerary, *fields)
 
 
-def _itinerary(given: list[Any]) -> Itinerary:
-    sides, periods, symmetric, legs = given
+def _itinerary(data: list[Any]) -> Itinerary:
+    sides, periods, symmetric, legs = data
     return Itinerary(tuple(sides), periods, symmetric, tuple(tuple(map(_leg, chain)) for chain in legs))
 
 
-def _leg(given: list[Any]) -> Leg:
-    (phase, contacts, slips), begun, signal, side = given
+def _leg(data: list[Any]) -> Leg:
+    (phase, contacts, slips), begun, signal, side = data
     return Leg(ModeCode(phase, tuple(contacts), tuple(slips)), tuple(begun), signal, side)

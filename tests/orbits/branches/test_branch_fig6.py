@@ -31,7 +31,7 @@ CELL = 2.0 / 999.0
 
 @pytest.fixture(scope="module")
 def trees() -> list[BranchTree]:
-    return [tree_from(seed_of_point({"omega": omega}), "omega", (2.0, 4.0), switch=True, most=5) for omega in SEEDS]
+    return [tree_from(seed_of_point({"omega": omega}), "omega", (2.0, 4.0), switch=True, limit=5) for omega in SEEDS]
 
 
 def nearest(trees: list[BranchTree], bifurcation: Bifurcation) -> Event:

@@ -39,9 +39,9 @@ CHANGES = 4
 
 
 @inlined
-def mode_of(table, states, slips, where):
+def mode_of(table, states, slips, phase_index):
     """(slot of the mode of these contacts and slips in this phase, or MISSING, WRONG or RESONATES; its number)."""
-    number = number_of(table.elements, states, slips, where)
+    number = number_of(table.elements, states, slips, phase_index)
     k = slot_of(table.codes, number)
     if k >= 0 and table.wrong[k] != 0:
         k = RESONATES if table.wrong[k] == RESONANT else WRONG
@@ -49,25 +49,27 @@ def mode_of(table, states, slips, where):
 
 
 @inlined
-def follow_jumps(table, states, slips, where, z, turn, begun):
+def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts):
     """Follow a jump beyond guards: friction slips, contacts that push engage. Returns as mode_of."""
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
-        k, number = mode_of(table, states, slips, where)
-        if k < 0 or not follow_one(table.pieces, table.elements, k, where, states, slips, z, turn, begun):
+        k, number = mode_of(table, states, slips, phase_index)
+        if k < 0 or not follow_one(
+            table.pieces, table.elements, k, phase_index, states, slips, z, harmonics, signal_starts
+        ):
             return k, number
     return ENDLESS, number
 
 
 @inlined
-def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
+def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, signal_starts):
     """Change the element of the first signal of mode k that is beyond its range; returns whether there was one."""
-    C, ends = len(states), pieces.ends[k]
+    C, ends = len(states), modes.ends[k]
     for g in range(SIGNALS * C + len(slips)):
         low, high = ends[g, 0], ends[g, 1]
-        if begun[g] != 0 or (low == -np.inf and high == np.inf):
+        if signal_starts[g] != 0 or (low == -np.inf and high == np.inf):
             continue
-        value, size = guard_value(pieces, k, g, z, turn)
+        value, size = guard_value(modes, k, g, z, harmonics)
         above, below = value > high + JUMPED * size, value < low - JUMPED * size
         if not (above or below):
             continue
@@ -77,19 +79,21 @@ def follow_one(pieces, elements, k, where, states, slips, z, turn, begun):
             f = g - SIGNALS * C
             before = slips[f]
             slips[f] = -side if before == 0 else slip_of(elements, f, value)
-            begun[g] = -slips[f] if abs(slips[f]) == 1 and before * slips[f] <= 0 else 0
+            signal_starts[g] = -slips[f] if abs(slips[f]) == 1 and before * slips[f] <= 0 else 0
             return True
         if g % SIGNALS == 1:
             states[c] = other_push(states[c])
             return True
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            release(elements, g, c, where, states, slips, begun, np.int64(2))  # after a jump the load is not zero
+            release(
+                elements, g, c, phase_index, states, slips, signal_starts, np.int64(2)
+            )  # after a jump the load is not zero
             return True
     return False
 
 
 @inlined
-def release(elements, g, c, where, states, slips, begun, order):
+def release(elements, g, c, phase_index, states, slips, signal_starts, order):
     """Release a rigid stop; ``order`` is that of the first nonzero derivative of y after the release.
 
     Friction that also held the mass slides; its force jumps if the static level is above the kinetic one.
@@ -97,26 +101,26 @@ def release(elements, g, c, where, states, slips, begun, order):
     side = states[c]
     for e in range(len(slips)):
         if slips[e] == 0 and elements.along[e, c] != 0.0:
-            if elements.even[where, e] == 0.0:
+            if elements.even[phase_index, e] == 0.0:
                 order = 2
             slips[e] = -np.int64(np.sign(side * elements.along[e, c]))
-            begun[SIGNALS * len(states) + e] = -slips[e] * (order - 1)
+            signal_starts[SIGNALS * len(states) + e] = -slips[e] * (order - 1)
     states[c] = OPEN
-    begun[g] = side * order
+    signal_starts[g] = side * order
 
 
 @inlined
-def go_on(begun, g, side):
+def go_on(signal_starts, g, side):
     """Signal g begins at this end of its range at a rate, as what it has just left; nothing jumps.
 
     Where it has left the other mode in no time too, rounding hides its derivatives: at rest on its end it would change
     for ever.
     """
-    begun[g] = side * (UNCLEAR if begun[g] * side < 0 else 1)
+    signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
 
 @kernel
-def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun):
+def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
     """Friction e begins to slip, or stops sliding: then it sticks if it can, else slides the other way.
 
     Or its law enters another segment, in which nothing jumps. Returns the slot and number of the sticking mode, as of
@@ -125,27 +129,31 @@ def friction_event(table, g, e, side, states, slips, where, z, f, W, turn, begun
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
         slips[e] += side
-        go_on(begun, g, -side)
+        go_on(signal_starts, g, -side)
         return np.int64(0), np.int64(0)
     if slips[e] == 0:
         slips[e] = -side
-        begun[g] = side * (2 if elements.even[where, e] > 0.0 else 1)  # with static = kinetic the force is continuous
+        signal_starts[g] = side * (
+            2 if elements.even[phase_index, e] > 0.0 else 1
+        )  # with static = kinetic the force is continuous
         return np.int64(0), np.int64(0)
     slips[e] = 0
-    k, number = mode_of(table, states, slips, where)
+    k, number = mode_of(table, states, slips, phase_index)
     if k < 0:
         return k, number
     n, row, brake = len(z) // 2, elements.friction_rows[e], elements.friction_kick[e]
-    force, _ = guard_value(table.pieces, k, g, z, turn)
+    force, _ = guard_value(table.pieces, k, g, z, harmonics)
     if abs(force) <= table.pieces.ends[k, g, 1]:
         reset(z, n, row, brake, elements.belt[e], 1.0)
         reset(f, n, row, brake, 0.0, 1.0)
         for i in range(W.shape[0]):
             reset(W[i], n, row, brake, 0.0, 1.0)
-        begun[g] = 0  # the velocity may have turned at this instant: this begins a stick, not the slide after the turn
+        signal_starts[g] = (
+            0  # the velocity may have turned at this instant: this begins a stick, not the slide after the turn
+        )
     else:
         slips[e] = -1 if force > 0.0 else 1
-        begun[g] = -slips[e]
+        signal_starts[g] = -slips[e]
     return k, number
 
 
@@ -156,10 +164,10 @@ def other_push(state):
 
 
 @inlined
-def soft_event(g, c, side, states, begun):
+def soft_event(g, c, side, states, signal_starts):
     """A soft contact engages or opens, enters another segment, or begins or ceases to push. Nothing jumps."""
     state = states[c]
-    go_on(begun, g, -side)
+    go_on(signal_starts, g, -side)
     if g % SIGNALS == 1:
         states[c] = other_push(state)
     elif state == OPEN:
@@ -171,7 +179,7 @@ def soft_event(g, c, side, states, begun):
 
 
 @kernel
-def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, turn, begun):
+def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
     """An impact on a rigid contact at this rate of y: outcome (see contact.outcome) and remaining time of a chatter.
 
     Friction that the impact jerks slides afterwards. The end of chatter is to leading order one impact with R = 0;
@@ -193,25 +201,25 @@ def impact(table, k, g, c, side, rate, h, states, slips, where, z, f, W, phase, 
         reset(W[i], n, row, kick, 0.0, share)
     left = 0.0
     if load > 0.0 and 0.0 < R < 1.0:
-        away = load_away(table, c, side, load, states, slips, where, z, turn)
+        away = load_away(table, c, side, load, states, slips, phase_index, z, harmonics)
         even = away == load
         left = chatter_left(load, side * jerk, cA2k, w, R) if even else uneven_chatter(away, load, w, R)
     if rests:
         states[c] = side
     else:
-        begun[g] = side
+        signal_starts[g] = side
     for e in range(len(slips)):
         sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
         if product(elements.friction_rows[e], kick, 0) != 0.0 and sliding != 0.0:
             slips[e] = slip_of(elements, e, sliding)
-            begun[SIGNALS * len(states) + e] = 0
+            signal_starts[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0
     return following, left
 
 
 @kernel
-def load_away(table, c, side, load, states, slips, where, z, turn):
+def load_away(table, c, side, load, states, slips, phase_index, z, harmonics):
     """Load on stop ``side`` while the mass moves away from it: differs from ``load`` if friction turns at each hop."""
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
@@ -220,11 +228,11 @@ def load_away(table, c, side, load, states, slips, where, z, turn):
             turned[e] = -np.int64(np.sign(side * along))
     if np.all(turned == slips):
         return load
-    k, _ = mode_of(table, states, turned, where)
+    k, _ = mode_of(table, states, turned, phase_index)
     if k < 0:
         return load
     f = np.empty(2 * n)
-    right_hand_side(table.pieces, k, z, turn, f)
+    right_hand_side(table.pieces, k, z, harmonics, f)
     return side * product(table.elements.row[c], f, n)
 
 

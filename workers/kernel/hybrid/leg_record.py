@@ -35,11 +35,11 @@ LEG_STATE = len(LEG)
 
 
 @inline_always
-def write_leg(row, t, signal, side, rate, number, mode, duration, chatter, z, begun):
+def write_leg(row, t, signal, side, rate, number, mode, duration, chatter, z, signal_starts):
     """Record a leg, see LegRecord."""
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
     row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter
     for i in range(len(z)):
         row[LEG_STATE + i] = z[i]
-    for g in range(len(begun)):
-        row[LEG_STATE + len(z) + g] = begun[g]
+    for g in range(len(signal_starts)):
+        row[LEG_STATE + len(z) + g] = signal_starts[g]

@@ -91,7 +91,7 @@ class MeasureTotals(NamedTuple):
 
 
 @kernel
-def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally):
+def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s, tally):
     """Add the integrals over a flight of duration s in mode k from block state h (n, 2)."""
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
@@ -117,20 +117,20 @@ def integrate(table, meter, reading, k, where, states, slips, h, phase, s, tally
                 reading.square[m] += weight * y * y
             for i in range(n):
                 for j in range(n):
-                    reading.damped[0] += weight * z[n + i] * meter.damping[where, i, j] * z[n + j]
+                    reading.damped[0] += weight * z[n + i] * meter.damping[phase_index, i, j] * z[n + j]
             for c in range(len(states)):
                 if states[c] % 2 != 0 and elements.soft[c] > 0.0:
-                    reading.stop[c] += weight * meter.pad[where, c, 1] * product(elements.row[c], z, n) ** 2
+                    reading.stop[c] += weight * meter.pad[phase_index, c, 1] * product(elements.row[c], z, n) ** 2
             for e in range(len(slips)):
                 if slips[e] != 0:
                     sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
-                    slope = meter.rub[where, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
+                    slope = meter.rub[phase_index, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
                     reading.rubbed[e] += weight * slope * sliding * sliding
         since += step
 
 
 @kernel
-def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
+def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
     """Subtract the end of a chatter, from block state h (n, 2), from the time of contact c and of sticking friction.
 
     The mass flies in that time in mode ``before``, with another acceleration than in mode k. Integrated by Simpson's
@@ -144,11 +144,11 @@ def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, 
     z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
     for node in range(3):
         since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
-        flown, at = h.copy(), harmonics_at(phase + omega * since, pieces.waves.shape[2])
-        flow(pieces.blocks[k, 0], since, flown)
-        leave(pieces, k, flown, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
-        right_hand_side(pieces, before, z, at, flying)
-        right_hand_side(pieces, k, z, at, held)
+        flown, at = h.copy(), harmonics_at(phase + omega * since, modes.waves.shape[2])
+        flow(modes.blocks[k, 0], since, flown)
+        leave(modes, k, flown, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
+        right_hand_side(modes, before, z, at, flying)
+        right_hand_side(modes, k, z, at, held)
         for m in range(len(meter.rows)):
             if meter.orders[m] == ACCELERATION:
                 there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
@@ -156,7 +156,7 @@ def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, 
                 reading.square[m] += weight * (there * there - here * here)
         if node == 0:
             reset(z, n, elements.row[c], elements.kick[c], -elements.R[c] * rate, 1.0)
-            right_hand_side(pieces, before, z, at, flying)
+            right_hand_side(modes, before, z, at, flying)
         for m in range(len(meter.rows)):
             if meter.orders[m] == ACCELERATION and meter.peaks[m] > 0.0:
                 there = product(meter.rows[m], flying, n)
@@ -164,7 +164,7 @@ def read_chatter(pieces, meter, reading, before, k, c, elements, states, slips, 
 
 
 @kernel
-def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, phase, s, tally):
+def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, h, phase, s, tally):
     """Add the readings of an engaged or detached contact on a leg from z to ``end``, except its damper's."""
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
@@ -172,8 +172,8 @@ def read_contact(table, meter, reading, k, where, c, side, state, z, end, h, pha
         reading.touching[c] += s
     if table.elements.soft[c] == 0.0:
         return
-    law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[where, c, 1]
-    stiffness, preload = meter.pad[where, c, 0] + law[1], meter.pad[where, c, 2] + law[2]
+    law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[phase_index, c, 1]
+    stiffness, preload = meter.pad[phase_index, c, 0] + law[1], meter.pad[phase_index, c, 2] + law[2]
     full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
     copy_into(full[:n], row)
     low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)

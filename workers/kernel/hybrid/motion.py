@@ -24,17 +24,17 @@ from workers.model.oscillator import HEAD, GuardedFlow
 
 
 @kernel
-def first_event(pieces, k, h, phase, begun, H, scratch, tally):
+def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     """(time, signal, side) of the first guard reached in [0, H]; signal -1 for none."""
     s, hit, side = H, -1, 0
-    for g in range(pieces.ends.shape[1]):
-        low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
+    for g in range(modes.ends.shape[1]):
+        low, high = modes.ends[k, g, 0], modes.ends[k, g, 1]
         if low == -np.inf and high == np.inf:
             continue
-        mode = by_reference(
-            GuardedFlow(pieces.blocks[k, g], pieces.waves[k, g], pieces.numbers[k, g], pieces.forced[k])
+        mode = by_reference(GuardedFlow(modes.blocks[k, g], modes.waves[k, g], modes.numbers[k, g], modes.forced[k]))
+        at, there, evaluations = next_crossing(
+            mode, h, phase, modes.offset[k, g], high, low, signal_starts[g], s, scratch
         )
-        at, there, evaluations = next_crossing(mode, h, phase, pieces.offset[k, g], high, low, begun[g], s, scratch)
         spend(tally, evaluations)
         if there == 2:
             tally[STATUS] = MARCH_GAVE_UP
@@ -47,21 +47,21 @@ def first_event(pieces, k, h, phase, begun, H, scratch, tally):
     TABLES, types.int64, TRIPS, types.int64, FLOATS[2], FLOATS[2], FLOATS[2], types.float64,
     result=types.boolean, modes=True,
 )  # fmt: skip
-def advance_leg(tables, r, trips, slot, hits, legs, scratch, duration):
+def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
     """Find the first event of the leg of machine r on this trip, and end the leg there.
 
     Returns whether the trip is over; not if the motion cannot continue. See through_modes.
     """
-    table, trip = row_in(tables, r), row_in(trips, slot)
+    table, trip = row_in(tables, r), row_in(trajs, slot)
     k, phase, H = trip.place[PLACE.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
     s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, by_value(scratch), trip.tally)
     if trip.tally[STATUS] != RUNNING:
         return False
-    return finish_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, np.bool_(False))
+    return finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs, np.bool_(False))
 
 
 @kernel
-def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, duration):
+def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, duration):
     """Advance a physical state z (2n,) and tangent vectors W (m, 2n) from a section by ``duration`` <= one period.
 
     All in place:
@@ -73,20 +73,20 @@ def through_modes(table, z, W, code, growth, triangle, tally, hits, legs, durati
     Stops early with tally[STATUS] set if the motion cannot continue.
     """
     trips = make_trajectories(table, 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
-    take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration)
+    take_through(table, trips, z, W, code, growth, triangle, tally, contacts, legs, duration)
 
 
 @kernel
-def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, duration):
+def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, legs, duration):
     """through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    trips = by_reference(trips)
-    trip = row_in(trips, 0)
+    trajs = by_reference(trajs)
+    trip = row_in(trajs, 0)
     copy_into(trip.z, z)
     copy_into(trip.W, W)
     copy_into(trip.growth, growth)
     copy_into(trip.triangle, triangle)
     copy_into(trip.tally, tally)
-    code[0] = go_through(as_many(table), trips, code[0], hits, legs, duration)
+    code[0] = go_through(as_many(table), trajs, code[0], contacts, legs, duration)
     copy_into(z, trip.z)
     copy_into(W, trip.W)
     copy_into(growth, trip.growth)
@@ -95,12 +95,12 @@ def take_through(table, trips, z, W, code, growth, triangle, tally, hits, legs, 
 
 
 @external(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
-def go_through(tables, trips, number, hits, legs, duration):
+def go_through(tables, trajs, number, contacts, legs, duration):
     """Advance a single trip from a section, beginning in the mode of this number; returns its last mode.
 
     See through_modes.
     """
-    table, trip, hits, legs = row_in(tables, 0), row_in(trips, 0), by_value(hits), by_value(legs)
+    table, trip, contacts, legs = row_in(tables, 0), row_in(trajs, 0), by_value(contacts), by_value(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
     legs[:] = np.nan
     begin_trajectory(table, trip, number)
@@ -109,75 +109,75 @@ def go_through(tables, trips, number, hits, legs, duration):
         if tally[STATUS] != RUNNING:
             return number
         last = trip.place[PLACE.number]
-        if advance_leg(tables, 0, trips, 0, hits, legs, scratch, duration):
+        if advance_leg(tables, 0, trajs, 0, contacts, legs, scratch, duration):
             return last
 
 
 @kernel
-def load_motion(to_physical, motion, trip, more):
+def load_motion(to_physical, motion, traj, more):
     """Copy a motion at a section into a trip: physical state, tangent vectors and counts.
 
     ``more`` is 1 if the drift direction precedes all others, with growth 0: components along it only tell the position
     and do not count. As the first vector of the frame it is removed from all others, however short they become.
     """
-    size, V = len(trip.z), motion.V
+    size, V = len(traj.z), motion.V
     for i in range(size):
-        trip.z[i] = product_of_blocks(to_physical[i], motion.h)
+        traj.z[i] = product_of_blocks(to_physical[i], motion.h)
         if more > 0:
-            trip.W[0, i] = to_physical[i, size - 1]
+            traj.W[0, i] = to_physical[i, size - 1]
         for e in range(len(V)):
-            trip.W[more + e, i] = product_of_blocks(to_physical[i], V[e])
-    if len(trip.growth) > 0:
-        trip.growth[0] = 0.0
+            traj.W[more + e, i] = product_of_blocks(to_physical[i], V[e])
+    if len(traj.growth) > 0:
+        traj.growth[0] = 0.0
         for e in range(len(motion.growth)):
-            trip.growth[more + e] = motion.growth[e]
-    if len(trip.triangle) > 0:
-        copy_into(trip.triangle, identity(len(trip.triangle)))
+            traj.growth[more + e] = motion.growth[e]
+    if len(traj.triangle) > 0:
+        copy_into(traj.triangle, identity(len(traj.triangle)))
         for e in range(len(motion.triangle)):
             for i in range(len(motion.triangle)):
-                trip.triangle[more + e, more + i] = motion.triangle[e, i]
-    copy_into(trip.tally, motion.tally)
+                traj.triangle[more + e, more + i] = motion.triangle[e, i]
+    copy_into(traj.tally, motion.tally)
 
 
 @kernel
-def store_motion(to_blocks, omega, motion, trip, more, resets):
+def store_motion(to_blocks, omega, motion, traj, more, resets):
     """Copy the end of a trip back into its motion; ``resets`` says that a drifting coordinate is reset to 0."""
-    size, V, h = len(trip.z), motion.V, trip.h
+    size, V, h = len(traj.z), motion.V, traj.h
     for i in range(size):
-        h[i // 2, i % 2] = product(to_blocks[i], trip.z, 0)
+        h[i // 2, i % 2] = product(to_blocks[i], traj.z, 0)
         for e in range(len(V)):
-            V[e, i // 2, i % 2] = product(to_blocks[i], trip.W[more + e], 0)
-    copy_into(motion.tally, trip.tally)
+            V[e, i // 2, i % 2] = product(to_blocks[i], traj.W[more + e], 0)
+    copy_into(motion.tally, traj.tally)
     if resets:
         count_progress(motion, h, omega)
     for j in range(len(h)):
         motion.h[j, 0], motion.h[j, 1] = h[j, 0], h[j, 1]
-    motion.mode[0] = trip.place[PLACE.number]
+    motion.mode[0] = traj.place[PLACE.number]
     for e in range(len(motion.growth)):
-        motion.growth[e] = trip.growth[more + e]
+        motion.growth[e] = traj.growth[more + e]
     for e in range(len(motion.triangle)):
         for i in range(len(motion.triangle)):
-            motion.triangle[e, i] = trip.triangle[more + e, more + i]
+            motion.triangle[e, i] = traj.triangle[more + e, more + i]
 
 
 @kernel
-def take_on(osc, motion, trips, more, duration):
+def take_on(oscillator, motion, trajs, more, duration):
     """through_events with work arrays. A separate kernel, since lent arrays live as long as the caller."""
-    tables, motion, trips = as_many(osc.table), row_in(as_many(motion), 0), by_reference(trips)
-    table, trip = row_in(tables, 0), row_in(trips, 0)
-    load_motion(osc.to_physical, motion, trip, more)
-    go_through(tables, trips, motion.mode[0], motion.impacts, np.empty((0, 0)), duration)
+    tables, motion, trajs = as_many(oscillator.table), row_in(as_many(motion), 0), by_reference(trajs)
+    table, trip = row_in(tables, 0), row_in(trajs, 0)
+    load_motion(oscillator.to_physical, motion, trip, more)
+    go_through(tables, trajs, motion.mode[0], motion.impacts, np.empty((0, 0)), duration)
     if trip.tally[STATUS] != RUNNING:
         motion.tally[STATUS] = trip.tally[STATUS]
         return
-    resets = table.drifts > 0.0 and duration >= osc.head[HEAD.period]
-    store_motion(osc.to_blocks, table.omega, motion, trip, more, resets)
+    resets = table.drifts > 0.0 and duration >= oscillator.head[HEAD.period]
+    store_motion(oscillator.to_blocks, table.omega, motion, trip, more, resets)
 
 
 @external(OSCILLATOR, MOTION, types.float64, modes=True)
-def through_events(osc, motion, duration):
+def through_events(oscillator, motion, duration):
     """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
-    more = 1 if osc.table.drifts > 0.0 and framed else 0
+    more = 1 if oscillator.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more
-    take_on(osc, motion, make_trajectories(osc.table, 1, n, m, framed, square), more, duration)
+    take_on(oscillator, motion, make_trajectories(oscillator.table, 1, n, m, framed, square), more, duration)

@@ -38,12 +38,12 @@ def record_slips(slips, tally):
 
 
 @external(OSCILLATOR, MOTION, modes=True)
-def freeze(osc, motion):
+def freeze(oscillator, motion):
     """Treat friction that has never slid as a parameter of the motion: remove changes of its position from all vectors.
 
     It could rest anywhere nearby: the direction is neutral, with multiplier 1, and counts as lost.
     """
-    table, elements = osc.table, osc.table.elements
+    table, elements = oscillator.table, oscillator.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
     states, slips = (
         np.zeros(elements.row.shape[0], dtype=np.int64),
@@ -53,21 +53,23 @@ def freeze(osc, motion):
     read_number(elements, number, states, slips)
     k, slid = slot_of(table.codes, number), int(motion.tally[SLID])
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
-    leave_frame(osc.to_physical, motion.V, W)
+    leave_frame(oscillator.to_physical, motion.V, W)
     enter_frame(table.pieces.to_blocks[k], W, V)
     place, neutral = n, 0
     for e in range(len(slips) - 1, -1, -1):
         if slips[e] != 0 or rests_on_stop(elements, e, states):
             continue
         place -= 1
-        drifts = table.drifts > 0.0 and product(elements.friction_rows[e], osc.to_physical[:n, 2 * n - 1], 0) != 0.0
+        drifts = (
+            table.drifts > 0.0 and product(elements.friction_rows[e], oscillator.to_physical[:n, 2 * n - 1], 0) != 0.0
+        )
         if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
             neutral += 1
             for i in range(m):
                 V[i, place, 0] = 0.0
     if neutral > 0:
         leave_frame(table.pieces.to_physical[k], V, W)
-        enter_frame(osc.to_blocks, W, motion.V)
+        enter_frame(oscillator.to_blocks, W, motion.V)
         motion.tally[NEUTRAL] = neutral
         motion.tally[LOST] += neutral
 

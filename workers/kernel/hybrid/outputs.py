@@ -47,19 +47,19 @@ def longest_panel(blocks, top, since):
 
 
 @kernel
-def mode_with(pieces, k, row, direct):
+def mode_with(modes, k, row, direct):
     """Mode k with an output as its guard: a row (2n + 1,) on (x, v, 1), and ``direct`` (H, 2) of the force.
 
     Also returns the output with the blocks at rest, without forced response.
     """
-    blocks, forced, waves = pieces.blocks[k, 0].copy(), pieces.forced[k], direct.copy()
+    blocks, forced, waves = modes.blocks[k, 0].copy(), modes.forced[k], direct.copy()
     size = 2 * len(blocks)
     blocks[:, OF_FLOW:OF_GUARD] = 0.0
     offset = row[size]
     for i in range(size):
         weight = 0.0
         for j in range(size):
-            weight += row[j] * pieces.to_physical[k, j, i]
+            weight += row[j] * modes.to_physical[k, j, i]
         blocks[i // 2, COLUMN.c0 + i % 2] = weight
         offset += weight * blocks[i // 2, COLUMN.rest0 + i % 2]
         for w in range(len(waves)):
@@ -71,33 +71,33 @@ def mode_with(pieces, k, row, direct):
         block[COLUMN.cAA0], block[COLUMN.cAA1] = (
             -lam * block[COLUMN.cA1], block[COLUMN.cA0] - 2.0 * eta * block[COLUMN.cA1]
         )  # fmt: skip
-    return GuardedFlow(blocks, waves, pieces.numbers[k, 0], forced), offset
+    return GuardedFlow(blocks, waves, modes.numbers[k, 0], forced), offset
 
 
 @kernel
-def output_row(pieces, k, row, order):
+def output_row(modes, k, row, order):
     """The row (2n + 1,) on (x, v, 1) of an output row . x of this derivative in mode k, and its force part."""
     n = len(row)
-    full, direct = np.zeros(2 * n + 1), np.zeros(pieces.direct.shape[2:])
+    full, direct = np.zeros(2 * n + 1), np.zeros(modes.direct.shape[2:])
     for i in range(n):
         if order < ACCELERATION:
             full[int(order) * n + i] = row[i]
             continue
         for j in range(2 * n + 1):
-            full[j] += row[i] * pieces.acceleration[k, i, j]
+            full[j] += row[i] * modes.acceleration[k, i, j]
         for w in range(len(direct)):
-            direct[w, 0] += row[i] * pieces.drive[k, i, w, 0]
-            direct[w, 1] += row[i] * pieces.drive[k, i, w, 1]
+            direct[w, 0] += row[i] * modes.drive[k, i, w, 0]
+            direct[w, 1] += row[i] * modes.drive[k, i, w, 1]
     return full, direct
 
 
 @kernel
-def extremes(pieces, k, row, direct, h, phase, s, tally):
+def extremes(modes, k, row, direct, h, phase, s, tally):
     """The least and greatest value of an output, see mode_with, in a flight of duration s from block state h (n, 2).
 
     The output counts as constant if a bound of its rate limits its change to LEVEL.
     """
-    mode, offset = mode_with(pieces, k, row, direct)
+    mode, offset = mode_with(modes, k, row, direct)
     omega = mode.numbers[NUMBER.omega]
     here, _, _, _, size = evaluate(mode.blocks, mode.waves, omega, h, 0.0, phase, 0.0)
     there = evaluate(mode.blocks, mode.waves, omega, h, s, phase, 0.0)[0]

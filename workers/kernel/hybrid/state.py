@@ -15,9 +15,9 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 
 @inlined
-def number_of(elements, states, slips, where):
+def number_of(elements, states, slips, phase_index):
     """Number of the mode of these contacts and slips in this phase, see model.hybrid_modes.Code."""
-    number, half, most = where, 2 * elements.depths.shape[2], elements.speeds.shape[1]
+    number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
         number = (2 * half + 1) * number + state + half
     for sign in slips:
@@ -63,10 +63,10 @@ def slot_of(codes, number):
 
 
 @inlined
-def write_harmonics(phase, turn):
+def write_harmonics(phase, harmonics):
     """Write sine and cosine of each harmonic of the force at a phase to turn (H, 2)."""
-    for w in range(len(turn)):
-        turn[w, 0], turn[w, 1] = sin_cos((w + 1.0) * phase)
+    for w in range(len(harmonics)):
+        harmonics[w, 0], harmonics[w, 1] = sin_cos((w + 1.0) * phase)
 
 
 @kernel
@@ -78,21 +78,21 @@ def harmonics_at(phase, harmonics):
 
 
 @inlined
-def wave(parts, turn):
+def wave(parts, harmonics):
     """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian; see turned."""
     value, rate = 0.0, 0.0
-    for k in range(len(turn)):
-        sin, cos = turn[k, 0], turn[k, 1]
+    for k in range(len(harmonics)):
+        sin, cos = harmonics[k, 0], harmonics[k, 1]
         value += parts[k, 0] * sin + parts[k, 1] * cos
         rate += (k + 1.0) * (parts[k, 0] * cos - parts[k, 1] * sin)
     return value, rate
 
 
 @inlined
-def guard_value(pieces, k, g, z, turn):
+def guard_value(modes, k, g, z, harmonics):
     """Signal g of mode k at a physical state z (2n,), and the sum of moduli of its terms; see turned."""
-    row = pieces.rows[k, g]
-    value, _ = wave(pieces.direct[k, g], turn)
+    row = modes.rows[k, g]
+    value, _ = wave(modes.direct[k, g], harmonics)
     size = abs(value) + abs(row[len(z)])
     value += row[len(z)]
     for i in range(len(z)):
@@ -102,10 +102,10 @@ def guard_value(pieces, k, g, z, turn):
 
 
 @inlined
-def guard_rate(pieces, k, g, f, omega, turn):
+def guard_rate(modes, k, g, f, omega, harmonics):
     """Rate of signal g of mode k for a state with rates f (2n,)."""
-    row = pieces.rows[k, g]
-    _, rate = wave(pieces.direct[k, g], turn)
+    row = modes.rows[k, g]
+    _, rate = wave(modes.direct[k, g], harmonics)
     rate *= omega
     for i in range(len(f)):
         rate += row[i] * f[i]
@@ -113,11 +113,11 @@ def guard_rate(pieces, k, g, f, omega, turn):
 
 
 @inlined
-def right_hand_side(pieces, k, z, turn, f):
+def right_hand_side(modes, k, z, harmonics, f):
     """Write z' (2n,) in mode k."""
-    n, drive, acceleration = len(z) // 2, pieces.drive[k], pieces.acceleration[k]
+    n, drive, acceleration = len(z) // 2, modes.drive[k], modes.acceleration[k]
     for i in range(n):
-        total, _ = wave(drive[i], turn)
+        total, _ = wave(drive[i], harmonics)
         row = acceleration[i]
         total += row[2 * n]
         for j in range(2 * n):
@@ -126,12 +126,12 @@ def right_hand_side(pieces, k, z, turn, f):
 
 
 @inlined
-def enter(pieces, k, z, W, turn, h, V):
+def enter(modes, k, z, W, harmonics, h, V):
     """Write the block state h (n, 2), forced response taken off, and the tangent vectors V (m, n, 2) in mode k."""
-    matrix, blocks, forced = pieces.to_blocks[k], pieces.blocks[k, 0], pieces.forced[k]
+    matrix, blocks, forced = modes.to_blocks[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
     for i in range(size):
-        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], turn)[0]
+        total = -blocks[i // 2, COLUMN.rest0 + i % 2] - wave(forced[i // 2, i % 2], harmonics)[0]
         row = matrix[i]
         for j in range(size):
             total += row[j] * z[j]
@@ -140,27 +140,27 @@ def enter(pieces, k, z, W, turn, h, V):
 
 
 @inlined
-def leave(pieces, k, h, V, turn, z, W):
+def leave(modes, k, h, V, harmonics, z, W):
     """Write the physical state z (2n,) and tangent vectors W (m, 2n) of h (n, 2) and V (m, n, 2) in mode k."""
-    matrix, blocks, forced = pieces.to_physical[k], pieces.blocks[k, 0], pieces.forced[k]
+    matrix, blocks, forced = modes.to_physical[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
     z[:] = 0.0
     for j in range(size):
         rest = blocks[j // 2, COLUMN.rest0 + j % 2]
-        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], turn)[0] + rest
+        full = h[j // 2, j % 2] + wave(forced[j // 2, j % 2], harmonics)[0] + rest
         for i in range(size):
             z[i] += matrix[i, j] * full
     leave_frame(matrix, V, W)
 
 
 @inline_always
-def enter_from_section(osc, k, h, at):
+def enter_from_section(oscillator, k, h, at):
     """Write the block state ``at`` (n, 2) in mode k of a motion at a section, from section blocks h (n, 2)."""
     n = h.shape[0]
     z = np.empty((1, 2 * n))
-    leave_frame(osc.to_physical, h.copy().reshape((1, n, 2)), z)
-    turn = harmonics_at(osc.tau, osc.table.pieces.waves.shape[2])
-    enter(row_in(as_many(osc.table), 0).pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
+    leave_frame(oscillator.to_physical, h.copy().reshape((1, n, 2)), z)
+    turn = harmonics_at(oscillator.tau, oscillator.table.pieces.waves.shape[2])
+    enter(row_in(as_many(oscillator.table), 0).pieces, k, z[0], np.zeros((0, 2 * n)), turn, at, np.zeros((0, n, 2)))
 
 
 @inlined

@@ -192,22 +192,22 @@ def stop_at(table, tally, k, number):
 
 
 @inlined
-def fly(pieces, k, s, trip, drifts, flown):
+def fly(modes, k, s, traj, drifts, flown):
     """Advance the block state and tangent vectors by s in mode k; ``flown`` says that trip.flow holds this flow.
 
     The frame is made orthonormal before the flight: directions removed by an event are detected before the flight turns
     rounding into directions, and multipliers are known to rounding.
     """
-    blocks, h, V, growth, flows = pieces.blocks[k, 0], trip.h, trip.V, trip.growth, trip.flow
+    blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
-        lost = trip.tally[LOST] - drifts
+        lost = traj.tally[LOST] - drifts
         rank = 2 * h.shape[0] - int(lost)
         if lost > 0.0:
             drop_dependent(blocks, V, rank)
-        orthonormalise(blocks, V, growth, trip.triangle, rank)
+        orthonormalise(blocks, V, growth, traj.triangle, rank)
         if s * spread_rate(blocks) > MAX_SPREAD:
             flow(blocks, s, h)
-            graded_flow(blocks, s, V, growth, trip.triangle, rank)
+            graded_flow(blocks, s, V, growth, traj.triangle, rank)
             return
     for j in range(h.shape[0]):
         if flown:
@@ -246,38 +246,38 @@ def keep_held(elements, states, slips, z):
 
 
 @kernel
-def follow(table, trip):
+def follow(table, traj):
     """Find the next mode of the motion, see events.follow_jumps."""
-    place = trip.place
+    place = traj.place
     k, number = follow_jumps(
-        table, trip.states, trip.slips, place[PLACE.where], trip.z, trip.turn, trip.begun
+        table, traj.states, traj.slips, place[PLACE.where], traj.z, traj.turn, traj.begun
     )  # fmt: skip
     place[PLACE.mode], place[PLACE.number] = k, number
 
 
 @kernel
-def begin_trajectory(table, trip, number):
+def begin_trajectory(table, traj, number):
     """Begin a trip at a section, from its physical state and tangent vectors, in the mode of this number."""
-    clock, place = trip.clock, trip.place
-    read_number(table.elements, number, trip.states, trip.slips)
-    trip.begun[:] = 0
+    clock, place = traj.clock, traj.place
+    read_number(table.elements, number, traj.states, traj.slips)
+    traj.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
-    write_harmonics(table.tau, trip.turn)
+    write_harmonics(table.tau, traj.turn)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     place[:] = 0
     place[PLACE.hit] = -1
-    keep_held(table.elements, trip.states, trip.slips, trip.z)
-    follow(table, trip)
+    keep_held(table.elements, traj.states, traj.slips, traj.z)
+    follow(table, traj)
 
 
 @inlined
-def begin_leg(table, trip, duration):
+def begin_leg(table, traj, duration):
     """Begin a leg of a trip of this duration; sets the horizon for its first event.
 
     tally[STATUS] tells a trip that cannot continue.
     """
-    clock, place, tally = trip.clock, trip.place, trip.tally
+    clock, place, tally = traj.clock, traj.place, traj.tally
     k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
     if k < 0:
         stop_at(table, tally, k, place[PLACE.number])
@@ -287,71 +287,71 @@ def begin_leg(table, trip, duration):
     tally[LOST] = max(tally[LOST], lost + table.drifts)
     until = min(duration, period, table.elements.starts[place[PLACE.where] + 1] * period)
     clock[CLOCK.until] = until
-    enter(table.pieces, k, trip.z, trip.W, trip.turn, trip.h, trip.V)
+    enter(table.pieces, k, traj.z, traj.W, traj.turn, traj.h, traj.V)
     if t == 0.0:
-        remove_held_motion(table.elements, trip.states, lost, trip.V)
-    record_slips(trip.slips, tally)
+        remove_held_motion(table.elements, traj.states, lost, traj.V)
+    record_slips(traj.slips, tally)
     return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
 
 
 @kernel
-def end_hop(table, trip, end, s):
+def end_hop(table, traj, end, s):
     """(duration, speed at its end) of a hop in a chatter, found to last s; see chatter.hop."""
-    clock, pieces, k, g = trip.clock, table.pieces, trip.place[PLACE.mode], trip.place[PLACE.hit]
+    clock, pieces, k, g = traj.clock, table.pieces, traj.place[PLACE.mode], traj.place[PLACE.hit]
     blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
     fastest = fastest_rate(blocks, waves, table.omega)
-    return hop(blocks, waves, table.omega, trip.h, clock[CLOCK.phase], end, clock[CLOCK.hop], s, fastest)
+    return hop(blocks, waves, table.omega, traj.h, clock[CLOCK.phase], end, clock[CLOCK.hop], s, fastest)
 
 
 @kernel
-def record_leg(trip, legs, s):
+def record_leg(traj, legs, s):
     """Note a leg of duration s, see notes.note."""
-    clock, place = trip.clock, trip.place
+    clock, place = traj.clock, traj.place
     write_leg(
         legs[place[PLACE.legs]], clock[CLOCK.time], place[PLACE.hit], place[PLACE.side], clock[CLOCK.rate],
-        place[PLACE.number], place[PLACE.mode], s, clock[CLOCK.chatter], trip.z, trip.begun,
+        place[PLACE.number], place[PLACE.mode], s, clock[CLOCK.chatter], traj.z, traj.begun,
     )  # fmt: skip
     place[PLACE.legs] += 1
 
 
 @inlined
-def leave_leg(table, trip, s, reached, end, duration, legs, flown):
+def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     """End a leg after s, with signal ``reached`` at this end of its range, -1 for none; see motion.through_modes.
 
     Returns whether the trip is over. The event itself follows, see strike_soft. flown: trip.flow is the flow over s.
     """
-    clock, place, tally, pieces, h = trip.clock, trip.place, trip.tally, table.pieces, trip.h
+    clock, place, tally, pieces, h = traj.clock, traj.place, traj.tally, table.pieces, traj.h
     k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
     last = until >= min(duration, 2.0 * math.pi / table.omega)
     searched, again, speed = s, w > 0.0 and reached == place[PLACE.hit] and end == place[PLACE.side], 0.0
     if again:
-        s, speed = end_hop(table, trip, end, s)
+        s, speed = end_hop(table, traj, end, s)
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
     if place[PLACE.legs] < legs.shape[0]:
-        record_leg(trip, legs, s)
-    fly(pieces, k, s, trip, table.drifts, flown and s == searched)
+        record_leg(traj, legs, s)
+    fly(pieces, k, s, traj, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
-    count_rest(table.elements, trip.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
+    count_rest(table.elements, traj.states, pieces.lost[k], s, clock[CLOCK.chatter], tally)
     if s > 0.0:
-        trip.begun[:] = 0
+        traj.begun[:] = 0
     t = until if reached < 0 else min(t + s, until)
     phase = table.tau + table.omega * t
     clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
     place[PLACE.hit], place[PLACE.side] = reached, end
-    write_harmonics(phase, trip.turn)
-    leave(pieces, k, h, trip.V, trip.turn, trip.z, trip.W)
+    write_harmonics(phase, traj.turn)
+    leave(pieces, k, h, traj.V, traj.turn, traj.z, traj.W)
     if reached < 0:
         clock[CLOCK.rate], clock[CLOCK.hop] = 0.0, 0.0
         return last
-    right_hand_side(pieces, k, trip.z, trip.turn, trip.before)
-    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, trip.before, table.omega, trip.turn)
+    right_hand_side(pieces, k, traj.z, traj.turn, traj.before)
+    rate = speed if speed > 0.0 else end * guard_rate(pieces, k, reached, traj.before, table.omega, traj.turn)
     rate = end * max(rate, TINY)
     clock[CLOCK.rate] = rate
     row = pieces.rows[k, reached]
-    for e in range(len(trip.W)):
-        trip.slopes[e] = row_product(row, trip.W[e]) / rate
+    for e in range(len(traj.W)):
+        traj.slopes[e] = row_product(row, traj.W[e]) / rate
     return False
 
 
@@ -363,51 +363,51 @@ def is_soft(table, reached):
 
 
 @inlined
-def strike_soft(table, trip, hits):
+def strike_soft(table, traj, contacts):
     """Pass the event of a soft contact, see events.soft_event, and count it."""
-    clock, place = trip.clock, trip.place
+    clock, place = traj.clock, traj.place
     g, side = place[PLACE.hit], place[PLACE.side]
     c = g // SIGNALS
-    if trip.states[c] == OPEN and table.elements.counted[c] > 0.0:
-        count_contact(trip.tally, hits, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
-    soft_event(g, c, side, trip.states, trip.begun)
+    if traj.states[c] == OPEN and table.elements.counted[c] > 0.0:
+        count_contact(traj.tally, contacts, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
+    soft_event(g, c, side, traj.states, traj.begun)
     clock[CLOCK.hop] = 0.0
 
 
 @inline_always
-def strike_hard(table, trip, hits):
+def strike_hard(table, traj, contacts):
     """Pass the event of friction or of a rigid contact; returns whether the next mode is still to be found."""
-    elements, clock, place = table.elements, trip.clock, trip.place
-    g, side, C = place[PLACE.hit], place[PLACE.side], len(trip.states)
+    elements, clock, place = table.elements, traj.clock, traj.place
+    g, side, C = place[PLACE.hit], place[PLACE.side], len(traj.states)
     c = g // SIGNALS
     if c >= C:
         clock[CLOCK.hop] = 0.0
         k, number = friction_event(
-            table, g, g - SIGNALS * C, side, trip.states, trip.slips, place[PLACE.where], trip.z, trip.before, trip.W,
-            trip.turn, trip.begun,
+            table, g, g - SIGNALS * C, side, traj.states, traj.slips, place[PLACE.where], traj.z, traj.before, traj.W,
+            traj.turn, traj.begun,
         )  # fmt: skip
         if k < 0:
             place[PLACE.mode], place[PLACE.number] = k, number
             return False
-    elif strikes_while_held(elements, c, trip.states):
-        trip.tally[STATUS] = SIMULTANEOUS
+    elif strikes_while_held(elements, c, traj.states):
+        traj.tally[STATUS] = SIMULTANEOUS
         return False
-    elif trip.states[c] != OPEN:
-        release(elements, g, c, place[PLACE.where], trip.states, trip.slips, trip.begun, np.int64(3))
+    elif traj.states[c] != OPEN:
+        release(elements, g, c, place[PLACE.where], traj.states, traj.slips, traj.begun, np.int64(3))
         clock[CLOCK.hop] = 0.0
     else:
-        strike_stop(table, trip, g, c, side, hits)
+        strike_stop(table, traj, g, c, side, contacts)
     return True
 
 
 @inline_always
-def strike_stop(table, trip, g, c, side, hits):
+def strike_stop(table, traj, g, c, side, contacts):
     """Pass an impact on a rigid contact: its counts, and the remaining time of a chatter."""
-    clock, tally, t, rate = trip.clock, trip.tally, trip.clock[CLOCK.time], trip.clock[CLOCK.rate]
+    clock, tally, t, rate = traj.clock, traj.tally, traj.clock[CLOCK.time], traj.clock[CLOCK.rate]
     R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
     following, left = impact(
-        table, trip.place[PLACE.mode], g, c, side, rate, trip.h, trip.states, trip.slips, trip.place[PLACE.where],
-        trip.z, trip.before, trip.W, clock[CLOCK.phase], trip.turn, trip.begun,
+        table, traj.place[PLACE.mode], g, c, side, rate, traj.h, traj.states, traj.slips, traj.place[PLACE.where],
+        traj.z, traj.before, traj.W, clock[CLOCK.phase], traj.turn, traj.begun,
     )  # fmt: skip
     clock[CLOCK.hop] = 0.0
     ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + left)
@@ -418,51 +418,51 @@ def strike_stop(table, trip, g, c, side, hits):
         tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
         clock[CLOCK.chatter] = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
-        write_down_rest(tally, hits, t, side * (1.0 + c), abs(rate), clock[CLOCK.chatter])
+        write_down_rest(tally, contacts, t, side * (1.0 + c), abs(rate), clock[CLOCK.chatter])
         return
-    count_contact(tally, hits, t, side * (1.0 + c), abs(rate))
+    count_contact(tally, contacts, t, side * (1.0 + c), abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * log(max(R, TINY))
     clock[CLOCK.hop] = R * abs(rate) if left > 0.0 else 0.0
 
 
 @kernel
-def carry(table, trip, mode):
+def carry(table, traj, mode):
     """Carry tangent vectors from ``mode`` through the passed event by its saltation matrix."""
-    place, pieces = trip.place, table.pieces
-    f, after, k, g = trip.before, trip.after, place[PLACE.mode], place[PLACE.hit]
+    place, pieces = traj.place, table.pieces
+    f, after, k, g = traj.before, traj.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
         return
-    right_hand_side(pieces, k, trip.z, trip.turn, after)
+    right_hand_side(pieces, k, traj.z, traj.turn, after)
     for i in range(len(after)):
         after[i] -= f[i]
-        for e in range(len(trip.W)):
-            trip.W[e, i] += after[i] * trip.slopes[e]
-    if g >= SIGNALS * len(trip.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
-        change = row_product(pieces.rows[mode, g], after) / trip.clock[CLOCK.rate]
+        for e in range(len(traj.W)):
+            traj.W[e, i] += after[i] * traj.slopes[e]
+    if g >= SIGNALS * len(traj.states) or is_soft(table, g):  # det S = 1 + r.(f+ - f-) / r'
+        change = row_product(pieces.rows[mode, g], after) / traj.clock[CLOCK.rate]
         if change != 0.0:
-            trip.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
+            traj.tally[CONTRACTION] += log(max(abs(1.0 + change), TINY))
 
 
 @external(
     TABLES, types.int64, TRIPS, types.int64, types.float64, types.int64, types.int64, types.float64, FLOATS[2],
     FLOATS[2], types.boolean, result=types.boolean, modes=True,
 )  # fmt: skip
-def finish_leg(tables, r, trips, slot, s, reached, end, duration, hits, legs, flown):
+def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs, flown):
     """End the leg of machine r on this trip after s and pass the event at its end, if any: see leave_leg.
 
     Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
     """
-    table, trip, hits, legs = row_in(tables, r), row_in(trips, slot), by_value(hits), by_value(legs)
+    table, trip, contacts, legs = row_in(tables, r), row_in(trajs, slot), by_value(contacts), by_value(legs)
     mode, follows = trip.place[PLACE.mode], True
     over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
     if reached < 0:
         follows = not over
         trip.place[PLACE.where] += int(follows)
     elif is_soft(table, reached):
-        strike_soft(table, trip, hits)
+        strike_soft(table, trip, contacts)
     else:
-        follows = strike_hard(table, trip, hits)
+        follows = strike_hard(table, trip, contacts)
     if follows:
         follow(table, trip)
     if reached >= 0 and trip.tally[STATUS] == RUNNING:

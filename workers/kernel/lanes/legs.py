@@ -87,7 +87,7 @@ def copy_lane(records, source, target):
 
 
 @inlined
-def load_leg(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
+def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
     """Put a leg of at most H in mode k into lane i, from block state h (n, 2); returns whether all blocks oscillate.
 
     turn (H, 2) of the force at its phase, see state.turned.
@@ -96,18 +96,18 @@ def load_leg(records, i, pieces, signals, k, h, phase, turn, omega, begun, H):
     for u in range(len(signals)):
         a, g = records[u], signals[u]
         offset, numbers, waves, blocks = (
-            pieces.offset[k, g],
-            pieces.numbers[k, g],
-            pieces.waves[k, g],
-            pieces.blocks[k, g],
+            modes.offset[k, g],
+            modes.numbers[k, g],
+            modes.waves[k, g],
+            modes.blocks[k, g],
         )
         a[LANE.omega + i] = omega
         a[LANE.amplitude + i], a[LANE.swing2 + i] = numbers[NUMBER.amplitude], numbers[NUMBER.swing2]
         a[LANE.swing3 + i], a[LANE.swing4 + i] = numbers[NUMBER.swing3], numbers[NUMBER.swing4]
-        a[LANE.lower + i], a[LANE.upper + i] = pieces.ends[k, g, 0] - offset, pieces.ends[k, g, 1] - offset
+        a[LANE.lower + i], a[LANE.upper + i] = modes.ends[k, g, 0] - offset, modes.ends[k, g, 1] - offset
         a[LANE.period + i], a[LANE.flight_start + i], a[LANE.flight_phase + i] = H, 0.0, phase
         a[LANE.time + i], a[LANE.flight_evaluations + i] = 0.0, 0.0
-        a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = begun[g], 1.0, 1.0
+        a[LANE.own_stop + i], a[LANE.starts + i], a[LANE.renews + i] = signal_starts[g], 1.0, 1.0
         a[LANE.sin_part + i], a[LANE.cos_part + i] = waves[0, 0], waves[0, 1]
         forced, rate, second, third = 0.0, 0.0, 0.0, 0.0
         for w in range(harmonics):

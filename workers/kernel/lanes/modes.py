@@ -91,9 +91,9 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 
 
 @kernel
-def take_along(batch, cells, trips, search, enough, lanes, more):
+def take_along(batch, cells, trajs, search, enough, lanes, more):
     """run_through_modes with work arrays."""
-    batch, trips, search = by_reference(batch), by_reference(trips), by_reference(search)
+    batch, trajs, search = by_reference(batch), by_reference(trajs), by_reference(search)
     periods, done, tally = batch.periods, batch.done, batch.motions.tally
     legs, held, slots = search.legs, search.held, search.slots
     for i in range(LANES):
@@ -113,8 +113,8 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
-            begin_period(batch, trips, r, slot, more)
-            if turn(batch, trips, search, r, active, np.int64(BEGINS), np.bool_(False), more):
+            begin_period(batch, trajs, r, slot, more)
+            if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
                 held[active] = r
                 active += 1
                 renewing = True
@@ -129,7 +129,7 @@ def take_along(batch, cells, trips, search, enough, lanes, more):
         count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
         for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
             lane = np.int64(search.chosen[e])
-            if turn(batch, trips, search, held[lane], lane, np.int64(ARRIVES), ending, more):
+            if turn(batch, trajs, search, held[lane], lane, np.int64(ARRIVES), ending, more):
                 renewing = True
                 continue
             active -= 1
@@ -148,38 +148,38 @@ def length_of(batch, r):
 
 
 @kernel
-def begin_period(batch, trips, r, slot, more):
+def begin_period(batch, trajs, r, slot, more):
     """Begin a period of cell r, from its section."""
     oscillators = batch.oscillators
-    trip, motion, table = row_in(trips, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
+    trip, motion, table = row_in(trajs, slot), row_in(batch.motions, r), row_in(oscillators.table, r)
     load_motion(oscillators.to_physical[r], motion, trip, more)
     begin_trajectory(table, trip, motion.mode[0])
 
 
 @inline_always
-def pass_alone(batch, trips, search, r, slot):
+def pass_alone(batch, trajs, search, r, slot):
     """Take cell r through its current leg on its own; returns whether its period is over."""
     tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
-    return advance_leg(tables, r, trips, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
+    return advance_leg(tables, r, trajs, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
 
 
 @inline_always
-def pass_found(batch, trips, search, r, slot, i):
+def pass_found(batch, trajs, search, r, slot, i):
     """Take cell r through the end of the leg that lane i has found; returns whether its period is over."""
     tables, legs = batch.oscillators.table, search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
     end = np.int64(legs[LEG_FIELD.side + i]) if hit >= 0.0 else np.int64(0)
-    read_flow(search.records, i, row_in(trips, slot).flow)
+    read_flow(search.records, i, row_in(trajs, slot).flow)
     hits, none = batch.motions.impacts[r], search.none
-    return finish_leg(tables, r, trips, slot, s, reached, end, period, hits, none, np.bool_(True))
+    return finish_leg(tables, r, trajs, slot, s, reached, end, period, hits, none, np.bool_(True))
 
 
 @kernel
-def end_period(batch, trips, r, slot, ending, before, more):
+def end_period(batch, trajs, r, slot, ending, before, more):
     """Take cell r to the section at the end of its trip and begin its next period; returns whether there is one."""
     oscillators, periods, done = batch.oscillators, batch.periods, batch.done
-    motion, trip, k = row_in(batch.motions, r), row_in(trips, slot), done[r]
+    motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), done[r]
     table = oscillators.table
     store_motion(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
     if batch.motions.V.shape[1] > 0:
@@ -190,27 +190,27 @@ def end_period(batch, trips, r, slot, ending, before, more):
     done[r] = k + 1
     if ending or is_finished(r, done, periods, batch.motions.tally):
         return False
-    begin_period(batch, trips, r, slot, more)
+    begin_period(batch, trajs, r, slot, more)
     return True
 
 
 @kernel
-def turn(batch, trips, search, r, i, stage, ending, more):
+def turn(batch, trajs, search, r, i, stage, ending, more):
     """Advance cell r from the end of the leg that lane i has searched until its next leg to search has begun.
 
     Or from the beginning of a period, see BEGINS. Returns whether there is such a leg. ``ending``: stop at a section.
     """
     slot, through = search.slots[i], False
-    trip, table = row_in(trips, slot), row_in(batch.oscillators.table, r)
+    trip, table = row_in(trajs, slot), row_in(batch.oscillators.table, r)
     clock, tally = trip.clock, trip.tally
     if stage == ARRIVES:
         spend(tally, search.records[0, LANE.flight_evaluations + i])
         if search.legs[LEG_FIELD.event + i] == LEFT:
-            through = pass_alone(batch, trips, search, r, slot)
+            through = pass_alone(batch, trajs, search, r, slot)
         else:
-            through = pass_found(batch, trips, search, r, slot, i)
+            through = pass_found(batch, trajs, search, r, slot, i)
     while True:
-        if through and tally[STATUS] == RUNNING and not end_period(batch, trips, r, slot, ending, search.before, more):
+        if through and tally[STATUS] == RUNNING and not end_period(batch, trajs, r, slot, ending, search.before, more):
             return False
         clock[CLOCK.horizon] = begin_leg(table, trip, 2.0 * np.pi / table.omega)
         if tally[STATUS] != RUNNING:
@@ -218,7 +218,7 @@ def turn(batch, trips, search, r, i, stage, ending, more):
             return False
         if not (begins_at_rest(trip) or grows(table.pieces, trip.place[PLACE.mode])):
             break
-        through = pass_alone(batch, trips, search, r, slot)
+        through = pass_alone(batch, trajs, search, r, slot)
     phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
     smooth = load_leg(
         search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
@@ -228,15 +228,15 @@ def turn(batch, trips, search, r, i, stage, ending, more):
 
 
 @inline_always
-def begins_at_rest(trip):
+def begins_at_rest(traj):
     """Whether a leg hops in a chatter, or a signal begins at an end of its range with zero rate."""
-    rests = trip.clock[CLOCK.hop] > 0.0
-    for order in trip.begun:
+    rests = traj.clock[CLOCK.hop] > 0.0
+    for order in traj.begun:
         rests = rests or abs(order) > 1
     return rests
 
 
 @inlined
-def grows(pieces, k):
+def grows(modes, k):
     """Whether a block of mode k grows: its bounds hold only for a while, see crossing.next_crossing."""
-    return growth_rate(pieces.blocks[k, 0]) > 0.0
+    return growth_rate(modes.blocks[k, 0]) > 0.0
