@@ -69,8 +69,8 @@ def chatter(orbit: CellTrajectory) -> slice | None:
 
 
 def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
-    """Times (N,) around a chatter, in ``CellTrajectory.unit``, the distance (N,) from its stop at each, the ends of that
-    stretch, and the largest distance between the first impact and the last.
+    """Times (N,) around a chatter, in ``CellTrajectory.unit``, the distance (N,) from its stop at each, the ends of
+    that stretch, and the largest distance between the first impact and the last.
     """
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)

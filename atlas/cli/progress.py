@@ -46,7 +46,7 @@ def show_solving(system: System, *kernels: str, settings: Settings | None = None
     """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(system, *kernels, settings=settings))
-        show(Progress("show_solving"))
+        show(Progress("solving"))
         yield
 
 

@@ -148,7 +148,7 @@ def attractors_table(kept: AttractorListing, subject: Subject) -> str:
     ]
     notes = [
         f"of {plural(kept.starts, 'initial state')}",
-        "► reached from the cell's own" if kept.own >= 0 else "",
+        "► reached from the cell's own" if kept.own_index >= 0 else "",
         f"{kept.count - len(kept.listed)} more, of smaller shares" if len(kept.listed) < kept.count else "",
         f"{kept.undecided} undecided" if kept.undecided else "",
         f"a search like this misses an attractor of more than {math.ceil(1000 * kept.unseen) / 10:g} %"

@@ -60,7 +60,7 @@ class BranchDiagram:
 class BranchMarker(NamedTuple):
     """An event of a branch, or its end: the number of its point, its kind in words, and the parameter there."""
 
-    index: int
+    point_index: int
     kind: str
     value: float
 
@@ -70,7 +70,7 @@ class BranchPosition(NamedTuple):
     words of the event that it is, else empty.
     """
 
-    index: int
+    point_index: int
     value: float
     point: "SolutionPoint"
     kind: str = ""
@@ -129,12 +129,14 @@ class FollowedBranch:
                 modes = multipliers(motion_of(self._family.model(at[None]), many_orbits([orbit])))[0]
                 point = SolutionPoint(at, orbit, np.zeros(0), modes, int(np.sum(np.abs(modes) > 1.0)))
                 return BranchPosition(place, value, point)
-        kind = next((mark.kind for mark in self.events if mark.index == place), "")
+        kind = next((mark.kind for mark in self.events if mark.point_index == place), "")
         return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
 
     def find_point(self, value: float, here: BranchPosition) -> int | None:
         """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
-        passes = [(abs(k + share - here.index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)]
+        passes = [
+            (abs(k + share - here.point_index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)
+        ]
         return min(passes)[1] if passes else None
 
     def neighbouring_events(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
@@ -145,10 +147,10 @@ class FollowedBranch:
         marks = [
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
         ]
-        marks = sorted({mark.index: mark for mark in (*marks, *self.events)}.values())
-        place = here.index if here.value == self.values[here.index] else here.index + 0.5
-        before = [mark for mark in marks if mark.index < place]
-        after = [mark for mark in marks if mark.index > place]
+        marks = sorted({mark.point_index: mark for mark in (*marks, *self.events)}.values())
+        place = here.point_index if here.value == self.values[here.point_index] else here.point_index + 0.5
+        before = [mark for mark in marks if mark.point_index < place]
+        after = [mark for mark in marks if mark.point_index > place]
         if "closed" in ends:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)

@@ -187,7 +187,8 @@ class _FollowControls:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         last = len(branch.values) - 1
         self._slider = Slider(
-            title="along the branch", start=0, end=last, value=branch.own_index, step=1, show_value=False, bar_color=INK,
+            title="along the branch", start=0, end=last, value=branch.own_index, step=1, show_value=False,
+            bar_color=INK,
             **wide,
         )  # fmt: skip
         self._typed = NumericInput(
@@ -218,7 +219,7 @@ class _FollowControls:
             return self._here
         self._at = follow
         self._here = here = self.branch.position_at(self.branch.own_index + follow.step, follow.value)
-        self._slider.value, self._typed.value, self._span.location = here.index, here.value, here.value
+        self._slider.value, self._typed.value, self._span.location = here.point_index, here.value, here.value
         self._text.text = self._table()
         motion = self.branch.motion(here)
         gap = motion.moving[0][:: int(motion.per_period)]
@@ -234,7 +235,7 @@ class _FollowControls:
 
     def _slide(self, attribute: str, old: Any, new: Any) -> None:
         """Go to the point of the slider."""
-        if int(new) != self._here.index:
+        if int(new) != self._here.point_index:
             self._go(int(new), self.branch.values[int(new)])
 
     def _type(self, attribute: str, old: Any, new: Any) -> None:
@@ -272,8 +273,10 @@ class _FollowControls:
             if mark is not None:
                 text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
             rows.append((f"{side} next event", text))
-        folds = [f"{number(mark.value)} (point {mark.index + 1})" for mark in branch.events if mark.kind == "fold"]
+        folds = [
+            f"{number(mark.value)} (point {mark.point_index + 1})" for mark in branch.events if mark.kind == "fold"
+        ]
         rows += [("turns back at", ", ".join(folds))] if folds else []
-        place = f"point {here.index + 1} of {len(branch.values)}"
+        place = f"point {here.point_index + 1} of {len(branch.values)}"
         body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, entry)) for entry in rows)
         return f"<table><caption>orbit followed, {place}</caption>{body}</table>"

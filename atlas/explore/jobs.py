@@ -205,7 +205,9 @@ class JobService:
         )
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool = False) -> None:
-        """Want these jobs from now on, in this order, with ``keep_earlier`` before the earlier ones; none cancels all."""
+        """Want these jobs from now on, in this order, with ``keep_earlier`` before the earlier ones; none cancels
+        all.
+        """
         self._wanted.request(consumer, jobs, keep_earlier)
         self._woken.set()
 

@@ -73,7 +73,9 @@ class PageServer:
             self._thread.join()
 
     def _run(self) -> None:
-        """Serve until ``stop``; once pages were served, any exception has ``restarting_thread`` serve on, at the same port."""
+        """Serve until ``stop``; once pages were served, any exception has ``restarting_thread`` serve on, at the same
+        port.
+        """
         try:
             self._serve()
         except BaseException as error:

@@ -132,8 +132,8 @@ def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cell
 def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
     """The next level of a block: half as many cells along the given dimensions, rounded up.
 
-    ``cells`` are closed under ``required_variables``. ``widths`` of the cells: one array per dimension, in any unit; only their
-    ratios count.
+    ``cells`` are closed under ``required_variables``. ``widths`` of the cells: one array per dimension, in any unit;
+    only their ratios count.
     """
     area = np.ones(())
     for width in widths:

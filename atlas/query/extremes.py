@@ -22,10 +22,10 @@ ALL = "all"
 def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
     """The smallest and the largest value of a variable in each class of cells, and where it has them.
 
-    Two entries a class: ``by`` itself (see ``CellClassifier``; none for "all", all cells together), ``extreme`` ("smallest"
-    or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``, ``error`` (of
-    ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the first
-    counts, row by row.
+    Two entries a class: ``by`` itself (see ``CellClassifier``; none for "all", all cells together), ``extreme``
+    ("smallest" or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``,
+    ``error`` (of ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the
+    first counts, row by row.
     Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
     average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
     many (where it rests on a stop) are omitted, and so are classes without such a value.

@@ -11,9 +11,12 @@ from atlas.render.layers import MapLayers
 from atlas.render.request import PictureRequest
 
 PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
-    "exponent": scalar_maps.exponent, "period": class_maps.period, "impacts": class_maps.motions, "symmetry": class_maps.symmetry,
-    "combined": scalar_maps.combined, "error": scalar_maps.error, "cost": scalar_maps.cost, "sticking": scalar_maps.number,
-    "attractors": class_maps.attractors, "share": scalar_maps.number, "labels": class_maps.labels, "basins": class_maps.basins,
+    "exponent": scalar_maps.exponent, "period": class_maps.period, "impacts": class_maps.motions,
+    "symmetry": class_maps.symmetry,
+    "combined": scalar_maps.combined, "error": scalar_maps.error, "cost": scalar_maps.cost,
+    "sticking": scalar_maps.number,
+    "attractors": class_maps.attractors, "share": scalar_maps.number, "labels": class_maps.labels,
+    "basins": class_maps.basins,
     "return_time": scalar_maps.scalar, "reactivity": scalar_maps.scalar, "amplification": scalar_maps.scalar,
     "fatal_shock": scalar_maps.scalar, "margin": scalar_maps.scalar, "scalar": scalar_maps.scalar,
 }  # fmt: skip

@@ -226,19 +226,19 @@ def _write_values(ax: Axes, orbit: CellTrajectory, columns: int) -> None:
     over = f"{' ' if columns > 1 else chr(10)}over {len(orbit.running)}{' periods' * (columns == 1)}" if unknown else ""
     lines = [("dotted: exact" if orbit.has_exact_exponents else f"dotted: averaged{over}", "black")]
     for i, value in enumerate(written):
-        text = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-        text = r"-\infty" if np.isneginf(value) else text
-        lines.append((rf"$\lambda_{{{i + 1}}} = {text}$", color_of(i)))
+        shown = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+        shown = r"-\infty" if np.isneginf(value) else shown
+        lines.append((rf"$\lambda_{{{i + 1}}} = {shown}$", color_of(i)))
     if not orbit.has_exact_exponents and not unknown and np.isfinite(error):
         lines.append((rf"($\lambda_1 \pm {text.number(float(f'{error:.1g}'))}$)", "black"))
     rows = -(-len(lines) // columns)
     step = 0.115 if columns == 1 else 1.0 / rows
     look: Any = {"transform": ax.transAxes, "fontsize": mpl.rcParams["legend.fontsize"], "va": "top"}
     used = [0] * columns
-    for k, (text, ink) in enumerate(lines):
+    for k, (line, ink) in enumerate(lines):
         column = k // rows
-        ax.text(column / columns, 0.97 - step * used[column], text, color=ink, **look)
-        used[column] += 1 + text.count("\n")
+        ax.text(column / columns, 0.97 - step * used[column], line, color=ink, **look)
+        used[column] += 1 + line.count("\n")
 
 
 def _legend(orbit: CellTrajectory) -> list[Line2D]:

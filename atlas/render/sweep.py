@@ -380,5 +380,5 @@ def _dot(color: str, label: str, size: float) -> Line2D:
 
 
 def _direction(ds: xr.Dataset, name: str) -> str:
-    direction = {"forward": "sort_axes", "backward": "falling"}.get(str(spec_of_axis(ds, name).get("continuation")))
+    direction = {"forward": "rising", "backward": "falling"}.get(str(spec_of_axis(ds, name).get("continuation")))
     return f"{direction} ${text.symbol(ds, name)}$" if direction else "each cell from its own start"

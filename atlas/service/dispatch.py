@@ -94,8 +94,8 @@ class Dispatcher(Generic[J, R]):
         """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
 
         ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
-        room. ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop.
-        Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
+        room. ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to
+        stop. Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
         """
         self.pending, ticked = iter(jobs), -math.inf
         self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()

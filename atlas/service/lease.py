@@ -194,8 +194,8 @@ def hold_lease(
 ) -> Iterator[Lease]:
     """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
 
-    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``notify`` is called with a line
-    about it. ``patience``: see ``Lease``.
+    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``notify`` is called with a
+    line about it. ``patience``: see ``Lease``.
     """
     mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:

@@ -64,9 +64,9 @@ class Spec:
     override ``parameters``.
 
     ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
-    ``workers.attractors.initial_states.AttractorSettings``, asks for all attractors reached from this number of initial states of a cell;
-    None asks for the attractor of the cell's own initial state. If all axes are components of the initial state, the
-    results are basins: the attractor of each initial state of one machine.
+    ``workers.attractors.initial_states.AttractorSettings``, asks for all attractors reached from this number of initial
+    states of a cell; None asks for the attractor of the cell's own initial state. If all axes are components of the
+    initial state, the results are basins: the attractor of each initial state of one machine.
 
     Raises InputError for anything that cannot be solved.
 
@@ -114,7 +114,7 @@ class Spec:
                 raise InputError(f"{name} is both a parameter and an axis; remove one of the two")
         put = object.__setattr__
         put(self, "system", record.name)
-        put(self, "record", record)
+        put(self, "system_def", record)
         put(self, "points", columns)
         read = tuple(read_axis(record.parameter(name), given) for name, given in axes.items())
         put(self, "axes", (axis_of(columns),) if columns else read)

@@ -51,7 +51,7 @@ class SharedCachedProperty(cached_property[_T]):
     """A property that is made once for all views of a handle."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
-        name, kept = str(self.attrname), instance.kept
+        name, kept = str(self.attrname), instance.cache
         with kept.lock:  # the threads of a worker come at once
             if name not in kept:
                 kept[name] = self.func(instance)
@@ -79,10 +79,10 @@ class AtlasStore:
     cache: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)} | {"kept": None}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)} | {"cache": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        vars(self).update(state, kept=_SharedCache())
+        vars(self).update(state, cache=_SharedCache())
 
     def __deepcopy__(self, memo: object) -> "AtlasStore":
         return self  # a handle never changes

@@ -52,7 +52,7 @@ class RetryingObjectStore(ObjectStore[Any]):
         self.backend = place
 
     def with_read_only(self, read_only: bool = False) -> Self:
-        return type(self)(self.place, read_only)
+        return type(self)(self.backend, read_only)
 
     def __str__(self) -> str:
         return str(self.backend)

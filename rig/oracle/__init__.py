@@ -1,6 +1,7 @@
 """An independent simulator of linear machines with one gap: it shares no code and no method with the solver.
 
-``OracleMachine``             matrices, stops and initial state of any such machine; ``two_mass`` makes one from parameters
+``OracleMachine``             matrices, stops and initial state of any such machine; ``two_mass`` makes one from
+                              parameters
 ``simulate``            any orbit, chatter and sticking included, in multiprecision arithmetic (mpmath)
 ``section_jacobian``    derivative of the stroboscopic map by differences of such orbits
 ``first_impact_dense``  first impacts of many flights in double precision, by dense sampling

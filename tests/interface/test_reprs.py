@@ -43,7 +43,7 @@ def test_branches_show_what_they_are_of_in_one_line() -> None:
     traced: Any = tuple(SimpleNamespace(run=way) for way in ways)
     found = PlottableBranches(find_system("two-mass"), {"b": 0.15}, "omega", (2.0, 4.0), traced)
     reach = "two-mass along omega from 2 to 4"
-    assert repr(found) == f"<DrawnBranches of {reach}: 2 branches, 75 points, 1 event>"
+    assert repr(found) == f"<PlottableBranches of {reach}: 2 branches, 75 points, 1 event>"
 
 
 LONGEST = 400

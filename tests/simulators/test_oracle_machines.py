@@ -177,7 +177,8 @@ def test_elastic_impacts_keep_the_energy_of_an_undamped_machine_under_its_load(n
 def test_two_free_masses_collide_head_on_as_in_the_textbook() -> None:
     """Masses 1 and 3, speeds 2 and -1, R = 1/2: momentum stays, the relative velocity is halved and turned."""
     none = [[0, 0], [0, 0]]
-    pair = OracleMachine([[1, 0], [0, 3]], none, none, [1, -1], [[0, 0]], [[0, 0]], [0, 0], 4.0, 0.0, 0.0, -math.inf, 0.5,
+    pair = OracleMachine([[1, 0], [0, 3]], none, none, [1, -1], [[0, 0]], [[0, 0]], [0, 0], 4.0, 0.0, 0.0, -math.inf,
+    0.5,
                    start=[-1, 1, 2, -1])  # fmt: skip
     run = simulate(pair, 1)
     with mp.workdps(40):

@@ -1,8 +1,8 @@
 """``solve_basins``: which attractor each of many initial states of one machine reaches, by one table of attractors.
 
-The table is made first, from a set of initial states that depends on the parameters and ``AttractorSettings`` alone. Attractors
-beyond the table are labelled by ``labels_beyond`` once all initial states are solved. So labels depend neither on the
-tiles in which the states were solved nor on their order.
+The table is made first, from a set of initial states that depends on the parameters and ``AttractorSettings`` alone.
+Attractors beyond the table are labelled by ``labels_beyond`` once all initial states are solved. So labels depend
+neither on the tiles in which the states were solved nor on their order.
 """
 
 import json

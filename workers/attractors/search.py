@@ -173,7 +173,7 @@ class MotionSearch:
         for trail in islice(trails(cells, r), turn):
             states, numbers = trail.states_after
             for known in cycles:
-                if known.cycle and known.cycle.passes(states, numbers):
+                if known.cycle and known.cycle.contains_states(states, numbers):
                     self.label[r] = self.known.attractors.index(known)
                     kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.known_section_count()[r] :]
                     self.arrival[r] = periods_along(

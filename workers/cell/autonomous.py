@@ -105,7 +105,8 @@ class EventTrail(NamedTuple):
 
     def until(self, count: int) -> "EventTrail":
         """The first events of the trail."""
-        return EventTrail(self.legs[: np.append(self.first, len(self.legs))[count]], self.first[:count], self.keys[:count],
+        return EventTrail(self.legs[: np.append(self.first, len(self.legs))[count]], self.first[:count],
+        self.keys[:count],
                      self.states[:count])  # fmt: skip
 
     def distance_between(self, last: int, first: int) -> float:

@@ -51,7 +51,8 @@ def record_observables(
     limit: int,
     turns: int,
 ) -> tuple[Values, Mask]:
-    """The first values of each observable of N motions, at most ``limit``; and a mask of motions that could be followed.
+    """The first values of each observable of N motions, at most ``limit``; and a mask of motions that could be
+    followed.
 
     outputs: see outputs_for. motions: physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions
     for which these are one turn of an orbit. turns: see Definition.
@@ -71,7 +72,15 @@ def record_observables(
     turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
     done = np.where(closes & turns_of_outputs, -periods, 0)
     allowance = MIN_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
-    meters = MeasurePlan(*outputs, np.zeros_like(outputs[1]), own.damping, own.pad, own.rub, own.law, own.friction_laws)
+    meters = MeasurePlan(
+        *outputs,
+        np.zeros_like(outputs[1]),
+        own.damping,
+        own.contact_constants,
+        own.friction_constants,
+        own.contact_laws,
+        own.friction_laws,
+    )
 
     def see(some: Rows) -> None:
         motion = starts, states, codes, done, periods, closes.astype(np.int64), allowance, some

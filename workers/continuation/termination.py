@@ -34,7 +34,9 @@ loses there: rates fall faster than distances, to rounding.
 
 
 def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible on a step, the first one; ``reason`` it is not at the end."""
+    """The event at which the orbit ceases to be admissible on a step, the first one; ``reason`` it is not at the
+    end.
+    """
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
         event = _of_fault(step, X, reason)

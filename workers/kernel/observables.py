@@ -187,8 +187,8 @@ def stored(table, meter, z, number):
         if states[c] % 2 != 0 and elements.soft[c] > 0.0 and elements.counted[c] > 0.0:
             stop = elements.stops[c, 1 if states[c] > 0 else 0]
             depth = np.sign(states[c]) * (product(elements.row[c], z, 0) - stop)
-            total += (meter.pad[0, c, 2] + 0.5 * meter.pad[0, c, 0] * depth) * depth
-            law = meter.law[c, 1 if states[c] > 0 else 0]
+            total += (meter.contact_constants[0, c, 2] + 0.5 * meter.contact_constants[0, c, 0] * depth) * depth
+            law = meter.contact_laws[c, 1 if states[c] > 0 else 0]
             for j in range((abs(states[c]) + 1) // 2):
                 end = depth if j == (abs(states[c]) - 1) // 2 else law[j + 1, 0]
                 total += (law[j, 2] + 0.5 * law[j, 1] * (end + law[j, 0])) * (end - law[j, 0])
@@ -198,7 +198,7 @@ def stored(table, meter, z, number):
 @kernel
 def loss_in(table, meter, legs, end, tally):
     """Energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
-    n, C, F, M = len(end) // 2, meter.pad.shape[1], meter.rub.shape[1], len(meter.orders)
+    n, C, F, M = len(end) // 2, meter.contact_constants.shape[1], meter.friction_constants.shape[1], len(meter.orders)
     reading = MeasureTotals(
         np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
         np.zeros(C), np.zeros(C), np.zeros(F), np.zeros(F), np.zeros(1), np.zeros((2, 2 * n)),

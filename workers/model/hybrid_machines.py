@@ -112,8 +112,10 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
         machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
         machines.force_sin[:, None], machines.force_cos[:, None], machines.omega, machines.tau,
         starts=np.tile([0.0, 1.0], (N, 1)), row=machines.gap_row[:, None], stops=stops[:, None], R=machines.R[:, None],
-        soft=none, by_force=none, contact_constants=np.zeros((N, 1, 1, 3)), friction_rows=np.zeros((N, 0, n)), belt=nothing,
-        friction_constants=np.zeros((N, 1, 0, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)), friction_laws=np.zeros((N, 0, 1, 3)), counted=none + 1.0,
+        soft=none, by_force=none, contact_constants=np.zeros((N, 1, 1, 3)), friction_rows=np.zeros((N, 0, n)),
+        belt=nothing,
+        friction_constants=np.zeros((N, 1, 0, 3)), contact_laws=np.zeros((N, 1, 2, 1, 3)), friction_laws=np.zeros((N,
+        0, 1, 3)), counted=none + 1.0,
         drift=np.full(N, -1.0),
     )  # fmt: skip
 

@@ -200,7 +200,8 @@ def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> Hybrid
         load=machines.load - (spring.force[:, None] * row)[:, None],
         row=and_one(machines.row, row), stops=and_one(machines.stops, spring.stops), R=and_one(machines.R, 1.0),
         soft=and_one(machines.soft, 1.0), by_force=and_one(machines.by_force, 0.0),
-        contact_constants=and_one(machines.contact_constants, 0.0, axis=2), contact_laws=widened([*parts, spring.law], (N, 2)),
+        contact_constants=and_one(machines.contact_constants, 0.0, axis=2), contact_laws=widened([*parts, spring.law],
+        (N, 2)),
         counted=and_one(machines.counted, 0.0),
     )  # fmt: skip
 

@@ -80,7 +80,8 @@ def elements_of(machines: HybridMachines) -> ContactElements:
     )
     return ContactElements(
         machines.row, along(machines.row), weight, machines.stops, machines.R, machines.soft,
-        machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines), machines.starts,
+        machines.friction_rows, along(machines.friction_rows), machines.belt, even, along_contacts(machines),
+        machines.starts,
         machines.counted, *(np.ascontiguousarray(of[..., 0]) for of in (machines.contact_laws, machines.friction_laws)),
     )  # fmt: skip
 

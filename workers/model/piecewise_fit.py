@@ -30,8 +30,8 @@ def fewest(
 ) -> Array:
     """Vertices (V, 2) from 0 to ``end``, of either sign, of a law within ``bound`` of the given one.
 
-    No slope, with the sign of ``end``, is below ``minimum``. The law is sampled at every POINTS-th part of ``reach``, or
-    of |end| if larger, so that both sides of an odd law agree where both exist. Not finite if the law is not.
+    No slope, with the sign of ``end``, is below ``minimum``. The law is sampled at every POINTS-th part of ``reach``,
+    or of |end| if larger, so that both sides of an odd law agree where both exist. Not finite if the law is not.
     """
     run: Array = max(abs(end), reach) / POINTS * np.arange(POINTS, dtype=np.float64)
     run = np.append(run[run < abs(end)], abs(end))

@@ -85,8 +85,8 @@ def is_hopeless(J):
 def newton(oscillator, start, mode, steps, half, scale, limit):
     """The fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
 
-    h <- h - (J - I)^-1 (F(h) - h), at most ``limit`` times, until the residual stops falling. It must end below 1e-10 of
-    ``scale``; without a fixed point the residual is infinite.
+    h <- h - (J - I)^-1 (F(h) - h), at most ``limit`` times, until the residual stops falling. It must end below 1e-10
+    of ``scale``; without a fixed point the residual is infinite.
     """
     h = start.copy()
     blocks = oscillator.gap.blocks

@@ -22,7 +22,8 @@ from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, store
 class CurveJob:
     """A task of a search in a store, with the name of the part for its result.
 
-    ``digest`` is that of the search: a worker whose store has another digest refuses. ``run_and_store`` runs it locally.
+    ``digest`` is that of the search: a worker whose store has another digest refuses. ``run_and_store`` runs it
+    locally.
     """
 
     index: tuple[int, ...]

@@ -1,6 +1,7 @@
 """An independent simulator of piecewise-linear machines: soft and rigid contacts, friction, phases of the forcing.
 
-``PiecewiseMachine``       matrices, forces, contacts, friction elements and phases; ``PiecewiseMachine.of`` reads a JSON record
+``PiecewiseMachine``       matrices, forces, contacts, friction elements and phases; ``PiecewiseMachine.of`` reads a
+                           JSON record
 ``simulate``      any motion, with sticking, chatter and rest, in multiprecision arithmetic (mpmath)
 ``monodromy``     derivative of the stroboscopic map by differences of such motions
 ``orbit``         a periodic orbit by Newton's method on that map

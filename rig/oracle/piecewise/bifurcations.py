@@ -15,7 +15,8 @@ WIDTH = mp.mpf("1e-9")  # of central differences
 
 
 def bifurcation(
-    machine_at: Callable[[Number], PiecewiseMachine], parameter: float, state: Vector, multiplier: int, periods: int = 1, *,
+    machine_at: Callable[[Number], PiecewiseMachine], parameter: float, state: Vector, multiplier: int,
+    periods: int = 1, *,
     mode: PiecewiseMode | None = None, symmetric: bool = False, tolerance: float = 1e-20,
 ) -> tuple[Number, list[Number]]:  # fmt: skip
     """Parameter and section state (x, v) of the nearby orbit with the multiplier 1 (fold) or -1.

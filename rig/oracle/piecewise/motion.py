@@ -47,7 +47,8 @@ class PiecewiseRun:
 
 
 def simulate(
-    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None, span: Number | None = None,
+    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None,
+    span: Number | None = None,
     digits: int = 40, rest: float = 1e-10, observe: Observer | None = None,
 ) -> PiecewiseRun:  # fmt: skip
     """The motion from (x, v) at a section over this many periods, or over a ``span`` of time that ends in a section.

@@ -49,7 +49,8 @@ class PiecewiseOrbit:
 
 
 def monodromy(
-    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None, span: Number | None = None,
+    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None,
+    span: Number | None = None,
     digits: int = DIGITS,
 ) -> Any:  # fmt: skip
     """d(x, v)(end) / d(x, v)(0), an mpmath matrix, by central differences 10^-(digits/3) wide.
@@ -72,7 +73,8 @@ def monodromy(
 
 
 def orbit(
-    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None, symmetric: bool = False,
+    machine: PiecewiseMachine, state: Vector, periods: int = 1, *, mode: PiecewiseMode | None = None,
+    symmetric: bool = False,
     drift: int | None = None, tolerance: float = 1e-30,
 ) -> PiecewiseOrbit:  # fmt: skip
     """The periodic orbit near a section state, by Newton's method until the closure is below ``tolerance``.

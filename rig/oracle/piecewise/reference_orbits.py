@@ -17,7 +17,8 @@ from rig.oracle.piecewise.machine import (
 
 def oscillator(
     omega: Number, cos: Number = 0.0, *, damping: Number = 0.1, stiffness: Number = 1.0, load: Number = 0.0,
-    contact: PiecewiseContact | None = None, friction: PiecewiseFriction | None = None, phases: tuple[PiecewisePhase, ...] = (PiecewisePhase(0.0),),
+    contact: PiecewiseContact | None = None, friction: PiecewiseFriction | None = None, phases: tuple[PiecewisePhase,
+    ...] = (PiecewisePhase(0.0),),
 ) -> PiecewiseMachine:  # fmt: skip
     """x'' + damping x' + stiffness x = cos cos(omega t) + load."""
     return PiecewiseMachine(

@@ -136,7 +136,8 @@ def test_a_curve_counts_impacts_at_the_stop_where_they_are_unless_the_mirror_ima
     values, none = np.array([[0.8, 0.3], [0.9, 0.4]]), np.zeros(0)
     followed = FollowedCurve(
         event=PlaneEvent("fold", Condition(UNIT), orbit, none, values[0], np.nan), values=values, orbits=[orbit, orbit],
-        contact_times=np.zeros((2, 0)), conditions=[Condition(UNIT)] * 2, unstable=np.zeros(2, dtype=np.int64), corners=[],
+        contact_times=np.zeros((2, 0)), conditions=[Condition(UNIT)] * 2, unstable=np.zeros(2, dtype=np.int64),
+        corners=[],
         ends=("edge", "edge"),
     )  # fmt: skip
     assert as_curve(followed, mirrored).label == label

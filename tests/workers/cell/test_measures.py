@@ -46,7 +46,10 @@ def meters_of(hybrid: Oscillator) -> MeasurePlan:
     """Each displacement, velocity and acceleration, all with their extremes."""
     own, n = hybrid.table.machines, hybrid.gap_row.shape[1]
     orders = np.repeat(np.arange(3.0), n)[None]
-    rows, elements = np.tile(np.eye(n), (3, 1))[None], (own.damping, own.pad, own.rub, own.law, own.friction_laws)
+    rows, elements = (
+        np.tile(np.eye(n), (3, 1))[None],
+        (own.damping, own.contact_constants, own.friction_constants, own.contact_laws, own.friction_laws),
+    )
     return MeasurePlan(rows, orders, np.ones((1, 3 * n)), *elements)
 
 

@@ -382,7 +382,8 @@ def test_general_machines_with_one_rigid_contact_go_where_the_oracle_takes_them(
 
 def test_the_loop_of_rigid_contacts_and_that_of_modes_take_a_growing_motion_to_the_same_state() -> None:
     """A mass pushed off its crest onto a stop, which chatters there to rest and is torn off again by the force."""
-    machine = PiecewiseMachine([[1.0]], [[-0.1]], [[-0.5]], [0.3], 1.1, (HarmonicForce(1, [0.9], [0.0]),), (PiecewiseContact([1.0], 0.4, None,
+    machine = PiecewiseMachine([[1.0]], [[-0.1]], [[-0.5]], [0.3], 1.1, (HarmonicForce(1, [0.9], [0.0]),),
+    (PiecewiseContact([1.0], 0.4, None,
                       restitution=0.5),))  # fmt: skip
     start = [0.39, 0.1]
     expected = simulate(machine, start, 1, digits=30, rest=1e-8)

@@ -39,7 +39,8 @@ def rubbed(omega: float) -> PiecewiseMachine:
     return PiecewiseMachine(
         [[1.0, 0.0], [0.0, 2.0]], [[0.2, -0.1], [-0.1, 0.1]], [[2.0, -1.0], [-1.0, 1.5]], [0.0, 0.2], omega,
         (HarmonicForce(1, [0.0, 1.0], [0.5, 0.0]),),
-        (PiecewiseContact([1.0, 0.0], 0.4, None, restitution=0.6), PiecewiseContact([-1.0, 1.0], None, -0.3, stiffness=20.0, damping=0.1,
+        (PiecewiseContact([1.0, 0.0], 0.4, None, restitution=0.6), PiecewiseContact([-1.0, 1.0], None, -0.3,
+        stiffness=20.0, damping=0.1,
                                                                     preload=0.05, release="force")),
         (PiecewiseFriction([0.0, 1.0], 0.2, 0.3),), (PiecewisePhase(0.0), PiecewisePhase(0.4, load=[0.1, -0.1])),
     )  # fmt: skip

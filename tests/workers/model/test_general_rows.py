@@ -119,12 +119,15 @@ def test_the_oracle_finds_these_orbits_too(name: str) -> None:
                               "stiffness": [[1, 0.05], [-0.05, 1]], "load": [0, 0], "omega": 0.9} | turning  # fmt: skip
     one: dict[str, Any] = {"mass": [[1]], "damping": [[0.1]], "load": [0]}
     system, truth, start = {
-        "bistable": (bistable(), PiecewiseMachine(**one, stiffness=[[-1]], omega=1.0, forces=(HarmonicForce(1, [0], [0.4]),), contacts=(
+        "bistable": (bistable(), PiecewiseMachine(**one, stiffness=[[-1]], omega=1.0, forces=(HarmonicForce(1, [0],
+        [0.4]),), contacts=(
             PiecewiseContact([1], 0.5, -0.5, stiffness=3.0),)), {"x": 1.83, "v": 1.465}),
-        "rigid rotor": (rotor(**RIGID), PiecewiseMachine(**rotors, contacts=(PiecewiseContact([1, 0], 0.2, restitution=0.7),)), {}),
+        "rigid rotor": (rotor(**RIGID), PiecewiseMachine(**rotors, contacts=(PiecewiseContact([1, 0], 0.2,
+        restitution=0.7),)), {}),
         "soft rotor": (rotor(**SOFT), PiecewiseMachine(**rotors, contacts=(
             PiecewiseContact([1, 0], 0.2, stiffness=20.0, damping=0.2, release="displacement"),)), {}),
-        "belt": (falling_friction(), PiecewiseMachine(**one, stiffness=[[1]], omega=1.2, forces=(HarmonicForce(1, [0], [0.3]),),
+        "belt": (falling_friction(), PiecewiseMachine(**one, stiffness=[[1]], omega=1.2, forces=(HarmonicForce(1, [0],
+        [0.3]),),
                  friction=(PiecewiseFriction([1], 1.0, 1.0, 0.5, -0.2),)), {"x": 0.3, "v": 0.5}),
     }[name]  # fmt: skip
     found = solve_tile(system, start, SPECTRUM)

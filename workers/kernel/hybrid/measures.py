@@ -120,11 +120,13 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
                     reading.damped[0] += weight * z[n + i] * meter.damping[phase_index, i, j] * z[n + j]
             for c in range(len(states)):
                 if states[c] % 2 != 0 and elements.soft[c] > 0.0:
-                    reading.stop[c] += weight * meter.pad[phase_index, c, 1] * product(elements.row[c], z, n) ** 2
+                    reading.stop[c] += (
+                        weight * meter.contact_constants[phase_index, c, 1] * product(elements.row[c], z, n) ** 2
+                    )
             for e in range(len(slips)):
                 if slips[e] != 0:
                     sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
-                    slope = meter.rub[phase_index, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
+                    slope = meter.friction_constants[phase_index, e, 2] + meter.friction_laws[e, abs(slips[e]) - 1, 1]
                     reading.rubbed[e] += weight * slope * sliding * sliding
         since += step
 
@@ -172,8 +174,14 @@ def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, 
         reading.touching[c] += s
     if table.elements.soft[c] == 0.0:
         return
-    law, damping = meter.law[c, 1 if side > 0 else 0, (state - 1) // 2], meter.pad[phase_index, c, 1]
-    stiffness, preload = meter.pad[phase_index, c, 0] + law[1], meter.pad[phase_index, c, 2] + law[2]
+    law, damping = (
+        meter.contact_laws[c, 1 if side > 0 else 0, (state - 1) // 2],
+        meter.contact_constants[phase_index, c, 1],
+    )
+    stiffness, preload = (
+        meter.contact_constants[phase_index, c, 0] + law[1],
+        meter.contact_constants[phase_index, c, 2] + law[2],
+    )
     full, direct = np.zeros(2 * n + 1), np.zeros(table.pieces.direct.shape[2:])
     copy_into(full[:n], row)
     low, high = extremes(table.pieces, k, full, direct, h, phase, s, tally)
@@ -260,7 +268,9 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
         path = (
             product(elements.friction_rows[e], end, 0) - product(elements.friction_rows[e], z, 0) - elements.belt[e] * s
         )
-        reading.rubbed[e] += (meter.rub[where, e, 0] + meter.friction_laws[e, abs(slips[e]) - 1, 2]) * abs(path)
+        reading.rubbed[e] += (
+            meter.friction_constants[where, e, 0] + meter.friction_laws[e, abs(slips[e]) - 1, 2]
+        ) * abs(path)
 
 
 @kernel
