@@ -145,7 +145,8 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
         value = {"values": value.values, "scale": value.scale, "continuation": value.continuation}
     if isinstance(value, tuple):  # could be meant as start, stop and num
         raise InputError(
-            f"{where}: found the tuple {brief_repr(value)}, must be a list of values, or a table with start, stop and num"
+            f"{where}: found the tuple {brief_repr(value)}, "
+            "must be a list of values, or a table with start, stop and num"
         )
     if isinstance(value, np.ndarray) or (isinstance(value, Sequence) and not isinstance(value, str)):
         value = {"values": value}
