@@ -1,7 +1,7 @@
 """What the service costs on a thousand workers: one atlas of 10^10 cells, through a real scheduler.
 
-cluster   The atlas is run on pretended workers (``scripts.pretended``): real Dask workers whose tiles are sleep. Share
-          of their time that they are busy; processor time of the coordinator, from the first tile on, and of the
+cluster   The atlas is run on pretended workers (``scripts.fake_cluster``): real Dask workers whose tiles are sleep.
+          Share of their time that they are busy; processor time of the coordinator, from the first tile on, and of the
           scheduler, a tile; their most memory. Each is a process of its own. Several numbers of workers show the law:
           they are busy as long as neither process needs more than a tile's time divided by their number.
 store     The store lies on a server of objects whose every request takes 25 ms. Its tiles up to half, and then all,
@@ -106,7 +106,7 @@ def cluster(folder: Path, workers: int, seconds: float) -> Iterator[Cluster]:
     commands = [[*scheduler, "--no-dashboard"]]
     for first in range(0, workers, PER_PROCESS):
         here = min(PER_PROCESS, workers - first)
-        commands.append(["scripts.pretended", address, str(here), str(seconds), str(folder), str(first)])
+        commands.append(["scripts.fake_cluster", address, str(here), str(seconds), str(folder), str(first)])
     with ExitStack() as stack:
         started = [stack.enter_context(_process(command, folder)) for command in commands]
         with Client(address, timeout=60, set_as_default=False) as client:

@@ -25,7 +25,7 @@ from atlas.query.resample import view
 from atlas.render import figure
 from atlas.store import create, store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
-from tests.harm import flip
+from tests.corruption import flip
 from tests.paths import ROOT
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 from workers import solve_tile

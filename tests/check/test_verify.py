@@ -26,7 +26,7 @@ from atlas.store.host import current_host, host_from_facts
 from atlas.store.host_records import read_hosts, record_host
 from atlas.store.record_format import RECORD, RECORDS, TILES, record_key
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of
-from tests.harm import flip
+from tests.corruption import flip
 from tests.synthetic import set_attribute
 from workers import solve_tile
 from workers.cell.exponents import sum_of_exponents

@@ -21,8 +21,8 @@ from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from tests.explore.test_faults import begun
 from tests.explore.test_solving import waited
+from tests.fake_cluster import Numbered
 from tests.planes import plane_of
-from tests.pretended import Numbered
 
 WAITING = "waiting for the cluster's first worker"
 

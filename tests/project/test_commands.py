@@ -21,7 +21,7 @@ from PIL import Image
 
 import atlas
 from rig.faults import ATLAS
-from tests.forked import commands
+from tests.cli_runner import commands
 from tests.project.test_docs import PAGES, ROOT, files, script_calls
 
 pytestmark = pytest.mark.slow

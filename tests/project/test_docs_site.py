@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from tests.forked import commands
+from tests.cli_runner import commands
 from tests.project.test_docs import ROOT
 
 pytestmark = pytest.mark.slow

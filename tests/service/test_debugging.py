@@ -15,8 +15,8 @@ from atlas.service.batches import JobType
 from atlas.service.dispatch import open_dispatcher
 from atlas.service.summary import TileFailure
 from atlas.store.store import done_tiles, open_store
+from tests.fake_cluster import Numbered
 from tests.planes import plane_of
-from tests.pretended import Numbered
 from workers import tile as solving
 
 FAULTY = (1, 1)

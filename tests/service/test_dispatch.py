@@ -18,7 +18,7 @@ from atlas.service.dispatch import WorkerStatus
 from atlas.service.summary import TileFailure
 from atlas.service.timing import Timing
 from atlas.service.worker_health import MAX_FAILURES
-from tests.pretended import Cluster, Numbered, outcomes
+from tests.fake_cluster import Cluster, Numbered, outcomes
 
 WORKERS = [f"tcp://10.0.{k // 250}.{k % 250}:1" for k in range(1000)]
 BAD = WORKERS[0]

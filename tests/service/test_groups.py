@@ -26,7 +26,7 @@ from atlas.store.schema import StoredArray
 from atlas.store.sidecar import sidecar_of
 from atlas.store.tiles import read_tile, write_tile
 from atlas.store.zoom import list_metatiles, make_plane, metatile_backend, read_view_times, write_view_times
-from tests.harm import flip
+from tests.corruption import flip
 from tests.orbits.curves.test_curves_table import BOTH
 
 pytestmark = pytest.mark.slow

@@ -28,7 +28,7 @@ from atlas.store.host_records import read_hosts, record_host
 from atlas.store.origin import Origin, RetryRequest
 from atlas.store.store import chunk_key, done_tiles, find_store, open_store
 from atlas.store.tiles import read_tile
-from tests.waiting import until
+from tests.polling import until
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 from workers.settings import MAX_PERIODS
 from workers.tile import solve_tile

@@ -26,9 +26,9 @@ from atlas.service.probe import CELLS, with_time
 from atlas.service.progress import Progress
 from atlas.store import create
 from atlas.store.store import done_tiles, open_store
+from tests.fake_cluster import Cluster
 from tests.paths import ROOT
 from tests.planes import plane_of
-from tests.pretended import Cluster
 from tests.synthetic import fill, spec_of
 from workers import tile as solving
 from workers.results import REGIME

@@ -26,7 +26,7 @@ from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import open_store
 from rig.faults import attempts, environment
 from tests.planes import plane_of
-from tests.waiting import until
+from tests.polling import until
 from workers import SOLVER_VERSION
 
 pytestmark = pytest.mark.slow

@@ -19,7 +19,7 @@ from atlas.store import create, store
 from atlas.store.store import done_tiles, open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.tiling import part_side
-from tests.harm import flip
+from tests.corruption import flip
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 
 CHEAP = {"max_periods": 300, "tolerance": 1.0, "exponents": "none"}

@@ -25,8 +25,8 @@ from atlas.task import handle_cache
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
+from tests.fake_cluster import Numbered, outcomes
 from tests.planes import plane_of
-from tests.pretended import Numbered, outcomes
 from workers import tile as solving
 
 CALLS: dict[str, Counter[str]] = {}

@@ -35,8 +35,8 @@ from atlas.store.tiles import write_tile
 from rig.faults import ATLAS
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
-from tests.handmade import amplitude
 from tests.paths import ROOT
+from tests.reference_machines import amplitude
 from workers.continuation import Orbit
 from workers.results import CHAOTIC
 

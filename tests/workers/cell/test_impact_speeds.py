@@ -8,7 +8,7 @@ import pytest
 
 from rig.oracle.closed_form import symmetric_orbit
 from tests import naive
-from tests.followed import ball_in_flight, follow, on_attractor
+from tests.reference_motion import ball_in_flight, follow, on_attractor
 from workers import Settings, solve_tile
 from workers.history import trace
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.handmade import CURVES, bouncing_ball, impact_pair, reference_event, reference_orbit, reference_values
+from tests.reference_machines import (
+    CURVES,
+    bouncing_ball,
+    impact_pair,
+    reference_event,
+    reference_orbit,
+    reference_values,
+)
 from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
 from workers.continuation.families import family_of
 from workers.continuation.floquet import multipliers

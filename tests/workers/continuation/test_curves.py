@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.handmade import (
+from tests.reference_machines import (
     CURVES,
     amplitude,
     bouncing_ball,

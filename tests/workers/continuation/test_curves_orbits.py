@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.handmade import TWO_MASS
+from tests.reference_machines import TWO_MASS
 from tests.workers.continuation.test_hybrid_branches import machine
 from workers import solve_tile
 from workers.continuation import Itinerary, Orbit, family_of, orbit_from_state

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.handmade import (
+from tests.reference_machines import (
     CURVES,
     bouncing_ball,
     exponents,

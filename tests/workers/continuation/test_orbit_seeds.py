@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 import atlas
-from tests.handmade import exponents
+from tests.reference_machines import exponents
 from workers import Settings, solve_tile
 from workers.continuation import family_of, orbit_from_state, section_state
 from workers.continuation.admissibility import first_fault

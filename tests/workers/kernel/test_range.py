@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests import naive
-from tests.followed import ball_in_flight, follow, on_attractor
+from tests.reference_motion import ball_in_flight, follow, on_attractor
 from workers import Settings, System, solve_tile
 from workers.cell.ranges import FOLLOWED, free_range
 from workers.kernel.cell_loops import excursions

@@ -5,7 +5,7 @@ returns a receipt of the right form; of a chunk of the overviews it puts the mar
 and nothing else is written.
 All else is Dask's and the project's own.
 
-Usage: python -m scripts.pretended ADDRESS WORKERS SECONDS FOLDER [SEED]
+Usage: python -m scripts.fake_cluster ADDRESS WORKERS SECONDS FOLDER [SEED]
 """
 
 import asyncio

@@ -26,7 +26,7 @@ LIBRARIES = (
     "pandas", "xarray", "zarr.storage", "dask.array", "distributed", "matplotlib.figure", "contourpy",
     "matplotlib.backends.backend_agg", "rich.progress", "atlas.cli.main",
 )  # fmt: skip
-SERVE = [sys.executable, "-c", "from tests.forked import serve; serve()"]
+SERVE = [sys.executable, "-c", "from tests.cli_runner import serve; serve()"]
 """The main module has no file, which workers of a cluster would run."""
 CLIENT = """
 import json, os, socket, sys

@@ -21,7 +21,7 @@ from atlas.store import sidecar
 from atlas.store.create import remove_half_made
 from atlas.store.sidecar import LEASE_NAME, LocalSidecar, read_lease_token, sidecar_of
 from tests.paths import ROOT
-from tests.waiting import until
+from tests.polling import until
 
 QUICK = Timing(heartbeat=0.02)
 IMPATIENT = Timing(heartbeat=0.02, lease_poll=0.02, warn_after=0.3, expire_after=0.3)
