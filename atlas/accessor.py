@@ -114,9 +114,9 @@ class AtlasAccessor:
         """The share of the area, in the axes' own units, that belongs to each regime. See ``queries.fractions``."""
         return query.fractions(self._ds, window)
 
-    def reasons(self, window: Window | None = None) -> dict[str, int]:
-        """Numbers of cells without a certain result, by the reason in words. See ``queries.reasons``."""
-        return query.reasons(self._ds, window)
+    def count_reasons(self, window: Window | None = None) -> dict[str, int]:
+        """Numbers of cells without a certain result, by the reason in words. See ``queries.count_reasons``."""
+        return query.count_reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
         """Smallest and largest values of a variable in each regime, period or pattern of impacts, or in "all" cells.
@@ -203,7 +203,7 @@ class AtlasAccessor:
         return PlottableBranches.from_tree(tree_from(seed, along, window, switch_branches, budget), observable)
 
     @accepts_options(ScaleOptions)
-    def beside(
+    def plot_side_by_side(
         self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[ScaleOptions]
     ) -> "Figure":
         """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
@@ -251,7 +251,7 @@ class AtlasAccessor:
             workers=workers, keep=keep, folder=folder, port=port, host=host,
         )  # fmt: skip
 
-    def page(self, path: str | Path) -> Path:
+    def to_html(self, path: str | Path) -> Path:
         """Write this plane as one HTML file that opens in any browser without a server, ``page("plane.html")``.
 
         It has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the spec and

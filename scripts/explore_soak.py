@@ -201,7 +201,7 @@ class Report:
         print(f"complaints of the browser: {len(complaints)}", *sorted(set(complaints)), sep="\n  ")
         verified = atlas.verify(store)
         print(verified)
-        return verified.fine and not (again or failed or complaints)
+        return verified.is_sound and not (again or failed or complaints)
 
 
 def main() -> None:

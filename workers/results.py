@@ -187,7 +187,7 @@ KAPLAN_YORKE = _number(
 SUM_LAW_DEFECT = _number(
     "sum_law_defect", f"sum of the exponents minus its exact value, {PER_PERIOD}", label="defect of the sum"
 )
-PROGRESS = _number("progress", f"mean advance of what drifts {PER_PERIOD}")
+DRIFT_PER_PERIOD = _number("drift_per_period", f"mean advance of what drifts {PER_PERIOD}")
 SECTION = _number("section", "last section states", "sample", "state")
 CYCLE_PERIOD = _number("cycle_period", "time that a cycle takes; NaN unless periodic")
 PERIOD = count_of_orbit("period", "forcing periods per orbit; 0 unless periodic or without impact", endless=False)
@@ -223,9 +223,9 @@ REGIME = Variable("regime", "int8", PENDING, "regime of motion", codes=REGIMES)
 _COEXISTENCE = (
     _count("attractors", "attractors found"),
     _count("starts", "initial states solved, those beyond a stop left out"),
-    _count("own", "attractor that the spec's own initial state reaches; -1 if none is kept", fill=-1),
+    _count("own_attractor", "attractor that the spec's own initial state reaches; -1 if none is kept", fill=-1),
     _count("undecided", "initial states whose attractor is not known"),
-    _count("left", "initial states on attractors that are not kept"),
+    _count("starts_unstored", "initial states on attractors that are not kept"),
     _number("unseen_share", "share of an attractor that 5 % of such cells miss"),
     _number("share", "share of the initial states that reach the attractor", ATTRACTOR),
     _number("share_error", "standard error of the share, of Wilson's interval", ATTRACTOR),
@@ -235,8 +235,8 @@ _COEXISTENCE = (
         "mirror", "attractor that is its mirror image; itself where it is symmetric; -1 if none", ATTRACTOR, fill=-1
     ),
     _flag("exact", "initial states are assigned exactly, by orbits, not by statistics", ATTRACTOR),
-    _count("lumped", "initial states assigned to it by statistics", ATTRACTOR),
-    _number("lumped_distance", "largest distance of these initial states from it, in standard errors", ATTRACTOR),
+    _count("starts_by_statistics", "initial states assigned to it by statistics", ATTRACTOR),
+    _number("statistical_distance", "largest distance of these initial states from it, in standard errors", ATTRACTOR),
 )
 UNKNOWN_LABEL, BEYOND_TABLE = -1, -2
 LABEL = _count("label", "attractor that the initial state reaches; -1 if not known", fill=UNKNOWN_LABEL)
@@ -246,8 +246,8 @@ SETTLED = _count("settled", "forcing periods until the motion is on the attracto
 _BY_NAME = {
     variable.name: variable
     for variable in (
-        LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, PROGRESS, *_ALWAYS, *_COEXISTENCE,
-        LABEL, SETTLED, REASON, REGIME,
+        LARGEST, ERROR, AVERAGE, SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE, SECTION, DRIFT_PER_PERIOD, *_ALWAYS,
+        *_COEXISTENCE, LABEL, SETTLED, REASON, REGIME,
     )
 }  # fmt: skip
 

@@ -127,7 +127,7 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
     rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
     contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
     faults += [*wrong, *check_groups(handle), *contradictions]
-    sheet_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
+    metatile_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
     report = replace(
         _empty_report(handle, seed),
         chunks=sum(tile.chunks for tile in tiles),
@@ -135,7 +135,7 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
         cells_solved=solved,
         comparison=comparison,
         overview_chunks=chunks,
-        sheets=sheet_count,
+        metatiles=metatile_count,
         faults=(*faults, *zoom_faults),
         doubts=(*doubts, *zoom_doubts),
         leftovers=tuple(leftovers(handle.backend)),
@@ -161,26 +161,26 @@ def _solve_again(
 def _check_zoom(
     handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]
 ) -> tuple[int, list[StoreFault], list[StoreFault]]:
-    """The number of sheets of the zoom levels, which are stores themselves, and their faults and doubts.
+    """The number of metatiles of the zoom levels, which are stores themselves, and their faults and doubts.
 
-    Of as many sheets as the sample has cells, one cell each is solved again.
+    Of as many metatiles as the sample has cells, one cell each is solved again.
     """
     known = list_metatiles(handle)
     damage = {} if handle.backend.read_only_reason else plane_faults(handle)
     solved = set(random.Random(seed).sample(known, min(sample, len(known))))
     faults, doubts = list[StoreFault](), list[StoreFault]()
     faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
-    for k, (plane, sheet) in enumerate(known, 1):
-        notify(Progress(f"reading the zoom levels: sheet {k} of {len(known)}", transient=True))
-        part = (ZOOM, plane, sheet)
+    for k, (plane, metatile) in enumerate(known, 1):
+        notify(Progress(f"reading the zoom levels: metatile {k} of {len(known)}", transient=True))
+        part = (ZOOM, plane, metatile)
         try:
-            place = metatile_backend(handle, plane, sheet)
-            report = find_faults(place, int((plane, sheet) in solved), seed, lambda _: None).report
+            place = metatile_backend(handle, plane, metatile)
+            report = find_faults(place, int((plane, metatile) in solved), seed, lambda _: None).report
         except InputError as error:
             faults.append(StoreFault(None, str(error), part))
             continue
-        faults += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.faults]
-        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{sheet}: {fault}", part) for fault in report.doubts]
+        faults += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.faults]
+        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.doubts]
     return len(known), faults, doubts
 
 

@@ -54,7 +54,7 @@ def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> Ver
         faults = tuple(dict.fromkeys((*first, *findings.report.faults)))
         return replace(findings.report, faults=faults, repaired=())
     report = _repaired(findings)
-    return replace(report, faults=(*first, *report.faults), mended=(*written, *report.mended))
+    return replace(report, faults=(*first, *report.faults), restored=(*written, *report.restored))
 
 
 def _write_metadata(place: StoreBackend) -> list[str]:
@@ -83,8 +83,8 @@ def _repaired(findings: VerifyFindings) -> VerifyReport:
     removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
     for key in removed:
         handle.backend.remove(key)
-    mended = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
-    return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, mended=tuple(mended))
+    restored = [line for kind, mend in MENDERS.items() if names(kind) for line in mend(findings, names(kind))]
+    return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, restored=tuple(restored))
 
 
 def _mend_spare(findings: VerifyFindings, _: Names) -> Iterator[str]:
@@ -158,7 +158,7 @@ def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
 
 
 def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Remove sheets, named (plane, sheet), and planes (plane,) with all their sheets.
+    """Remove metatiles, named (plane, metatile), and planes (plane,) with all their metatiles.
 
     The metadata of the group of all planes, named (), are written again.
     """
@@ -166,12 +166,12 @@ def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
     if () in names:
         describe_planes(handle)
         yield f"{ZOOM}/{ROOT} written again"
-    for plane, *sheets in folders:
-        if not sheets:
+    for plane, *metatiles in folders:
+        if not metatiles:
             handle.backend.remove(f"{ZOOM}/{plane}/{ROOT}")
-            sheets = sorted({key.split("/")[2] for key in handle.backend.list_keys(f"{ZOOM}/{plane}/")})
-        for sheet in sheets:
-            drop_metatile(handle, plane, sheet)
+            metatiles = sorted({key.split("/")[2] for key in handle.backend.list_keys(f"{ZOOM}/{plane}/")})
+        for metatile in metatiles:
+            drop_metatile(handle, plane, metatile)
     if folders:
         yield f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again"
 

@@ -45,8 +45,8 @@ class VerifyReport:
     repaired                     tiles made unfinished, so that the next run solves them again
     dropped                      chunks of overviews that were wrong, and made missing
     removed                      names among the chunks that belong to none
-    mended                       other repairs, one line each
-    sheets                       of the zoom levels, verified as the stores that they are
+    restored                     other repairs, one line each
+    metatiles                    of the zoom levels, verified as the stores that they are
     leftovers                    files of killed writes, which nothing reads: no faults, but a repair removes them
     """
 
@@ -64,19 +64,19 @@ class VerifyReport:
     repaired: tuple[Index, ...] | None = None
     dropped: int = 0
     removed: tuple[str, ...] = ()
-    mended: tuple[str, ...] = ()
-    sheets: int = 0
+    restored: tuple[str, ...] = ()
+    metatiles: int = 0
     leftovers: tuple[str, ...] = ()
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether every tile is finished."""
         return self.tiles_done == self.tiles
 
     @property
-    def fine(self) -> bool:
+    def is_sound(self) -> bool:
         """Whether the store is complete, without faults and doubts."""
-        return self.complete and not self.faults and not self.doubts
+        return self.is_complete and not self.faults and not self.doubts
 
     @property
     def remedy(self) -> str:
@@ -94,14 +94,14 @@ class VerifyReport:
         if self.comparison in how:
             sample = f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
         counts = [
-            ("tiles", f"{self.tiles_done} of {self.tiles} done" + "; atlas run completes it" * (not self.complete)),
+            ("tiles", f"{self.tiles_done} of {self.tiles} done" + "; atlas run completes it" * (not self.is_complete)),
             ("chunks", f"{self.chunks} read, checksums correct"),
             ("levels", f"{plural(self.overview_chunks, 'chunk')} of overviews compared with the cells below"),
             ("cells", f"{self.cells_checked} checked against the rules"),
             ("sample", sample),
         ]
-        if self.sheets:
-            counts.append(("zoom", f"{plural(self.sheets, 'sheet')} of explored cells checked likewise"))
+        if self.metatiles:
+            counts.append(("zoom", f"{plural(self.metatiles, 'metatile')} of explored cells checked likewise"))
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))
@@ -126,9 +126,9 @@ class VerifyReport:
             if self.dropped:
                 lines.append(f"{plural(self.dropped, 'chunk')} of overviews dropped: the next run makes them again")
             lines += [f"removed: {key}" for key in self.removed]
-            lines += self.mended
+            lines += self.restored
         bad = bool(self.faults or self.doubts)
-        lines.append("fine" if self.fine else "not fine" if bad else "nothing wrong, but not complete")
+        lines.append("fine" if self.is_sound else "not fine" if bad else "nothing wrong, but not complete")
         return lines
 
     def __str__(self) -> str:
@@ -139,6 +139,6 @@ class VerifyReport:
 
     def as_dict(self) -> dict[str, Any]:
         """The output of ``atlas verify --json``."""
-        kept = {"store": self.store, "fine": self.fine, "complete": self.complete} | asdict(self)
+        kept = {"store": self.store, "sound": self.is_sound, "complete": self.is_complete} | asdict(self)
         faults, doubts = ([{"tile": f.tile, "what": f.what} for f in group] for group in (self.faults, self.doubts))
         return kept | {"faults": faults, "doubts": doubts}

@@ -70,16 +70,18 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
         broken[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
-        total = share.sum(axis=-1) + (arrays["undecided"] + arrays["left"]) / tried
+        total = share.sum(axis=-1) + (arrays["undecided"] + arrays["starts_unstored"]) / tried
         unlike = ~(np.abs(total - 1.0) < AVERAGE_TOLERANCE)
-        broken["shares, undecided and left do not add up to 1"] = np.logical_and(tried > 0, unlike)
+        broken["shares, undecided and starts_unstored do not add up to 1"] = np.logical_and(tried > 0, unlike)
     mirror = arrays["mirror"]
     back = np.take_along_axis(mirror, np.maximum(mirror, 0), axis=-1)
     broken["mirror of a mirror image is another one"] = ((mirror >= 0) & (back != np.arange(spec.attractors.keep))).any(
         axis=-1
     )
     broken["shares are not descending"] = (np.diff(share, axis=-1) > 0).any(axis=-1)
-    broken["own is not one of the attractors"] = (arrays["own"] < -1) | (arrays["own"] >= np.maximum(count, 0))
+    broken["own_attractor is not one of the attractors"] = (arrays["own_attractor"] < -1) | (
+        arrays["own_attractor"] >= np.maximum(count, 0)
+    )
     broken["more starts than the spec has"] = tried > spec.attractors.count
     return {text: mask for text, mask in broken.items() if mask.any()}
 

@@ -43,7 +43,7 @@ def verify(
     Raises InputError without a store to verify, OSError if it cannot be read or repaired.
 
     >>> import atlas
-    >>> atlas.verify("plane.zarr", sample=2).fine
+    >>> atlas.verify("plane.zarr", sample=2).is_sound
     True
     """
     if not is_integer(sample) or sample < 0:

@@ -8,7 +8,7 @@ from atlas.store.zoom import ABOUT
 
 
 def plane_faults(handle: AtlasStore) -> dict[str, str]:
-    """Damaged metadata of planes and of sheets, by their keys. Folders that are still being made are left out."""
+    """Damaged metadata of planes and of metatiles, by their keys. Folders that are still being made are left out."""
     damage: dict[str, str] = {}
     folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.backend.list_keys(f"{ZOOM}/")}
     whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))

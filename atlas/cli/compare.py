@@ -62,13 +62,13 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
     names = list(message["regimes"])
     rows = [(here, *(str(message["regimes"][here][there]) for there in names)) for here in names]
     print_table(f"cells: rows by {store}, columns by {other}", ["", *names], rows)
-    click.echo(f"the same regime: {100 * message['same']:.2f} % of the area")
+    click.echo(f"the same regime: {100 * message['same_share']:.2f} % of the area")
     most = compared.numbers.most
     if most is not None:
         where = ", ".join(f"{name} = {value:.6g}" for name, value in most[1].items())
         click.echo(
             f"exponents of {plural(message['compared'], 'cell')}: mean difference {message['mean']:.4g}, "
-            f"mean size {message['size']:.4g}, the most {most[0]:.4g} at {where}"
+            f"mean size {message['mean_abs']:.4g}, the most {most[0]:.4g} at {where}"
         )
     if out is not None:
         click.echo(str(out))

@@ -22,19 +22,18 @@ from atlas.service.options import RunOptions
 _DEFAULTS = {budget.name: budget.default for budget in fields(CurveSettings)}
 
 
-def _budget(name: str, text: str, option: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    return click.option(
-        f"--{option or name}", name, type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text
-    )
+def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    option = f"--{name.replace('_', '-')}"
+    return click.option(option, type=click.IntRange(min=1), default=_DEFAULTS[name], show_default=True, help=text)
 
 
 @click.command("curves", epilog=examples("atlas find curves plane.zarr", "atlas find curves plane.zarr -o curves.csv"))
 @store_argument
 @out_option("Also write them to this file, .csv or .json.")
-@_budget("seeds", "Places beside edges where events are looked for, at most.")
+@_budget("edges", "Places beside edges where events are looked for, at most.")
 @_budget("curves", "Curves followed, at most.")
 @_budget("points", "Points of all curves, at most.")
-@_budget("least", "Cells that a region must have for events to be looked for beside it.", "min-cells")
+@_budget("min_cells", "Cells that a region must have for events to be looked for beside it.")
 @worker_options
 @json_option
 def find_curves(

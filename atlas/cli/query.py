@@ -67,7 +67,7 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
             questions.at(ds, point) if point else dict(questions.fractions(select_dominant(ds), bounds))
         )
         why = (
-            questions.reasons(select_dominant(ds), bounds)
+            questions.count_reasons(select_dominant(ds), bounds)
             if {"undetermined", "invalid", "failed"} & results.keys()
             else {}
         )

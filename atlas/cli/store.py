@@ -51,7 +51,7 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
     with reporter(sys.stderr) as show:
         report = verify_store(store, sample=sample, repair=repair, on_progress=show)
     click.echo(to_json(report.as_dict()) if as_json else str(report))
-    if not report.fine:
+    if not report.is_sound:
         ctx.exit(1)
 
 

@@ -83,7 +83,7 @@ def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
 def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> AttractorListing:
     return AttractorListing(
         tuple(listed), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
-        float(numbers["unseen_share"]), int(numbers["own"]), stored,
+        float(numbers["unseen_share"]), int(numbers["own_attractor"]), stored,
     )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(in
 """The entries in the order of the table, except later additions: ``aperiodic`` follows ``chaotic``, ``locking`` follows
 ``periodic``."""
 
-WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own", "mirror")
+WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own_attractor", "mirror")
 """Codes of names, which have no mean."""
 
 Cells = dict[str, NDArray[Any]]

@@ -43,8 +43,8 @@ def own(ds: "xr.Dataset") -> "xr.Dataset":
 
     A cell whose attractor is not among those kept has the regime of a cell without a result.
     """
-    place = ds["own"][...].load()  # not within ``ds``, which would keep them while a run goes on
-    made = ds.drop_vars("own").isel({ATTRACTOR: place.clip(0)})
+    place = ds["own_attractor"][...].load()  # not within ``ds``, which would keep them while a run goes on
+    made = ds.drop_vars("own_attractor").isel({ATTRACTOR: place.clip(0)})
     made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
     made.encoding = dict(ds.encoding)
     return made

@@ -102,15 +102,15 @@ class Comparison:
 
     @cached_property
     def regimes(self) -> "xr.DataArray":
-        """The number of cells of each pair of regimes that occurs, with dimensions ``here`` and ``there``."""
+        """The number of cells of each pair of regimes that occurs, with dimensions ``first`` and ``second``."""
         import xarray
 
         cells = self.numbers.cells
         kept = np.flatnonzero(cells.sum(axis=0) + cells.sum(axis=1))
         names = [REGIMES[k].name for k in kept]
         attrs = {"long_name": "cells by their regimes in both atlases", "units": "1"}
-        coords = {"here": names, "there": names}
-        return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("here", "there"), "regimes", attrs)
+        coords = {"first": names, "second": names}
+        return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("first", "second"), "regimes", attrs)
 
     @cached_property
     def numbers(self) -> ComparisonStats:
@@ -150,16 +150,16 @@ class Comparison:
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas compare --json`` prints."""
-        names, cells = self.regimes.here.values.tolist(), self.regimes.values.tolist()
+        names, cells = self.regimes["first"].values.tolist(), self.regimes.values.tolist()
         numbers = self.numbers
         return {
             "parameters": {name: list(pair) for name, pair in self.differing.items()},
             "regimes": {here: dict(zip(names, row, strict=True)) for here, row in zip(names, cells, strict=True)},
-            "same": numbers.same,
+            "same_share": numbers.same,
             "compared": numbers.compared,
             "mean": numbers.mean,
-            "size": numbers.size,
-            "most": None if numbers.most is None else numbers.most[1] | {"difference": numbers.most[0]},
+            "mean_abs": numbers.size,
+            "largest": None if numbers.most is None else numbers.most[1] | {"difference": numbers.most[0]},
         }
 
     def __repr__(self) -> str:

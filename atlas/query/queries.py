@@ -112,7 +112,7 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     return {name: area / total for name, code in _CODES.items() if (area := areas[code])}
 
 
-def reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
+def count_reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
     """How many cells of a window have no result, or an uncertain one, by the reason in words.
 
     Cells and errors as in ``fractions``, and InputError for a dataset without its variable ``reason``. Reads the

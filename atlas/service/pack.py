@@ -34,7 +34,7 @@ class PackSummary:
     tiles_done: int
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether every tile is finished."""
         return self.tiles_done == self.tiles
 
@@ -42,14 +42,14 @@ class PackSummary:
 
     def __str__(self) -> str:
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
-        if self.complete:
+        if self.is_complete:
             return packed
         done = f"only {self.tiles_done} of {self.tiles} tiles are done"
         return f"{packed}\n{done}: the rest reads as pending, and a zip file cannot be completed; keep the store"
 
     def as_dict(self) -> dict[str, Any]:
         """What ``atlas pack --json`` prints."""
-        return asdict(self) | {"complete": self.complete}
+        return asdict(self) | {"complete": self.is_complete}
 
 
 def pack(
@@ -67,7 +67,7 @@ def pack(
     could then contain part of a tile.
 
     >>> import atlas
-    >>> atlas.pack("plane.zarr", "plane.zip").complete
+    >>> atlas.pack("plane.zarr", "plane.zip").is_complete
     True
     """
     target = validate_path(file, "file").absolute()

@@ -111,7 +111,7 @@ def test_repair_drops_a_bad_overview_with_all_above_it_and_they_are_made_anew(
     report = verify(whole.path, sample=0, repair=True)
     assert (report.repaired, report.dropped) == ((), 3)
     assert keep(whole) == 3
-    assert verify(whole.path, sample=0).fine
+    assert verify(whole.path, sample=0).is_sound
     for level in (1, 2, 3):
         before, after = (xr.open_zarr(path, group=f"overviews/{level}") for path in (made, whole.path))
         xr.testing.assert_identical(before.load(), after.load())
@@ -154,7 +154,7 @@ def test_metadata_and_coordinates_of_overviews_are_checked_and_made_anew(
     assert faults and all(fault.startswith(f"overviews/2/{key.partition('/')[0]}") for fault in faults)
     verify(whole.path, sample=0, repair=True)
     assert keep(whole) == 14
-    assert verify(whole.path, sample=0).fine
+    assert verify(whole.path, sample=0).is_sound
 
 
 @pytest.mark.parametrize("tile", [(0, 0), (2, 3), (4, 5)])

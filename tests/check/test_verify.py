@@ -95,7 +95,7 @@ def arrays_of(path: Path) -> dict[str, bytes]:
 def test_a_store_as_it_was_made_is_fine_and_every_chunk_of_it_was_read(whole: Path) -> None:
     report = verify(whole, sample=12)
     assert message(report) == []
-    assert report.fine
+    assert report.is_sound
     assert (report.tiles_done, report.chunks) == (4, 4 * len(VARIABLES))
     assert (report.cells_checked, report.cells_solved, report.comparison) == (12, 12, "bits")
 
@@ -136,7 +136,7 @@ def test_repair_and_run_give_the_same_bits_again(whole: Path, client: Client) ->
     assert report.repaired == ((0, 1), (1, 1))
     assert atlas.run(SPEC, whole, client=client).tiles_solved == 2
     assert arrays_of(whole) == before
-    assert verify(whole, sample=12).fine
+    assert verify(whole, sample=12).is_sound
 
 
 def test_without_repair_nothing_is_written(whole: Path) -> None:
@@ -153,10 +153,10 @@ def test_a_repair_reads_on_once_the_metadata_are_written_again(whole: Path, clie
     assert [fault.tile for fault in verify(whole, sample=0).faults] == [None]
     report = verify(whole, sample=0, repair=True)
     assert [fault.tile for fault in report.faults] == [None, (0, 1)]
-    assert (report.repaired, report.mended) == (((0, 1),), ("largest/zarr.json written again",))
+    assert (report.repaired, report.restored) == (((0, 1),), ("largest/zarr.json written again",))
     atlas.run(SPEC, whole, client=client)
     assert arrays_of(whole) == before
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 def test_a_repair_of_a_store_without_a_fault_changes_nothing(whole: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_repair_of_a_store_without_a_fault_changes_nothing(whole: Path) -> Non
             drop_tile(store.open_store(whole), tile)
         before = state()
         report = verify(whole, sample=2, repair=True)
-        assert (report.faults, report.repaired, report.mended) == ((), (), ())
+        assert (report.faults, report.repaired, report.restored) == ((), (), ())
         assert state() == before
         assert not whole.with_name(f".{whole.name}.run").exists()
 
@@ -182,7 +182,7 @@ def test_a_corrupted_coordinate_is_found_and_restored(whole: Path, name: str) ->
     (found,) = (path for path in (whole / name / "c", whole / name / "c" / "0") if path.is_file())
     flip(found, 6)
     assert f"coordinate {name} is damaged" in message(verify(whole, sample=0, repair=True))[0]
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
     assert arrays_of(whole) == before
 
 
@@ -193,7 +193,7 @@ def test_a_coordinate_with_another_value_is_found(whole: Path) -> None:
 
 def test_a_changed_value_with_a_right_checksum_is_found_by_solving_again(whole: Path) -> None:
     cell = change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: np.nextafter(x, 0))
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
     (fault,) = message(verify(whole, sample=12))
     assert f"cell {recheck.place_in(SPEC, cell)}: largest " in fault
     assert verify(whole, sample=12, repair=True).repaired == ((cell[0] // 2, cell[1] // 2),)
@@ -319,7 +319,7 @@ def test_the_law_of_a_tile_is_that_of_each_of_its_cells(axes: dict[str, list[flo
 def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) -> None:
     drop_tile(store.open_store(whole), (0, 1))
     report = verify(whole, repair=True)
-    assert (report.faults, report.tiles_done, report.fine, report.repaired) == ((), 3, False, ())
+    assert (report.faults, report.tiles_done, report.is_sound, report.repaired) == ((), 3, False, ())
 
 
 @pytest.fixture
@@ -333,14 +333,14 @@ def elsewhere(whole: Path) -> None:
 def test_on_another_machine_solutions_may_differ_by_their_errors(whole: Path) -> None:
     change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: x + 1e-12)
     report = verify(whole, sample=12)
-    assert (report.comparison, report.fine, report.cells_solved) == ("error", True, 12)
+    assert (report.comparison, report.is_sound, report.cells_solved) == ("error", True, 12)
 
 
 @pytest.mark.usefixtures("elsewhere")
 def test_on_another_machine_more_than_the_error_is_in_doubt_and_stays(whole: Path) -> None:
     change(whole, "largest", lambda regime: regime == PERIODIC, lambda x: x + 5e-7)
     report = verify(whole, sample=12, repair=True)
-    assert not report.fine
+    assert not report.is_sound
     assert (len(report.doubts), report.faults, report.repaired) == (1, (), ())
 
 
@@ -358,7 +358,7 @@ def test_tiles_of_two_kinds_of_machine_are_compared_within_error(whole: Path) ->
 def test_a_store_of_another_solver_is_read_but_not_solved_again(whole: Path) -> None:
     set_attribute(whole, "solver_version", 3)
     report = verify(whole)
-    assert (report.fine, report.cells_solved) == (True, 0)
+    assert (report.is_sound, report.cells_solved) == (True, 0)
     assert "sample   not solved again: the store has solver version 3, this program" in str(report)
 
 
@@ -412,7 +412,7 @@ def test_names_that_are_no_chunks_are_found_and_removed(whole: Path) -> None:
     expected = {f"regime/c/{name}" for name in names} | {"state/c/0/0/1"}
     assert set(message(report)) == {f"{key} is not a chunk of this atlas" for key in expected}
     assert set(report.removed) == expected
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 def test_names_that_are_no_chunks_are_no_tiles(whole: Path, client: Client) -> None:
@@ -453,7 +453,7 @@ def test_records_that_are_gone_are_found_and_a_repair_makes_them_anew(whole: Pat
     shutil.rmtree(whole / TILES)
     assert f"{RECORD}/zarr.json is missing: atlas verify --repair {whole} writes them again" in message(verify(whole))
     verify(whole, sample=0, repair=True)
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 @pytest.mark.parametrize("byte", [0, -1])
@@ -462,7 +462,7 @@ def test_a_damaged_record_of_all_tiles_is_found_and_a_repair_makes_it_anew(whole
     (fault,) = message(verify(whole, sample=0))
     assert fault.startswith("tiles/records is damaged (")
     assert verify(whole, sample=0, repair=True).repaired == ()
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 @pytest.mark.parametrize("byte", [0, -1])
@@ -476,7 +476,7 @@ def test_a_damaged_record_of_a_tile_is_found_and_a_repair_has_the_tile_solved_ag
     assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/record/c.0.1.0 is damaged"]
     assert verify(whole, sample=0, repair=True).repaired == ((0, 1),)
     assert atlas.run(SPEC, whole, client=client).tiles_solved == 1
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 def test_a_record_that_is_missing_is_found(whole: Path) -> None:
@@ -490,7 +490,7 @@ def test_a_tile_that_the_records_say_is_done_and_is_not_is_found(whole: Path, cl
     assert verify(whole, sample=0, repair=True).repaired == ((0, 1),)
     assert message(verify(whole, sample=0)) == []
     atlas.run(SPEC, whole, client=client)
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
 
 
 def test_a_place_that_cannot_be_read_is_no_damage(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -551,7 +551,7 @@ def test_the_command_reports_by_its_exit_code(whole: Path, tmp_path: Path) -> No
     code, shown = call(whole, "--sample", 2, "--json")
     assert code == 1
     found = json.loads(shown)
-    assert (found["fine"], found["faults"][0]["tile"]) == (False, [0, 1])
+    assert (found["sound"], found["faults"][0]["tile"]) == (False, [0, 1])
     code, shown = call(whole, "--repair")
     assert (code, "1 tile dropped: run it again to solve them" in shown) == (1, True)
     assert "nothing wrong, but not complete" in call(whole)[1]

@@ -63,7 +63,7 @@ def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of
     assert found.count == int(alone["attractors"]) > 1
     assert [row["share"] for row in found.listed] == alone["share"][: found.count].tolist()
     assert [row["largest"] for row in found.listed] == alone["largest"][: found.count].tolist()
-    assert (found.starts, found.own_index, found.stored) == (int(alone["starts"]), int(alone["own"]), False)
+    assert (found.starts, found.own_index, found.stored) == (int(alone["starts"]), int(alone["own_attractor"]), False)
 
 
 def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path) -> None:
@@ -82,7 +82,7 @@ def test_cells_of_a_coexistence_atlas_have_the_motion_from_their_own_initial_sta
     subject = subject_of(str(coexistence))
     every, ds = subject.all_attractors, subject.part({})
     assert every is not None
-    for place, own in np.ndenumerate(every["own"].values):
+    for place, own in np.ndenumerate(every["own_attractor"].values):
         if own < 0:
             assert ds[REGIME.name].values[place] == PENDING
         else:
@@ -101,7 +101,7 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
     handle = open_store(coexistence)
     assert all(open_store(metatile_backend(handle, *sheet)).spec.attractors is None for sheet in list_metatiles(handle))
-    assert atlas.verify(coexistence, sample=1).fine
+    assert atlas.verify(coexistence, sample=1).is_sound
 
 
 def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finished: Path) -> None:

@@ -122,7 +122,7 @@ def test_ctrl_c_keeps_what_is_solved_leaves_no_process_and_gives_the_store_back(
     assert waited(lambda: not in_session(running.pid), 10.0)
     assert not (finished.parent / f".{finished.name}.run" / "claim").exists()
     assert list_metatiles(open_store(finished))
-    assert atlas.verify(finished).fine
+    assert atlas.verify(finished).is_sound
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Tornado leaves such sockets open

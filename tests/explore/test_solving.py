@@ -221,7 +221,7 @@ def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished:
         solved(explorer, view_of(explorer.subject))
     assert all(path.read_bytes() == content for path, content in before.items())
     report = atlas.verify(finished)
-    assert report.fine and report.sheets > 0
+    assert report.is_sound and report.metatiles > 0
 
 
 @pytest.mark.slow
@@ -234,7 +234,7 @@ def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explore
     (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.x.level}_*/largest/c/*/*"))
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
     report = atlas.verify(finished, sample=0)
-    assert not report.fine and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
+    assert not report.is_sound and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
     with exploring(finished, client) as explorer:
         assert len(solved(explorer, sight)) > 0
         seen = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest"]).ds
@@ -294,7 +294,7 @@ def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client
         for thread in threads:
             thread.join()
         assert waited(lambda: (finished / "zoom").exists())
-    assert atlas.verify(finished).fine
+    assert atlas.verify(finished).is_sound
 
 
 @pytest.mark.slow
@@ -505,7 +505,7 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
         solved(explorer, sight)
         ds = explorer.known.visible_cells(subject.plane, sight, []).ds
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
-    assert atlas.verify(finished).fine
+    assert atlas.verify(finished).is_sound
 
 
 def test_workers_need_no_bokeh() -> None:

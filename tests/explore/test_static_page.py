@@ -345,7 +345,7 @@ def call(*words: str | Path) -> Any:
 def test_the_command_and_the_method_write_the_same_page(opened: xr.Dataset, tmp_path: Path) -> None:
     done = call(opened.encoding["source"], "-o", tmp_path / "one.html")
     assert (done.exit_code, done.stdout) == (0, f"{tmp_path / 'one.html'}\n")
-    assert opened.atlas.page(tmp_path / "other.html") == tmp_path / "other.html"
+    assert opened.atlas.to_html(tmp_path / "other.html") == tmp_path / "other.html"
     assert (tmp_path / "one.html").read_bytes() == (tmp_path / "other.html").read_bytes()
 
 
@@ -360,7 +360,7 @@ def test_a_window_gives_its_cells_alone(opened: xr.Dataset, tmp_path: Path) -> N
 
 def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened: xr.Dataset, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("old")
-    opened.atlas.page(tmp_path / "page.html")
+    opened.atlas.to_html(tmp_path / "page.html")
     assert (tmp_path / "page.html").read_text(encoding="utf-8").startswith("<!doctype html>")
     assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
 
@@ -411,9 +411,9 @@ def test_one_plane_of_a_stack_is_shown_and_a_whole_stack_is_refused(stack: Path,
 
 def test_a_line_and_exponents_in_another_unit_are_refused(opened: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a page shows two axes, found one \(omega\)"):
-        opened.isel(b=0).atlas.page(tmp_path / "page.html")
+        opened.isel(b=0).atlas.to_html(tmp_path / "page.html")
     with pytest.raises(InputError, match="pictures draw exponents per forcing period"):
-        opened.atlas.per_unit_time().atlas.page(tmp_path / "page.html")
+        opened.atlas.per_unit_time().atlas.to_html(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 
 

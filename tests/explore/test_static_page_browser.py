@@ -24,7 +24,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     synthetic.complete(folder / "plane.zarr")
     with pictures.keeping(pictures.curves()):
-        return Path(atlas.open(folder / "plane.zarr").atlas.page(folder / "plane.html"))
+        return Path(atlas.open(folder / "plane.zarr").atlas.to_html(folder / "plane.html"))
 
 
 @pytest.fixture(scope="module")

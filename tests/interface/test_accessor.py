@@ -206,7 +206,7 @@ def test_an_unknown_option_is_refused_with_all_that_there_are() -> None:
     with pytest.raises(InputError, match="unknown option 'widht'; possible: omega, b, path, width, "):
         ds.atlas.portrait(omega=1, b=0.1, widht="85mm")
     with pytest.raises(InputError, match="unknown option 'widht'; possible: others, kind, window, width, "):
-        ds.atlas.beside(ds, widht="85mm")
+        ds.atlas.plot_side_by_side(ds, widht="85mm")
 
 
 def test_plot_draws_a_kind_in_a_window() -> None:

@@ -92,12 +92,12 @@ def test_only_subjects_are_drawn(plane: xr.Dataset) -> None:
 
 ASKED: dict[str, Callable[[xr.Dataset, Any], object]] = {
     "fractions": lambda ds, window: ds.atlas.fractions(window),
-    "reasons": lambda ds, window: ds.atlas.reasons(window),
+    "reasons": lambda ds, window: ds.atlas.count_reasons(window),
     "extremes": lambda ds, window: ds.atlas.extremes("largest", window=window),
     "regions": lambda ds, window: ds.atlas.regions("chaotic", window=window),
     "boundary": lambda ds, window: ds.atlas.boundary("chaotic", window=window),
     "compare": lambda ds, window: ds.atlas.compare(ds, window),
-    "beside": lambda ds, window: ds.atlas.beside(ds, window=window),
+    "beside": lambda ds, window: ds.atlas.plot_side_by_side(ds, window=window),
     "plot": lambda ds, window: ds.atlas.plot(window=window),
 }
 
@@ -121,7 +121,7 @@ def test_names_of_variables_classes_and_regimes_are_texts(plane: xr.Dataset) -> 
         assert_refused(lambda value=value: plane.atlas.regions(value), "by")
         assert_refused(lambda value=value: plane.atlas.where_regime(value), "regime")
         assert_refused(lambda value=value: plane.atlas.compare(value), "atlas")
-        assert_refused(lambda value=value: plane.atlas.page(value), "path")
+        assert_refused(lambda value=value: plane.atlas.to_html(value), "path")
 
 
 # Cells and stores

@@ -121,8 +121,8 @@ def test_an_unknown_command_is_answered_with_the_one_that_is_meant(typed: str, m
 
 
 IN_PYTHON_ALONE = {
-    "at", "attractors", "basin_measures", "beside", "boundary", "curves", "distance_to", "fractions", "is_", "labels",
-    "open", "page", "per_unit_time", "reasons", "solve_tile", "trace", "where_regime",
+    "at", "attractors", "basin_measures", "boundary", "count_reasons", "curves", "distance_to", "fractions", "is_",
+    "labels", "open", "per_unit_time", "plot_side_by_side", "solve_tile", "to_html", "trace", "where_regime",
 }  # fmt: skip
 """Answers that are arrays, and parts of what one command prints: ``atlas query`` has shares, reasons and cells."""
 

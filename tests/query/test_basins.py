@@ -128,7 +128,7 @@ def test_labels_given_last_are_those_of_a_larger_reference_set_by_period(tmp_pat
 
 def test_a_store_of_basins_is_sound_to_the_bit(solved: Path) -> None:
     report = atlas.verify(solved, sample=3, seed=1)
-    assert report.fine and report.comparison == "bits"
+    assert report.is_sound and report.comparison == "bits"
 
 
 def test_nothing_is_labelled_after_the_claim_of_the_store_is_lost(solved: Path, tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_what_an_attempt_to_label_wrote_before_it_died_is_recorded_by_the_next(
     for index, record in made.records:
         run.add(index, record)
     run.compact(lambda: None)
-    assert verify(store, sample=0).fine
+    assert verify(store, sample=0).is_sound
 
 
 @pytest.mark.parametrize("dies_at", ["label/c/0/0", "tiles/record/c.0.0.0"])
@@ -195,7 +195,7 @@ def test_a_kill_between_a_tiles_last_labels_and_its_record_leaves_no_fault(
     assert not verify(store, sample=0).faults
     complete_basins(open_store(store))
     np.testing.assert_array_equal(read_tile(handle, (0, 0))["label"], known["label"])
-    assert verify(store, sample=3, seed=1).fine
+    assert verify(store, sample=3, seed=1).is_sound
 
 
 def test_the_table_has_shares_mirror_images_and_section_points(solved: Path) -> None:

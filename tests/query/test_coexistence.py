@@ -122,14 +122,14 @@ def test_shares_fall_and_add_up_with_what_is_left_and_undecided(solved: Path) ->
     ds = xr.open_zarr(solved)
     share = np.nan_to_num(ds["share"].values)
     assert np.all(np.diff(share, axis=-1) <= 0)
-    rest = (ds["left"] + ds["undecided"]).values / ds["starts"].values
+    rest = (ds["starts_unstored"] + ds["undecided"]).values / ds["starts"].values
     assert share.sum(axis=-1) + rest == pytest.approx(np.ones((4, 3)))
     assert int(ds["attractors"].max()) >= 2
 
 
 def test_a_store_of_all_attractors_is_sound_to_the_bit(solved: Path) -> None:
     report = atlas.verify(solved, sample=3, seed=1)
-    assert report.fine and report.comparison == "bits" and report.cells_solved == 3
+    assert report.is_sound and report.comparison == "bits" and report.cells_solved == 3
 
 
 def test_a_run_that_was_stopped_is_completed_to_the_same_bits(solved: Path, tmp_path: Path, client: Client) -> None:
@@ -179,7 +179,7 @@ def test_what_a_store_may_not_hold_is_found(solved: Path) -> None:
     assert broken() == ""
     assert "do not add up" in broken(share=arrays["share"] * 0.5)
     assert "shares are not descending" in broken(share=arrays["share"][..., ::-1])
-    assert "own is not one of the attractors" in broken(own=arrays["own"] + 9)
+    assert "own_attractor is not one of the attractors" in broken(own_attractor=arrays["own_attractor"] + 9)
     assert "has a regime but does not exist" in broken(attractors=np.ones_like(arrays["attractors"]))
     regime = np.where(arrays["regime"] == PENDING, PENDING, CHAOTIC).astype(np.int8)
     assert "attractor 0: chaotic, but largest is not positive" in broken(regime=regime)

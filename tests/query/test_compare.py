@@ -72,10 +72,10 @@ def test_the_table_counts_cells_by_both_regimes() -> None:
     one = plane([1, 2, 3], [0.1, 0.2], [[P, P, C], [C, N, Q]])
     other = plane([1, 2, 3], [0.1, 0.2], [[P, C, C], [C, P, P]])
     table = Comparison.from_atlases(one, other).regimes
-    assert table.sel(here="periodic", there="chaotic") == 1
-    assert table.sel(here="chaotic", there="chaotic") == 2
-    assert table.sel(here="no_impact", there="periodic") == 1
-    assert table.sel(here="pending", there="periodic") == 1
+    assert table.sel(first="periodic", second="chaotic") == 1
+    assert table.sel(first="chaotic", second="chaotic") == 2
+    assert table.sel(first="no_impact", second="periodic") == 1
+    assert table.sel(first="pending", second="periodic") == 1
     assert table.sum() == 6
 
 
@@ -213,7 +213,7 @@ def test_a_comparison_of_sweeps_is_drawn_otherwise() -> None:
 
 def test_maps_side_by_side_are_named_by_the_parameter_that_differs(folder: Path) -> None:
     first, *others = (atlas.open(folder / f"{name}.zarr") for name in "abc")
-    drawn = first.atlas.beside(*others)
+    drawn = first.atlas.plot_side_by_side(*others)
     assert texts(drawn)[:3] == ["$R = 0.8$", "$R = 0.7$", "$R = 0.6$"]
     assert "R =" not in drawn.get_suptitle()
     assert len(drawn.axes) == 4  # with one scale for all
@@ -221,7 +221,10 @@ def test_maps_side_by_side_are_named_by_the_parameter_that_differs(folder: Path)
 
 def test_size_and_scale_have_the_same_names_for_several_atlases(folder: Path) -> None:
     one, other = (atlas.open(folder / f"{name}.zarr") for name in "ab")
-    drawn = one.atlas.beside(other, width="85mm", vmin=-1, vmax=2), one.atlas.compare(other).plot(width="85mm")
+    drawn = (
+        one.atlas.plot_side_by_side(other, width="85mm", vmin=-1, vmax=2),
+        one.atlas.compare(other).plot(width="85mm"),
+    )
     assert [figure.get_size_inches()[0] for figure in drawn] == pytest.approx([85 / 25.4] * 2)
     assert drawn[0].axes[-1].get_xlim() == (-1.0, 2.0)  # below the maps of a narrow page
 

@@ -52,7 +52,7 @@ def test_a_plane_of_belts_is_solved_asked_and_drawn(tmp_path: Path, client: Clie
     ds = atlas.open(tmp_path / "belt.zarr")
     assert ds["largest"].attrs["long_name"].endswith("per unit time")
     assert np.array_equal(ds["cycle_period"] > 0.0, ds["regime"] == 1)
-    assert atlas.verify(tmp_path / "belt.zarr").fine
+    assert atlas.verify(tmp_path / "belt.zarr").is_sound
     drawn = figure(ds, kind="scalar", variable="cycle_period")
     assert "time that a cycle takes" in {ax.get_ylabel() for ax in drawn.axes}
     said = [text.get_text() for legend in figure(ds, kind="period").legends for text in legend.get_texts()]
@@ -98,7 +98,7 @@ def test_basins_without_a_force_show_the_whole_cycle_and_are_sound(tmp_path: Pat
     spec = atlas.Spec("belt", axes, {"u": 0.5, "zeta": 0.05}, solve, attractors={"starts": 16})
     atlas.run(spec, tmp_path / "belt.zarr", client=client)
     ds = atlas.open(tmp_path / "belt.zarr")
-    assert atlas.verify(tmp_path / "belt.zarr").fine
+    assert atlas.verify(tmp_path / "belt.zarr").is_sound
     shares = ds.atlas.basin_measures()["attractors"]
     assert {share["regime"] for share in shares} == {"periodic", "no_impact"}
     (cycle,) = (share for share in shares if share["regime"] == "periodic")

@@ -218,7 +218,7 @@ def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(mea
     )
     assert any("stability dropped" in line for line in atlas.verify(path, sample=0, repair=True).mended)
     assert "reactivity" not in atlas.open(path)
-    assert atlas.verify(path, sample=0).fine
+    assert atlas.verify(path, sample=0).is_sound
 
 
 @pytest.mark.parametrize("kind", ["return_time", "reactivity", "amplification"])

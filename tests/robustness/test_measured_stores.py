@@ -123,4 +123,4 @@ def test_each_attractor_has_the_measures_of_a_cell_that_reaches_it(definition: d
         {key: value for key, value in ONE_MASS.items() if key != "measures"}).variables(settings)}  # fmt: skip
     assert own
     for name in own:
-        assert many[name][many["own"]] == pytest.approx(one[name], rel=1e-9, abs=1e-9), name
+        assert many[name][many["own_attractor"]] == pytest.approx(one[name], rel=1e-9, abs=1e-9), name

@@ -66,7 +66,7 @@ def test_one_tile_is_done_in_this_process(tmp_path: Path, client: Client) -> Non
     assert (summary.tiles_solved, summary.cells_solved) == (1, 6)
     assert done_tiles(open_store(store)) == {FAULTY}
     assert atlas.run(plane_of(), store, client=client).tiles_solved == 8
-    assert atlas.verify(store, sample=0).fine
+    assert atlas.verify(store, sample=0).is_sound
     with pytest.raises(InputError, match=r"nothing is to be done in tile \(1, 1\)$"):
         atlas.run(plane_of(), store, tile=FAULTY)
 

@@ -185,7 +185,7 @@ def test_cells_solved_again_with_a_larger_budget_are_fine_and_not_taken_over(
 ) -> None:
     again = atlas.retry(old, tmp_path / "again.zarr", "undetermined", 800, client=client).cells_solved
     assert again > 0
-    assert verify(tmp_path / "again.zarr", sample=12).fine
+    assert verify(tmp_path / "again.zarr", sample=12).is_sound
     summary = extend(tmp_path / "again.zarr", tmp_path / "new.zarr", refine=2, client=client)
     assert summary.cells_solved == 7 * 5 - 12 + again
     atlas.run(open_store(tmp_path / "new.zarr").spec, tmp_path / "scratch.zarr", client=client)
@@ -207,7 +207,7 @@ def test_an_extension_can_be_extended(old: Path, tmp_path: Path, client: Client)
     extend(old, tmp_path / "new.zarr", refine=2, client=client)
     summary = extend(tmp_path / "new.zarr", tmp_path / "newer.zarr", refine={"b": 2}, client=client)
     assert summary.cells_solved == 7 * 4
-    assert verify(tmp_path / "newer.zarr", sample=63).fine
+    assert verify(tmp_path / "newer.zarr", sample=63).is_sound
 
 
 def test_a_grown_store_lists_the_machines_of_its_origin(old: Path, tmp_path: Path, client: Client) -> None:

@@ -119,7 +119,7 @@ def test_an_atlas_may_have_a_single_cell(axes: dict[str, Any], tmp_path: Path, c
     store = tmp_path / "one.zarr"
     quiet = atlas.RunOptions(on_progress=with_time(lambda progress: None))  # a single cell is not probed
     assert atlas.run(spec, store, client=client, options=quiet).cells_solved == 1
-    assert atlas.verify(store).fine
+    assert atlas.verify(store).is_sound
     with atlas.open(store) as ds:
         assert ds.regime.values.ravel().tolist() == [PERIODIC]
         assert ds.atlas.fractions() == {"periodic": 1.0}

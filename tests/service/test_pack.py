@@ -34,7 +34,7 @@ def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
 @pytest.fixture(scope="module")
 def packed(handle: store.AtlasStore) -> Path:
     file = handle.path.with_name("a.zip")
-    assert pack(handle.path, file).complete
+    assert pack(handle.path, file).is_complete
     return file
 
 
@@ -89,7 +89,7 @@ def test_a_packed_atlas_can_be_extended_into_a_folder(client: Client, tmp_path: 
     spec = plane_of()
     atlas.run(spec, tmp_path / "a.zarr", client)
     pack(tmp_path / "a.zarr", tmp_path / "a.zip")
-    assert verify(tmp_path / "a.zip", sample=2).fine
+    assert verify(tmp_path / "a.zip", sample=2).is_sound
     finer = atlas.extend(tmp_path / "a.zip", tmp_path / "b.zarr", refine={"b": 2}, client=client)
     assert finer.tiles_done == finer.tiles
     old, new = atlas.open(tmp_path / "a.zip"), atlas.open(tmp_path / "b.zarr")
@@ -151,7 +151,7 @@ def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> Non
     assert shown.exit_code == 0
     assert "only 3 of 4 tiles are done: the rest reads as pending" in shown.stdout
     assert atlas.open(tmp_path / "a.zip").atlas.fractions() == atlas.open(half.path).atlas.fractions()
-    assert not verify(tmp_path / "a.zip", sample=0).complete
+    assert not verify(tmp_path / "a.zip", sample=0).is_complete
 
 
 def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore, tmp_path: Path) -> None:

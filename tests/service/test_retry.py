@@ -121,7 +121,7 @@ def test_the_summary_counts_the_cells_that_changed_their_regime(old: Path, new: 
 
 def test_the_new_store_is_sound_to_the_bit(new: Path) -> None:
     report = verify(new, sample=35)
-    assert (report.fine, report.cells_solved, report.comparison) == (True, 35, "bits")
+    assert (report.is_sound, report.cells_solved, report.comparison) == (True, 35, "bits")
 
 
 def test_tiles_without_such_cells_are_the_same_files(old: Path, new: Path) -> None:
@@ -143,7 +143,7 @@ def test_where_there_are_no_links_the_bytes_are_copied(
 
     monkeypatch.setattr(LocalBackend, "_link", link)
     atlas.retry(old, tmp_path / "new.zarr", "undetermined", max_periods=MORE, client=client)
-    assert verify(tmp_path / "new.zarr", sample=0).fine
+    assert verify(tmp_path / "new.zarr", sample=0).is_sound
 
 
 def test_the_machines_of_the_old_store_are_listed(old: Path, tmp_path: Path, client: Client) -> None:
@@ -163,7 +163,7 @@ def test_a_retry_can_be_retried_and_keeps_what_cells_were_given(new: Path, tmp_p
     assert 0 < chosen.sum() < (before["budget"] == MORE).sum()
     np.testing.assert_array_equal(after["budget"], np.where(chosen, 2000, before["budget"]))
     assert same(after["largest"], expected["largest"])[chosen].all()
-    assert verify(tmp_path / "most.zarr", sample=35).fine
+    assert verify(tmp_path / "most.zarr", sample=35).is_sound
 
 
 def test_an_interrupted_retry_goes_on_with_the_tiles_left(old: Path, tmp_path: Path, client: Client) -> None:
@@ -189,7 +189,7 @@ def test_a_run_of_the_spec_completes_a_retry_that_was_stopped(old: Path, tmp_pat
         Origin(str(old), handle.run_id, RetryRequest(("chaotic",), MORE)),
     )
     assert atlas.run(plane_of_few(), tmp_path / "new.zarr", client=client).tiles_done == 9
-    assert verify(tmp_path / "new.zarr", sample=0).fine
+    assert verify(tmp_path / "new.zarr", sample=0).is_sound
 
 
 def test_a_tile_that_is_lost_later_is_taken_or_solved_again_as_the_retry_did(
@@ -278,7 +278,7 @@ def test_a_budget_that_a_retry_gave_before_could_change_nothing(new: Path) -> No
 def test_a_retry_of_what_no_cell_is_solves_none_and_makes_the_store(old: Path, tmp_path: Path, client: Client) -> None:
     summary = atlas.retry(old, tmp_path / "new.zarr", "aperiodic", survival=10, client=client)
     assert (summary.cells_solved, summary.tiles_done) == (0, 9)
-    assert verify(tmp_path / "new.zarr", sample=0).fine
+    assert verify(tmp_path / "new.zarr", sample=0).is_sound
 
 
 def test_a_retry_of_an_incomplete_atlas_is_refused(tmp_path: Path) -> None:
@@ -402,7 +402,7 @@ def test_chaotic_cells_come_out_as_in_an_atlas_with_that_survival(brief: Path, l
 
 def test_a_retry_of_chaotic_cells_makes_a_store_that_is_sound_to_the_bit(long: Path) -> None:
     report = verify(long, sample=12)
-    assert (report.fine, report.cells_solved, report.comparison) == (True, 12, "bits")
+    assert (report.is_sound, report.cells_solved, report.comparison) == (True, 12, "bits")
 
 
 def test_a_survival_changed_by_hand_is_a_fault(long: Path, tmp_path: Path, client: Client) -> None:
@@ -424,7 +424,7 @@ def test_undetermined_and_chaotic_cells_are_solved_again_together(tmp_path: Path
     after, expected = whole(new), solved_apart(chaotic_plane(LONG))
     assert same(after["regime"], expected["regime"])[chosen].all()
     assert same(after["largest"], expected["largest"])[chosen].all()
-    assert verify(new, sample=12).fine
+    assert verify(new, sample=12).is_sound
 
 
 @pytest.mark.slow
@@ -436,7 +436,7 @@ def test_aperiodic_cells_can_be_watched_for_longer(tmp_path: Path, client: Clien
     assert atlas.retry(store, new, "aperiodic", survival=LONG, client=client).cells_solved == aperiodic.sum()
     after, expected = whole(new), solved_apart(chaotic_plane(LONG, exponents="none"))
     assert all(same(after[name], expected[name])[aperiodic].all() for name in expected)
-    assert verify(new, sample=12).fine
+    assert verify(new, sample=12).is_sound
 
 
 def test_cells_watched_for_longer_are_not_taken_over_by_a_grown_atlas(

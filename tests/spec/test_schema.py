@@ -40,7 +40,7 @@ def remove_from_spec(store: Path, table: str, name: str) -> None:
 def is_completed(store: Path, client: Client) -> bool:
     """Whether a store that has lost a tile is resumed by a spec of today, and sound after it."""
     (store / "regime" / "c" / "1" / "1").unlink()
-    return atlas.run(plane_of(), store, client=client).tiles_solved == 1 and verify(store).fine
+    return atlas.run(plane_of(), store, client=client).tiles_solved == 1 and verify(store).is_sound
 
 
 def test_a_store_without_a_result_of_its_spec_is_damaged(store: Path) -> None:
@@ -56,7 +56,7 @@ def test_a_store_from_before_there_was_a_setting_is_sound_and_can_be_completed(
     store: Path, client: Client, name: str
 ) -> None:
     remove_from_spec(store, "solve", name)
-    assert verify(store).fine
+    assert verify(store).is_sound
     assert is_completed(store, client)
 
 

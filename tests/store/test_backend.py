@@ -162,7 +162,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(
     summary = atlas.run(plane_of(), url, client=client)
     assert (summary.store, summary.tiles_done, summary.failures) == (url, 9, ())
     assert arrays_of(url) == arrays_of(solved_plane)
-    assert verify(url, sample=4).fine
+    assert verify(url, sample=4).is_sound
 
     handle = store.open_store(url)
     assert store.done_tiles(handle) == {(i, j) for i in range(3) for j in range(3)}
@@ -175,7 +175,7 @@ def test_the_whole_flow_gives_the_bits_of_a_local_store(
     assert fine.state.values[::2].tobytes() == arrays_of(url)["state"]
     again = atlas.retry(url, f"{url}-again", "chaotic", survival=MAX_PERIODS // 100, client=client)
     assert 0 < again.cells_solved < 35
-    assert verify(f"{url}-again", sample=4).fine
+    assert verify(f"{url}-again", sample=4).is_sound
 
 
 @pytest.mark.slow

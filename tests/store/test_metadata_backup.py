@@ -34,7 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cells = handle.spec.cell_params((slice(0, 5), slice(0, 7)))
     write_tile(handle, (0, 0), solve_tile("two-mass", cells, handle.spec.settings))
     compact_records(handle)
-    assert verify(handle.path, sample=0).fine
+    assert verify(handle.path, sample=0).is_sound
     return handle.path
 
 
@@ -110,8 +110,8 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
     assert any(line.startswith(said) for line in found), found
     assert all(line.endswith(f": atlas verify --repair {whole} writes them again") for line in found)
     key = said.partition(" ")[0]
-    assert f"{key} written again" in verify(whole, sample=0, repair=True).mended
-    assert verify(whole, sample=0).fine
+    assert f"{key} written again" in verify(whole, sample=0, repair=True).restored
+    assert verify(whole, sample=0).is_sound
     with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
         assert mended.identical(before)
     keys = [
@@ -182,7 +182,7 @@ def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Pa
     assert f"remedy: atlas verify --repair {whole}" in str(found)
     for index in verify(whole, sample=0, repair=True).repaired or ():
         write_tile(open_store(whole), index, read_tile(open_store(made), index))
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
     with xr.open_zarr(whole) as mended, xr.open_zarr(made) as before:
         assert mended.identical(before)
 
@@ -206,5 +206,5 @@ def test_measures_outlive_the_loss_of_the_root(whole: Path) -> None:
     assert "reactivity" in before
     (whole / "zarr.json").unlink()
     verify(whole, sample=0, repair=True)
-    assert verify(whole, sample=0).fine
+    assert verify(whole, sample=0).is_sound
     assert atlas.open(whole).load().identical(before)

@@ -154,7 +154,7 @@ def test_a_tile_solved_part_by_part_has_the_bits_of_small_tiles(tmp_path: Path, 
     for name in small.data_vars:
         assert large[name].values.tobytes() == small[name].values.tobytes(), name
     assert open_store(tmp_path / "large.zarr").tiling.count == 1
-    assert verify(tmp_path / "large.zarr", sample=4).fine
+    assert verify(tmp_path / "large.zarr", sample=4).is_sound
     summary = extend(tmp_path / "large.zarr", tmp_path / "grown.zarr", refine={"b": 2}, client=client)
     assert summary.cells_solved == 66
     grown = atlas.open(tmp_path / "grown.zarr").load()

@@ -224,7 +224,7 @@ def test_an_atlas_is_computed_and_extended_by_storage_options_and_read_as_an_obj
     given = obstores.S3Store(BUCKET, prefix="options/plane.zarr", client_options={"allow_http": True}, **server)
     ds = atlas.open(given)
     assert same(ds, truth) and ds.atlas.fractions() == truth.atlas.fractions()
-    assert atlas.status(given).fraction == 1.0 and atlas.verify(given, sample=0).fine
+    assert atlas.status(given).fraction == 1.0 and atlas.verify(given, sample=0).is_sound
 
 
 def test_the_store_that_cells_are_taken_from_is_reached_as_the_new_one_or_refused(

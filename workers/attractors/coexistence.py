@@ -203,7 +203,7 @@ class CoexistenceSearch:
             shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
             arrays["periods_used"][c] = self.periods_used[c]
             arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.starts_tried[c]
-            arrays["undecided"][c], arrays["left"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
+            arrays["undecided"][c], arrays["starts_unstored"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
             if self.starts_tried[c]:
                 arrays["unseen_share"][c] = unseen_share(self.starts_tried[c])
             if not shown:
@@ -211,8 +211,8 @@ class CoexistenceSearch:
             for k, attractor in enumerate(shown):
                 more = _of_share(len(attractor.starts), int(self.starts_tried[c])) | {
                     "exact": attractor.regime in STABLE,
-                    "lumped": attractor.pooled,
-                    "lumped_distance": attractor.distance if attractor.pooled else np.nan,
+                    "starts_by_statistics": attractor.pooled,
+                    "statistical_distance": attractor.distance if attractor.pooled else np.nan,
                     "survived": attractor.seen
                     if attractor.regime in (CHAOTIC, APERIODIC)
                     else attractor.result["survived"],
@@ -220,7 +220,7 @@ class CoexistenceSearch:
                 }
                 _write(arrays, c, k, attractor.result | more)
                 if 0 in attractor.starts:
-                    arrays["own"][c] = k
+                    arrays["own_attractor"][c] = k
 
 
 def _of_share(hits: int, tried: int) -> dict[str, Any]:

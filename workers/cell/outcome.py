@@ -217,7 +217,7 @@ def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits
         cells,
         rows,
         sticks=sticks,
-        progress=tally[:, motion.PROGRESS] / periods if cells.drifts else math.nan,
+        drift_per_period=tally[:, motion.PROGRESS] / periods if cells.drifts else math.nan,
         stuck_fraction=np.minimum(tally[:, motion.STUCK] / (periods * cells.oscillators.period[rows]), 1.0),
         impacts_per_period=np.where(rests, math.nan, hits),
         min_impact_speed=np.where(np.isfinite(slowest), slowest, math.nan),

@@ -26,9 +26,9 @@ from workers.model.reserved_names import NAMES
 from workers.model.toml_text import parse_toml, read_toml
 from workers.results import (
     CYCLE_PERIOD,
+    DRIFT_PER_PERIOD,
     NO_REASON,
     OUT_OF_RANGE,
-    PROGRESS,
     REGIME,
     InvalidError,
     Variable,
@@ -123,7 +123,7 @@ class System:
     def _own(self) -> list[tuple[str, Variable]]:
         """``own_variables``, each with its entry."""
         elements = element_variables(self.definition.contacts, self.definition.friction) if self.has_modes else ()
-        drifts = [("system.drift", PROGRESS)] if self.definition.drift else []
+        drifts = [("system.drift", DRIFT_PER_PERIOD)] if self.definition.drift else []
         cycles = [("system", CYCLE_PERIOD)] if self.definition.unforced else []
         laws = law_variables(self.definition.fitted)
         return [*measure_variables(self.definition.measures), *elements, *laws, *drifts, *cycles]

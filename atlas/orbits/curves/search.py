@@ -73,7 +73,7 @@ class CurveSearch:
         self.edges = self.plane.edges
         self.middles = edge_midpoints(self.plane, self.edges)
         self.verdicts: NDArray[np.int64] = np.full(len(self.edges), OPEN)
-        self.groups = BorderSchedule(self.plane, self.settings.least)
+        self.groups = BorderSchedule(self.plane, self.settings.min_cells)
         self._names: list[str] = []
         self._pending: list[_Event] = []
         self._stages = self._run()
@@ -103,7 +103,7 @@ class CurveSearch:
 
     def _run(self) -> Iterator[list[Any]]:
         yield from self._find_basins()
-        while looks := self.groups.choose(self.verdicts, self.settings.seeds - self.looked):
+        while looks := self.groups.choose(self.verdicts, self.settings.edges - self.looked):
             yield from self._look_beside(looks)
             known = len(self.curves)
             while self._pending:

@@ -39,7 +39,7 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
     """
     plane, settings = search.plane, search.settings
     proven = plane.proven[search.edges].all(axis=1)
-    large = (plane.region_sizes[plane.regions[search.edges]] >= settings.least).all(axis=1)
+    large = (plane.region_sizes[plane.regions[search.edges]] >= settings.min_cells).all(axis=1)
     parts = {"regions": proven & large, "small": proven & ~large, "others": ~proven}
     return {
         "digest": settings.digest(plane),

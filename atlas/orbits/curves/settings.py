@@ -16,20 +16,20 @@ VERSION = 5
 class CurveSettings:
     """The budget of a search, in counts, so that no result depends on a machine's speed; InputError below 1.
 
-    seeds    largest number of places beside edges where events are searched for
-    curves   largest number of curves that are followed
-    points   largest number of points of all curves; the table marks a curve that this limit ends
-    least    smallest region, in cells, beside which events are searched for; 1 takes long
+    edges       largest number of places beside edges where events are searched for
+    curves      largest number of curves that are followed
+    points      largest number of points of all curves; the table marks a curve that this limit ends
+    min_cells   smallest region, in cells, beside which events are searched for; 1 takes long
 
     >>> import atlas
-    >>> atlas.CurveSettings(seeds=40, points=2000).curves
+    >>> atlas.CurveSettings(edges=40, points=2000).curves
     300
     """
 
-    seeds: int = 1000
+    edges: int = 1000
     curves: int = 300
     points: int = 60_000
-    least: int = SMALL
+    min_cells: int = SMALL
 
     def __post_init__(self) -> None:
         for limit in fields(self):

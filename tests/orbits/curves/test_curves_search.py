@@ -125,7 +125,7 @@ def test_parts_of_another_search_are_not_used(fresh: Path, searched: tuple[Path,
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        find_curves(fresh, CurveSettings(seeds=1), client=client, options=RunOptions(on_progress=stop))
+        find_curves(fresh, CurveSettings(edges=1), client=client, options=RunOptions(on_progress=stop))
     assert all_same(find_curves(fresh, client=client).curves, searched[1].curves)
 
 
@@ -167,7 +167,7 @@ def test_verify_and_plain_xarray_and_a_zip_file_take_a_store_with_curves(
     searched: tuple[Path, CurveSummary], tmp_path: Path
 ) -> None:
     path, summary = searched
-    assert atlas.verify(path, sample=0).fine
+    assert atlas.verify(path, sample=0).is_sound
     assert "curves" not in xr.open_zarr(path)
     atlas.pack(path, tmp_path / "out.zip")
     assert all_same(find_curves(tmp_path / "out.zip").curves, summary.curves)

@@ -42,7 +42,7 @@ GRAZE = Curve(
     unstable=np.array([0, 0]),
     ends=("edge", "edge"),
 )
-BOTH = Curves(("omega", "b"), (FOLD, GRAZE), {"seeds": 2})
+BOTH = Curves(("omega", "b"), (FOLD, GRAZE), {"edges": 2})
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_plain_xarray_opens_the_group_and_the_atlas_without_a_warning(handle: At
 def test_a_group_whose_arrays_were_exchanged_is_refused(handle: AtlasStore) -> None:
     write_curves(handle, BOTH)
     before = (handle.path / "curves" / "zarr.json").read_bytes()
-    write_curves(handle, Curves(("omega", "b"), (GRAZE, FOLD), {"seeds": 2}))
+    write_curves(handle, Curves(("omega", "b"), (GRAZE, FOLD), {"edges": 2}))
     (handle.path / "curves" / "zarr.json").write_bytes(before)
     with pytest.raises(ChunkError, match=r"is damaged or belongs to other arrays: atlas find curves .* makes it anew"):
         read_curves(handle)

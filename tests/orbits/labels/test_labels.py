@@ -289,7 +289,7 @@ def test_labels_without_their_last_object_are_absent_and_made_again(labelled: Pa
 
 
 def test_a_labelled_store_is_sound_and_its_results_are_as_before(labelled: Path, unlabelled: Path) -> None:
-    assert atlas.verify(labelled, sample=0).fine
+    assert atlas.verify(labelled, sample=0).is_sound
     assert xr.open_zarr(labelled).identical(xr.open_zarr(unlabelled))
 
 

@@ -52,13 +52,13 @@ def test_the_coexisting_period_3_of_figure_3_is_found_with_its_share() -> None:
 
 def test_the_initial_state_that_is_known_to_reach_period_3_is_told_to() -> None:
     found = solved({**FIG3, "x1": 0.05, "x2": 0.03, "v1": 0.5, "v2": -0.2}, AttractorSettings(16))
-    assert found["period"][found["own"]] == 3
+    assert found["period"][found["own_attractor"]] == 3
 
 
 def test_the_attractor_of_the_own_initial_state_has_the_bits_of_solve_tile() -> None:
     params = {"omega": np.linspace(2.0, 4.0, 5), "b": 0.15}
     plain, found = solve_tile("two-mass", params, BRIEF), solved(params, AttractorSettings(4), BRIEF)
-    for k, own in enumerate(found["own"]):
+    for k, own in enumerate(found["own_attractor"]):
         for name in set(plain) - {"periods_used", "survived"}:
             assert np.array_equal(found[name][k, own], plain[name][k], equal_nan=plain[name].dtype.kind == "f"), name
 
@@ -133,21 +133,21 @@ def test_a_motion_into_a_known_orbit_is_recognised_from_its_sections() -> None:
 def test_attractors_beyond_those_kept_are_counted() -> None:
     found, all_of_them = solved(SEVERAL, AttractorSettings(32, keep=1)), solved(SEVERAL, AttractorSettings(32))
     assert found["attractors"] == all_of_them["attractors"] == 4
-    assert found["left"] == round(32 * all_of_them["share"][1:].sum())
+    assert found["starts_unstored"] == round(32 * all_of_them["share"][1:].sum())
     assert found["share"].tolist() == all_of_them["share"][:1].tolist()
 
 
 def test_motions_on_one_chaos_are_lumped_and_it_is_said() -> None:
     found = solved(CHAOS, AttractorSettings(8), BRIEF)
     assert (found["attractors"], found["regime"][0]) == (1, CHAOTIC)
-    assert found["lumped"][0] == found["starts"] - 1
-    assert 0.0 < found["lumped_distance"][0] <= DIFFERENT
+    assert found["starts_by_statistics"][0] == found["starts"] - 1
+    assert 0.0 < found["statistical_distance"][0] <= DIFFERENT
     assert not found["exact"][0]
 
 
 def test_chaos_survives_for_the_periods_of_all_its_motions() -> None:
     alone, found = solve_tile("two-mass", CHAOS, BRIEF), solved(CHAOS, AttractorSettings(8), BRIEF)
-    others = found["lumped"][0] * FIRST_LOOK * BATCH
+    others = found["starts_by_statistics"][0] * FIRST_LOOK * BATCH
     assert found["survived"][0] >= alone["survived"] + BATCH * REFERENCE + others
 
 
@@ -172,9 +172,9 @@ def test_what_ends_in_an_orbit_is_no_attractor() -> None:
 def test_motions_that_lock_onto_a_stop_are_on_one_attractor_without_a_period() -> None:
     """Truth: the load on the table has one phase at which it lets go, so that all follow the same release."""
     found = solve_attractors("bouncing-ball", {"omega": 1.0, "A": 3.3, "R": 0.5}, Settings(), AttractorSettings(8))
-    assert (found["attractors"], found["undecided"], found["own"]) == (1, 0, 0)
+    assert (found["attractors"], found["undecided"], found["own_attractor"]) == (1, 0, 0)
     assert (found["regime"][0], found["period"][0], found["share"][0]) == (LOCKING, 0, 1.0)
-    assert not found["exact"][0] and found["lumped"][0] == 0 and found["mirror"][0] == -1
+    assert not found["exact"][0] and found["starts_by_statistics"][0] == 0 and found["mirror"][0] == -1
 
 
 def test_a_cell_whose_parameters_make_no_sense_is_invalid_in_the_first_place() -> None:
@@ -186,7 +186,7 @@ def test_a_cell_whose_parameters_make_no_sense_is_invalid_in_the_first_place() -
 
 def test_an_initial_state_beyond_a_stop_is_not_counted() -> None:
     found = solved({**FIG3, "x1": 0.2}, AttractorSettings(8))
-    assert (found["own"], found["starts"]) == (-1, 7)
+    assert (found["own_attractor"], found["starts"]) == (-1, 7)
 
 
 def test_the_schedule_of_the_paper_has_no_attractors() -> None:

@@ -119,7 +119,7 @@ def test_the_attractor_of_the_own_initial_state_is_that_of_solve_tile_to_the_bit
         many = solve_attractors(belt(), {"x": x}, SETTINGS, AttractorSettings(8))
         for name, value in alone.items():
             if name != "periods_used":
-                np.testing.assert_array_equal(many[name][many["own"]], value, err_msg=name)
+                np.testing.assert_array_equal(many[name][many["own_attractor"]], value, err_msg=name)
 
 
 def test_a_cell_does_not_depend_on_its_neighbours() -> None:

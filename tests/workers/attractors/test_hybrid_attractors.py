@@ -33,7 +33,7 @@ def test_every_start_is_put_to_an_attractor_or_counted_as_undecided(
 ) -> None:
     _, _, result = found
     kept = np.nansum(result["share"], axis=-1) * result["starts"]
-    assert np.allclose(kept + result["left"] + result["undecided"], result["starts"])
+    assert np.allclose(kept + result["starts_unstored"] + result["undecided"], result["starts"])
     assert (result["attractors"] >= 1).all()
 
 

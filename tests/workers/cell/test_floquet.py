@@ -142,6 +142,6 @@ def test_a_block_that_slides_to_and_fro_alike_is_symmetric_wherever_it_is() -> N
     }  # fmt: skip
     found = solve_tile(System.from_mapping(block), {"omega": 1.0}, SPECTRUM)
     assert found["regime"] == PERIODIC and found["symmetric"]
-    assert found["progress"] == pytest.approx(0.0, abs=1e-12)
+    assert found["drift_per_period"] == pytest.approx(0.0, abs=1e-12)
     leaning = solve_tile(System.from_mapping(block | {"load": [0.1]}), {"omega": 1.0}, SPECTRUM)
     assert leaning["regime"] == PERIODIC and not leaning["symmetric"]

@@ -68,7 +68,7 @@ def test_a_proved_orbit_closes_when_it_is_followed(name: str) -> None:
         start = dict(zip(system.states, state.tolist(), strict=True))
         turn = trace(system, {x: float(xs[0, i]), y: float(ys[j, 0])} | start, period)
         if system.definition.drift:
-            state[system.states.index(system.definition.drift)] += found["progress"][j, i] * period
+            state[system.states.index(system.definition.drift)] += found["drift_per_period"][j, i] * period
         assert turn.states[-1] == pytest.approx(state, abs=1e-9 * (1.0 + np.abs(turn.states).max()))
         upper, lower = int(np.sum(turn.impacts[:, 1] > 0)), int(np.sum(turn.impacts[:, 1] < 0))
         assert (upper, lower) == (found["impacts_upper"][j, i], found["impacts_lower"][j, i])

@@ -78,7 +78,7 @@ def capsule(settings: Settings = SPECTRUM, **values: float) -> Results:
 def test_the_capsule_of_the_oracle_advances_in_each_period_by_what_the_oracle_says() -> None:
     cell = cell_of_row(1e-3)
     assert (cell["regime"][0], cell["period"][0]) == (PERIODIC, 1)
-    assert cell["progress"][0] == pytest.approx(PROGRESS, abs=1e-13)
+    assert cell["drift_per_period"][0] == pytest.approx(PROGRESS, abs=1e-13)
     assert cell["stuck_fraction"][0] == pytest.approx(ROW["measures"]["stick_fraction"][0], abs=1e-12)
 
 
@@ -100,7 +100,7 @@ def test_where_a_motion_begins_does_not_matter() -> None:
 
 
 def test_the_packaged_capsule_is_that_of_the_oracle_in_units_of_its_friction() -> None:
-    assert capsule(**ROW_IN_UNITS_OF_FRICTION)["progress"] == pytest.approx(2.0 * PROGRESS, abs=1e-12)
+    assert capsule(**ROW_IN_UNITS_OF_FRICTION)["drift_per_period"] == pytest.approx(2.0 * PROGRESS, abs=1e-12)
 
 
 def test_a_history_shows_how_far_it_has_crept() -> None:
@@ -120,7 +120,7 @@ def test_a_capsule_whose_mass_pushes_less_than_friction_stays_where_it_is(omega:
     below = capsule(omega=omega, alpha=most - 1e-6, delta=OUT_OF_REACH)
     above = capsule(omega=omega, alpha=most + 1e-6, delta=OUT_OF_REACH)
     assert below["stuck_fraction"] == pytest.approx(1.0, abs=1e-12)
-    assert below["progress"] == pytest.approx(0.0, abs=1e-14)
+    assert below["drift_per_period"] == pytest.approx(0.0, abs=1e-14)
     assert 0.9 < above["stuck_fraction"] < 1.0
     rate = -0.05 * 2.0 * math.pi / omega  # stuck, the mass in it is an oscillator of its own
     np.testing.assert_allclose(below["spectrum"], [rate, rate, -math.inf], rtol=0.0, atol=1e-12)
@@ -130,7 +130,7 @@ def test_a_capsule_with_a_mirror_symmetry_slides_and_goes_nowhere() -> None:
     cell = capsule(omega=0.9, alpha=1.6, delta=OUT_OF_REACH)
     assert cell["regime"] == NO_IMPACT
     assert cell["stuck_fraction"] == 0.0
-    assert cell["progress"] == pytest.approx(0.0, abs=1e-12)
+    assert cell["drift_per_period"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_its_mirror_image_goes_the_other_way() -> None:
@@ -140,7 +140,7 @@ def test_its_mirror_image_goes_the_other_way() -> None:
     oscillators, reasons = build_hybrid(machines_of([other], DRIFTS))
     found = result_arrays((*result_variables(SPECTRUM), ADVANCE), SPECTRUM, 1, 4, exponents=3)
     solve(CellBatch(oscillators, reasons, np.zeros((1, 4)), SPECTRUM, found))  # type: ignore[arg-type]
-    assert found["progress"][0] == pytest.approx(-PROGRESS, abs=1e-12)
+    assert found["drift_per_period"][0] == pytest.approx(-PROGRESS, abs=1e-12)
 
 
 @pytest.mark.parametrize("values", [{"omega": 1.5, "alpha": 3.0}, ROW_IN_UNITS_OF_FRICTION], ids=["slides", "sticks"])
@@ -168,7 +168,7 @@ def test_chaos_advances_by_its_mean_over_the_time_that_it_was_followed() -> None
     steps = np.diff(trace("capsule", values, 4000, Settings(exponents="none")).states[100:, 1])
     blocks = steps[: 39 * 100].reshape(39, 100).mean(axis=1)
     error = blocks.std(ddof=1) / math.sqrt(39)
-    assert cell["progress"] == pytest.approx(steps.mean(), abs=6.0 * error)
+    assert cell["drift_per_period"] == pytest.approx(steps.mean(), abs=6.0 * error)
 
 
 def test_a_block_slides_down_at_the_speed_that_its_damper_allows() -> None:
@@ -176,7 +176,7 @@ def test_a_block_slides_down_at_the_speed_that_its_damper_allows() -> None:
     found = solve_tile(System.from_toml(BLOCK), {"omega": 1.3, "v": 2.0}, SPECTRUM)
     period = 2.0 * math.pi / 1.3
     assert found["regime"] == PERIODIC
-    assert found["progress"] == pytest.approx(period * (1.0 - 0.4) / 0.3, abs=1e-12)
+    assert found["drift_per_period"] == pytest.approx(period * (1.0 - 0.4) / 0.3, abs=1e-12)
     np.testing.assert_allclose(found["spectrum"], [-0.3 / 2.0 * period], rtol=0.0, atol=1e-12)
 
 
@@ -188,8 +188,8 @@ def test_a_block_that_its_load_pushes_ever_faster_has_no_result(method: str) -> 
     found = solve_tile(free, {"omega": 1.3, "f": [0.9, 1.1, 1.6], "v": [0.0, 60.0, 60.0], "A": 0.3}, settings)
     assert found["reason"].tolist() == [RUNS_AWAY, NO_REASON, NO_REASON]
     assert found["regime"].tolist() == [FAILED, PERIODIC, PERIODIC]
-    assert found["progress"][1] > 0.0
-    assert found["progress"][2] == 0.0
+    assert found["drift_per_period"][1] > 0.0
+    assert found["drift_per_period"][2] == 0.0
 
 
 def test_a_capsule_that_runs_away_is_no_torus() -> None:
@@ -203,7 +203,7 @@ def test_a_capsule_that_runs_away_is_no_torus() -> None:
 def test_a_block_that_sticks_on_its_way_loses_its_only_direction() -> None:
     found = solve_tile(System.from_toml(BLOCK), {"omega": 1.3, "f": 1.2, "A": 1.0}, SPECTRUM)
     assert found["regime"] == PERIODIC and found["sticks"]
-    assert found["progress"] > 0.0
+    assert found["drift_per_period"] > 0.0
     np.testing.assert_array_equal(found["spectrum"], [-np.inf])
 
 
