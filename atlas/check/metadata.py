@@ -11,7 +11,7 @@ from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
 from atlas.spec.spec import Spec
 from atlas.store.groups import CURVES, TABLES
-from atlas.store.host import MACHINES
+from atlas.store.host import HOSTS
 from atlas.store.metadata_backup import form_fault, without_consolidated
 from atlas.store.record_format import RECORD, TILES
 from atlas.store.schema import OVERVIEWS
@@ -48,7 +48,7 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
-    groups = (TILES, MACHINES, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped ones may be left
+    groups = (TILES, HOSTS, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped ones may be left
     tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
     lost = sorted(top for top in tops if not handle.backend.exists(f"{top}/{ROOT}"))
     faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
@@ -96,7 +96,7 @@ def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
             top = f"{where}{name}".partition("/")[0]
             if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
                 continue
-            if not handle.backend.exists(f"{top}/{ROOT}") and top not in (TILES, MACHINES):
+            if not handle.backend.exists(f"{top}/{ROOT}") and top not in (TILES, HOSTS):
                 continue
             own = _json(handle, f"{where}{name}/{ROOT}")
             if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):

@@ -68,7 +68,7 @@ class CurveSummary:
             lines.append(
                 f"{facts['points']} points in {duration(self.seconds)} on {plural(self.workers, 'worker')}, {busy}"
             )
-        least = facts["settings"]["least"]
+        least = facts["settings"]["min_cells"]
         names = {
             "regions": f"borders between regions of {least} cells or more",
             "small": f"borders of regions below {least} cells",

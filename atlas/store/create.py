@@ -16,7 +16,7 @@ from atlas.errors import InputError, RunError
 from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 from atlas.store.axes import ROOT, copies
-from atlas.store.host import MACHINES
+from atlas.store.host import HOSTS
 from atlas.store.metadata_backup import SPARE, encode_backup, remedy
 from atlas.store.object_backend import Given, LocalBackend, StoreBackend, open_backend, os_errors_as_input_errors
 from atlas.store.origin import ALLOWANCES, Origin, budget_variables
@@ -78,7 +78,7 @@ def check_run(
 
 def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
     """InputError for objects at a URL that no interrupted creation has left there, such as finished tiles."""
-    ours = {MACHINES, TILES} | _names(spec)
+    ours = {HOSTS, TILES} | _names(spec)
     for key in place.list_keys():
         if key.startswith(f"{REGIME.name}/c/"):
             raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
@@ -148,7 +148,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
     variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
     store = zarr_store(LocalBackend(path), read_only=False)
     group = zarr.create_group(store, zarr_format=3, attributes=root_attributes(spec, origin, run_id))
-    group.create_group(MACHINES, attributes={"long_name": "processors and software that solved this atlas"})
+    group.create_group(HOSTS, attributes={"long_name": "processors and software that solved this atlas"})
     for name, coordinate in coordinates(spec).items():
         create_whole(group, name, coordinate)
     retried = budget_variables(spec) if origin and origin.retry else ()

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from atlas.platform import processor_name
 
-MACHINES = "machines"
+HOSTS = "hosts"
 """The group of the machines that solved a store's tiles; every machine is an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")

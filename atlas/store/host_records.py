@@ -5,7 +5,7 @@ from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
-from atlas.store.host import MACHINES, UNKNOWN, HostInfo, host_from_facts
+from atlas.store.host import HOSTS, UNKNOWN, HostInfo, host_from_facts
 from atlas.store.metadata_backup import FORM, form_fault
 from atlas.store.object_backend import StoreBackend
 from atlas.store.store import ROOT, AtlasStore
@@ -23,7 +23,7 @@ def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
 
     from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
 
-    path = f"{MACHINES}/{machine.name}"
+    path = f"{HOSTS}/{machine.name}"
     if place.exists(f"{path}/{ROOT}"):
         return
     with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
@@ -37,7 +37,7 @@ def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:
 
 def host_keys(handle: AtlasStore) -> list[str]:
     """The keys of the records of the machines."""
-    keys = handle.backend.list_keys(f"{MACHINES}/")
+    keys = handle.backend.list_keys(f"{HOSTS}/")
     return sorted(key for key in keys if key.endswith(f"/{ROOT}") and key.count("/") == 2)
 
 

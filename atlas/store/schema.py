@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import zarr
 
 FORMAT = "impact-atlas"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """The only version that this program reads."""
 OVERVIEWS = "overviews"
 """The group of the levels of coarser cells."""

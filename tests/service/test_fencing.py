@@ -47,7 +47,7 @@ THEIRS = replace(OURS, token="theirs", host="far")
 
 def contents(store: Path) -> dict[str, bytes]:
     """Every object of a store but the list of machines, which anybody may add to."""
-    keys = (key for key in LocalBackend(store).list_keys() if not key.startswith("machines/"))
+    keys = (key for key in LocalBackend(store).list_keys() if not key.startswith("hosts/"))
     return {key: (store / key).read_bytes() for key in keys}
 
 

@@ -173,11 +173,11 @@ def test_a_group_whose_own_metadata_are_lost_does_not_vanish_without_a_word(
 
 def test_a_damaged_record_of_a_machine_is_restored_from_its_copy(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
-    (record,) = (path / "machines").glob("*/zarr.json")
+    (record,) = (path / "hosts").glob("*/zarr.json")
     before = record.read_bytes()
     record.write_bytes(before.replace(b"numpy", b"numpi"))
     verify(path, sample=0, repair=True)
-    (after,) = (path / "machines").glob("*/zarr.json")
+    (after,) = (path / "hosts").glob("*/zarr.json")
     assert json.loads(after.read_bytes()) == json.loads(before)
     assert verify(path, sample=1).comparison == "bits"
 
@@ -186,7 +186,7 @@ def test_a_damaged_record_of_a_machine_without_a_copy_is_replaced_by_that_of_an_
     solved_plane: Path, tmp_path: Path
 ) -> None:
     path = copied(solved_plane, tmp_path)
-    (record,) = (path / "machines").glob("*/zarr.json")
+    (record,) = (path / "hosts").glob("*/zarr.json")
     record.write_bytes(record.read_bytes().replace(b"numpy", b"numpi"))
     assert f"{record.relative_to(path)} is damaged" in faults(path)
     verify(path, sample=0, repair=True)

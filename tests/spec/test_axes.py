@@ -29,7 +29,7 @@ DIGESTS = {
     "points": "4e28a2e493c45132ccf889e6d4244b2be70d1d4bcd306a70f533180ae74e2180",
     "continued": "ce3815665b01988d2cf1a23a6904afca948d1095a26bb119e3ab416c6b9a2270",
 }
-"""Of format version 1."""
+"""Of format version 2."""
 SOLVE = {"max_periods": 500, "tolerance": 0.1}
 LISTED = atlas.Spec("two-mass", {"omega": [2.0, 2.5, 3.9], "b": {"start": 0.1, "stop": 0.4, "num": 2}}, solve=SOLVE)
 TABLE = atlas.Spec("two-mass", points={"omega": [2.0, 2.5, 3.9], "b": [0.1, 0.3, 0.2]}, solve=SOLVE)

@@ -54,7 +54,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "the root is empty": (lambda at: (at / "zarr.json").write_text(""), "zarr.json is damaged (Expecting value"),
     "the root is torn": (lambda at: (at / "zarr.json").write_text('{"attributes": {"for'), "zarr.json is damaged (Unt"),
     "the root is another group's": (
-        lambda at: shutil.copy(at / "machines/zarr.json", at / "zarr.json"),
+        lambda at: shutil.copy(at / "hosts/zarr.json", at / "zarr.json"),
         "zarr.json has attribute Conventions None, must be 'CF-1.11'",
     ),
     "another run": (
