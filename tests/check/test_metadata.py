@@ -61,7 +61,7 @@ def flips(data: bytes) -> Iterator[bytes]:
 
 SPARED = (
     "zarr.json", "largest/zarr.json", "omega/zarr.json", "tiles/zarr.json", "tiles/record/zarr.json",
-    "machines/zarr.json", f"machines/{MACHINE.name}/zarr.json",
+    "hosts/zarr.json", f"hosts/{MACHINE.name}/zarr.json",
 )  # fmt: skip
 DERIVED = (
     "curves/zarr.json", "curves/w/zarr.json", "stability/zarr.json", "overviews/zarr.json", "overviews/1/zarr.json",
@@ -93,8 +93,8 @@ CHANGES: list[tuple[str, tuple[str, ...], str, dict[str, Any]]] = [
     (ROOT, ("consolidated_metadata",), "kind", {"kine": "inline"}),
     (ROOT, ("consolidated_metadata",), "kind", {"kind": "inlinf"}),
     (ROOT, ("consolidated_metadata",), "must_understand", {"must_understand": True}),
-    (ROOT, ("consolidated_metadata", "metadata", "machines"), "node_type", {"node_typf": "group"}),
-    (ROOT, ("consolidated_metadata", "metadata", "machines", "consolidated_metadata"), "kind", {"kine": "inline"}),
+    (ROOT, ("consolidated_metadata", "metadata", "hosts"), "node_type", {"node_typf": "group"}),
+    (ROOT, ("consolidated_metadata", "metadata", "hosts", "consolidated_metadata"), "kind", {"kine": "inline"}),
     (ROOT, ("consolidated_metadata", "metadata", "overviews"), "node_type", {"node_typf": "group"}),
     (ROOT, ("consolidated_metadata", "metadata"), "largest", {"largest": [1]}),
     (ROOT, ("consolidated_metadata", "metadata"), "", {"overwiews": {"zarr_format": 3, "node_type": "array"}}),
@@ -102,10 +102,10 @@ CHANGES: list[tuple[str, tuple[str, ...], str, dict[str, Any]]] = [
     (ROOT, (), "node_type", {"node_type": "groun"}),
     (ROOT, (), "zarr_format", {"zarr_format": 2}),
     (ROOT, (), "", {"x": 1}),
-    ("machines/zarr.json", (), "", {"x": 1}),
-    ("machines/zarr.json", ("attributes",), "", {"x": 1}),
-    (f"machines/{MACHINE.name}/zarr.json", (), "", {"x": 1}),
-    (f"machines/{MACHINE.name}/zarr.json", (), "node_type", {"node_type": "array"}),
+    ("hosts/zarr.json", (), "", {"x": 1}),
+    ("hosts/zarr.json", ("attributes",), "", {"x": 1}),
+    (f"hosts/{MACHINE.name}/zarr.json", (), "", {"x": 1}),
+    (f"hosts/{MACHINE.name}/zarr.json", (), "node_type", {"node_type": "array"}),
     ("largest/zarr.json", (), "", {"x": 1}),
     ("largest/zarr.json", ("attributes",), "", {"x": 1}),
     ("largest/zarr.json", ("attributes",), "units", {"units": "s"}),
@@ -131,7 +131,7 @@ def opened(path: Path) -> dict[str, Any]:
     consolidated, own = (
         dict(zarr.open_group(path, mode="r", use_consolidated=use).members(None)) for use in (True, False)
     )
-    late = (CURVES, f"machines/{MACHINE.name}")  # a repair copies what was added after the root was written
+    late = (CURVES, f"hosts/{MACHINE.name}")  # a repair copies what was added after the root was written
     nodes = {f"copy of {name}": node for name, node in consolidated.items() if not name.startswith(late)} | own
     alone = {name: node.metadata.to_dict() | {"consolidated_metadata": None} for name, node in nodes.items()}
     return {name: str(metadata) for name, metadata in sorted(alone.items())}
@@ -178,7 +178,7 @@ def test_a_copy_by_xarray_is_called_one_and_answers_questions_as_a_dataset(store
 
 
 def test_a_store_from_before_the_first_release_is_called_one(store: Path) -> None:
-    for folder in ("tiles", "machines"):
+    for folder in ("tiles", "hosts"):
         shutil.rmtree(store / folder)
     (store / SPARE).unlink()
     change(store, ROOT, ("attributes",), "", {"solver_version": 7})

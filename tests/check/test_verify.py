@@ -325,7 +325,7 @@ def test_pending_tiles_are_no_damage_but_the_store_is_not_complete(whole: Path) 
 @pytest.fixture
 def elsewhere(whole: Path) -> None:
     """The store was solved by a machine of another kind."""
-    shutil.rmtree(whole / "machines" / current_host().name)
+    shutil.rmtree(whole / "hosts" / current_host().name)
     record_host(store.open_store(whole), host_from_facts({"processor": "Z80"}))
 
 
