@@ -26,7 +26,7 @@ from atlas.spec.points import POINT
 from atlas.spec.system import parse_system
 from atlas.store import create, store
 from atlas.store.groups import CURVES, TABLES
-from atlas.store.host import MACHINES
+from atlas.store.host import HOSTS
 from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
 from atlas.store.record_format import TILES
@@ -43,7 +43,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (*TABLES, CURVES, PARTS, TILES, MACHINES, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
+    yield from (*TABLES, CURVES, PARTS, TILES, HOSTS, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):

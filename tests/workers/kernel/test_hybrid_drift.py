@@ -29,7 +29,7 @@ from workers.results import (
     RUNS_AWAY,
     result_variables,
 )
-from workers.results import PROGRESS as ADVANCE
+from workers.results import DRIFT_PER_PERIOD as ADVANCE
 from workers.tile import result_arrays
 
 SPECTRUM = Settings(exponents="spectrum", survival=0, max_periods=3000)
