@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from workers.model.system import System
     from workers.tile import solve_tile
 
-SOLVER_VERSION = 13
+SOLVER_VERSION = 14
 """Raised whenever a number of solve_tile may change."""
 
 __all__ = ["SOLVER_VERSION", "Settings", "System", "solve_tile", "trace"]
