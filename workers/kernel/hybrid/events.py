@@ -101,7 +101,7 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
     side = states[c]
     for e in range(len(slips)):
         if slips[e] == 0 and elements.along[e, c] != 0.0:
-            if elements.even[phase_index, e] == 0.0:
+            if elements.static_is_kinetic[phase_index, e] == 0.0:
                 order = 2
             slips[e] = -np.int64(np.sign(side * elements.along[e, c]))
             signal_starts[SIGNALS * len(states) + e] = -slips[e] * (order - 1)
@@ -134,7 +134,7 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
     if slips[e] == 0:
         slips[e] = -side
         signal_starts[g] = side * (
-            2 if elements.even[phase_index, e] > 0.0 else 1
+            2 if elements.static_is_kinetic[phase_index, e] > 0.0 else 1
         )  # with static = kinetic the force is continuous
         return np.int64(0), np.int64(0)
     slips[e] = 0
