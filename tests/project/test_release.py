@@ -43,17 +43,18 @@ commands    demo example schema systems plan check-law run extend retry status c
 find        regions extremes curves
 attractors  label measure basins stability saddles
 variables   attractors average error exact impact_energy impacts_lower impacts_per_period impacts_upper kaplan_yorke
-            label largest left lumped lumped_distance max_impact_speed mean_impact_speed min_impact_speed mirror own
-            peak_to_peak period periods_used reason regime section settled share share_error share_high share_low
-            spectrum starts state sticks stuck_fraction sum_law_defect survived symmetric undecided unseen_share
+            label largest max_impact_speed mean_impact_speed min_impact_speed mirror own_attractor peak_to_peak period
+            periods_used reason regime section settled share share_error share_high share_low spectrum starts
+            starts_by_statistics starts_unstored state statistical_distance sticks stuck_fraction sum_law_defect
+            survived symmetric undecided unseen_share
 branches    period impacts_upper impacts_lower symmetric leaves at points first_end last_end
 points      branch omega x1 x2 v1 v2 multiplier unstable period impacts_upper impacts_lower symmetric event
 events      branch kind omega x1 x2 v1 v2 unstable kappa period impacts_upper impacts_lower symmetric leaving
 curves      curve kind period impacts_upper impacts_lower symmetric omega b unstable
 regions     label period cells area share centre_omega centre_b cell_omega cell_b omega_from omega_to b_from b_to cut
 extremes    regime extreme omega b value error cells
-ds.atlas    at basin_measures beside boundary branch compare curves distance_to explore extremes fractions is_
-            labels page per_unit_time plot portrait reasons regions where_regime
+ds.atlas    at basin_measures boundary branch compare count_reasons curves distance_to explore extremes fractions is_
+            labels per_unit_time plot plot_side_by_side portrait regions to_html where_regime
 """
 JSON = """
 plan SPEC: axes dims shape cells tile tiles bytes objects workers seconds seconds_range seconds_per_cell
@@ -61,20 +62,20 @@ plan SPEC: axes dims shape cells tile tiles bytes objects workers seconds second
 status STORE: store system axes parameters columns solve tile tiles tiles_done tiles_pending cells cells_done
     cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
     solver_version run_id digest
-verify STORE: store fine complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
-    overview_chunks repaired dropped removed mended sheets leftovers
+verify STORE: store sound complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
+    overview_chunks repaired dropped removed restored metatiles leftovers
 query STORE: no_impact periodic chaotic
 query STORE --at omega=3 --at b=.1: omega b distance regime error impact_energy impacts_lower impacts_per_period
     impacts_upper largest max_impact_speed mean_impact_speed min_impact_speed peak_to_peak period periods_used sticks
     stuck_fraction survived symmetric
 find regions STORE period: by regions
 find extremes STORE largest: variable by extremes
-compare STORE STORE: parameters regimes same compared mean size most
+compare STORE STORE: parameters regimes same_share compared mean mean_abs largest
 point --set omega=3: system parameters solve largest error period impacts_upper impacts_lower impacts_per_period
     symmetric sticks stuck_fraction min_impact_speed mean_impact_speed max_impact_speed impact_energy peak_to_peak
     periods_used survived state regime
-point --set omega=3 --attractors --starts 4: system parameters solve search attractors starts own undecided left
-    unseen_share periods_used coexisting
+point --set omega=3 --attractors --starts 4: system parameters solve search attractors starts own_attractor undecided
+    starts_unstored unseen_share periods_used coexisting
 attractors stability --set omega=4 --set b=.1 --starts 4: system parameters solve search norm attractors starts
     undecided unseen_share periods_used coexisting
 branch --along omega --from 3.9 --to 4.1 --set omega=4: system parameters along window branches events untried
