@@ -90,7 +90,7 @@ SOONEST, LATEST = 5.0, 95.0
 
 def period(view: MapView) -> MapLayers:
     """The forcing periods of each cell's orbit, and the regime if it never closes."""
-    return build_layers(view.plane.regime, by_period(view.plane), beside="")
+    return build_layers(view.plane.regime, by_period(view.plane), side_legend_title="")
 
 
 def by_period(plane: Plane) -> list[Class]:
@@ -120,7 +120,7 @@ def motions(view: MapView) -> MapLayers:
     rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
     key = text.motion_key(view.ds)
-    return build_layers(regime, numbered=(number, colors), legend=legend, textures=[rests], beside=key, names=named)
+    return build_layers(regime, numbered=(number, colors), legend=legend, textures=[rests], side_legend_title=key, names=named)
 
 
 def color_of(motion: MotionName) -> str:
@@ -162,7 +162,7 @@ def attractors(view: MapView) -> MapLayers:
     count = np.minimum(np.nan_to_num(view.plane.known_values("attractors")).round(), most)
     names = {1: "1 attractor", most: f"{most} or more"}
     classes = [(count == n, color, names.get(n, f"{n} attractors")) for n, color in COUNTS.items()]
-    return build_layers(view.plane.regime, classes, beside="")
+    return build_layers(view.plane.regime, classes, side_legend_title="")
 
 
 def labels(view: MapView) -> MapLayers:
@@ -172,7 +172,7 @@ def labels(view: MapView) -> MapLayers:
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
     numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
-    return build_layers(view.plane.regime, numbered=numbered, legend=entries, beside="")
+    return build_layers(view.plane.regime, numbered=numbered, legend=entries, side_legend_title="")
 
 
 def colors_of(

@@ -9,7 +9,7 @@ _RESULTS = [variable for kind in _KINDS for variable in result_variables(_everyt
 NAMES = frozenset((
     *(name for variable in _RESULTS for name in (variable.name, f"{variable.name}_count", *variable.extra_dims)),
     # groups of a store
-    "attractors", "curves", "labels", "machines", "overviews", "parts", "stability", "tally", "tiles", "zoom",
+    "attractors", "curves", "hosts", "labels", "overviews", "parts", "stability", "tally", "tiles", "zoom",
     # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
     "budget", "survival", "component", "point",
     "cells", "largest_positive", "regime_share", "regime_shown", "class", "bound",
