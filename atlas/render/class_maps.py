@@ -120,7 +120,9 @@ def motions(view: MapView) -> MapLayers:
     rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
     key = text.motion_key(view.ds)
-    return build_layers(regime, numbered=(number, colors), legend=legend, textures=[rests], side_legend_title=key, names=named)
+    return build_layers(
+        regime, numbered=(number, colors), legend=legend, textures=[rests], side_legend_title=key, names=named
+    )
 
 
 def color_of(motion: MotionName) -> str:
