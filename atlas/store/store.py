@@ -99,7 +99,7 @@ class AtlasStore:
     def with_backend(self, place: StoreBackend) -> "AtlasStore":
         """The same handle for another view of its place; both share everything that is read and opened."""
         other = object.__new__(AtlasStore)
-        vars(other).update(vars(self), place=place)
+        vars(other).update(vars(self), backend=place)
         return other
 
     @property

@@ -92,7 +92,7 @@ def test_a_cell_says_by_its_code_why_it_is_invalid(params: dict[str, float], rea
 
 
 def test_a_cell_given_up_for_its_cost_is_undetermined_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell_batch, "LEAST_WORK", 1)
+    monkeypatch.setattr(cell_batch, "MIN_WORK", 1)
     monkeypatch.setattr(cell_batch, "WORK_PER_PERIOD", 0)
     found = solve_tile("two-mass", {})
     assert (found["regime"], found["reason"]) == (UNDETERMINED, WORK_SPENT)

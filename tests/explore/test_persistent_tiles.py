@@ -55,8 +55,8 @@ def subject(finished: Path) -> Subject:
 @pytest.fixture
 def keeper(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> Iterator[PersistentTileCache]:
     """A keeper that tries again soon."""
-    monkeypatch.setattr(persistent_tiles, "PAUSE", 0.05)
-    monkeypatch.setattr(persistent_tiles, "LONGEST_PAUSE", 0.1)
+    monkeypatch.setattr(persistent_tiles, "BATCH_PAUSE", 0.05)
+    monkeypatch.setattr(persistent_tiles, "MAX_BATCH_PAUSE", 0.1)
     made = PersistentTileCache(subject)
     yield made
     made.stop()
@@ -102,7 +102,7 @@ def test_of_more_tiles_than_may_wait_the_oldest_are_not_kept_and_are_counted(
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOSPC, "full")
 
-    monkeypatch.setattr(persistent_tiles, "MOST_WAITING", 2)
+    monkeypatch.setattr(persistent_tiles, "MAX_QUEUED", 2)
     with monkeypatch.context() as broken:
         broken.setattr("atlas.explore.persistent_tiles.write_tile", refuse)
         keeper.enqueue(subject.plane, KEYS[0], tile(subject))

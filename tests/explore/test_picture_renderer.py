@@ -73,7 +73,7 @@ def test_a_view_that_changes_while_it_does_not_rest_is_looked_up_once(
 def test_while_a_slider_moves_the_first_stage_alone_is_solved(
     explorer: Explorer, painter: PictureRenderer, view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(painting, "STAY", 3.0)
+    monkeypatch.setattr(painting, "FULL_SOLVE_SECONDS", 3.0)
     plane = explorer.subject.plane.with_value("R", 0.71)
     painter.show(replace(view, plane=plane), SIZE, rests=False)
 
@@ -91,7 +91,7 @@ def test_while_a_slider_moves_the_first_stage_alone_is_solved(
 def test_pictures_follow_each_other_no_faster_than_they_may(
     painter: PictureRenderer, came: list[RenderedPicture], view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(painting, "PAUSE", 1000.0)
+    monkeypatch.setattr(painting, "MIN_FRAME_SECONDS", 1000.0)
     painter.show(view, SIZE)
     assert waited(lambda: bool(came))
     explorer = painter._explorer
@@ -152,7 +152,7 @@ def test_memory_that_drawing_freed_is_given_back_once_nothing_is_to_be_drawn(
     painter: PictureRenderer, came: list[RenderedPicture], view: ViewState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given: list[int] = []
-    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "RELEASE_MEMORY_SECONDS", 0.05)
     monkeypatch.setattr(painting, "release_memory", lambda: given.append(len(came)))
     painter.show(view, SIZE)
     assert waited(lambda: not painter.is_busy and bool(given) and given[-1] == len(came))
@@ -167,7 +167,7 @@ def test_memory_goes_back_though_there_is_always_more_to_be_drawn(
     given: list[bool] = []
     painter.show(view, SIZE)
     assert waited(lambda: not painter.is_busy)
-    monkeypatch.setattr(painting, "GIVE_BACK", 0.05)
+    monkeypatch.setattr(painting, "RELEASE_MEMORY_SECONDS", 0.05)
     monkeypatch.setattr(painting, "release_memory", lambda: given.append(painter.is_busy))
     moves = itertools.count(1)
 

@@ -194,7 +194,7 @@ def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path
 def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
     finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(persistent_tiles, "MOST_WAITING", 1)
+    monkeypatch.setattr(persistent_tiles, "MAX_QUEUED", 1)
     with exploring(finished, client) as explorer:
         tiles = solved(explorer, view_of(explorer.subject))
         assert len(tiles) > 3

@@ -51,7 +51,7 @@ def raise_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: B
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     """Work begins again, and tiles are kept, after moments: 30 tests would wait for a second or two each."""
     monkeypatch.setattr(threads, "PAUSE", 0.01)
-    monkeypatch.setattr(persistent_tiles, "PAUSE", 0.05)
+    monkeypatch.setattr(persistent_tiles, "BATCH_PAUSE", 0.05)
 
 
 @pytest.fixture

@@ -304,7 +304,7 @@ def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     with_margins: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     handle = open_store(with_margins)
-    monkeypatch.setattr(curves, "finished", lambda search: Curves(("omega", "b"), ()))
+    monkeypatch.setattr(curves, "finish_search", lambda search: Curves(("omega", "b"), ()))
     search: Any = SimpleNamespace(tasks=dict)
     crew: Any = SimpleNamespace(
         claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0

@@ -329,6 +329,6 @@ def test_a_scheduler_without_this_package_is_reported_once_and_at_once(
     def unloadable(act: object, job: RunJob) -> None:
         raise RuntimeError("Error during deserialization of the task graph. This frequently occurs if ...")
 
-    monkeypatch.setattr(batches, "work", unloadable)
+    monkeypatch.setattr(batches, "run_on_worker", unloadable)
     with pytest.raises(RunError, match="install the same impact-atlas on every host, the scheduler's too"):
         atlas.run(plane, tmp_path / "out.zarr", client=client)

@@ -160,7 +160,7 @@ def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_th
         look = token_of(place, name, *rest)
         return lambda: (looks.update([name]), look())
 
-    monkeypatch.setattr(store_ref, "note_fence", counted)
+    monkeypatch.setattr(store_ref, "token_fence", counted)
     monkeypatch.setattr(LocalBackend, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
     monkeypatch.setattr(LocalBackend, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
     run_tile_job(job)

@@ -180,8 +180,8 @@ def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: 
 def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: LocalSidecar) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from atlas.service.lease import claimed; from atlas.store.sidecar import Folder\n"
-        "with claimed(Folder(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
+        "from atlas.service.lease import hold_lease; from atlas.store.sidecar import LocalSidecar\n"
+        "with hold_lease(LocalSidecar(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=ROOT)
     assert notes.read(LEASE_NAME) is not None

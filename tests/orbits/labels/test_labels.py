@@ -197,7 +197,7 @@ def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_th
         reached, change = reach(self, pairs, away)
         return reached & (rng.random(len(pairs)) < 0.7), change
 
-    monkeypatch.setattr(AttractorOrbits, "reach", unsure)
+    monkeypatch.setattr(AttractorOrbits, "follow_pairs", unsure)
     links = followed(every)
     assert len(links.pairs) > 10 and equivariant(links)
 

@@ -205,7 +205,11 @@ def test_all_machines_of_a_definition_are_made_alike_to_the_bit(text: str) -> No
     many = hybrid(system, **{p.name: np.exp(rng.normal(size=9)) for p in system.parameters})
     shapes = {name: field.shape for name, field in zip(many._fields, many, strict=True)}
     P, C, F = many.contact_constants.shape[1], many.row.shape[1], many.friction_rows.shape[1]
-    assert shapes["stops"] == (9, C, 2) and shapes["pad"] == (9, P, C, 3) and shapes["rub"] == (9, P, F, 3)
+    assert (
+        shapes["stops"] == (9, C, 2)
+        and shapes["contact_constants"] == (9, P, C, 3)
+        and shapes["friction_constants"] == (9, P, F, 3)
+    )
     values = {p.name: np.exp(rng.normal(size=9)) for p in system.parameters}
     many = system.definition.hybrid(values)
     for k in (0, 8):
