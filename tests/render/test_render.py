@@ -266,7 +266,7 @@ def test_the_title_names_an_initial_state_other_than_rest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("value", "written"),
     [
         (0.8, "0.8"),
         (0.0, "0"),
@@ -276,8 +276,8 @@ def test_the_title_names_an_initial_state_other_than_rest() -> None:
         (3.1416, "3.1416"),
     ],
 )
-def test_numbers_read_as_they_are_written_by_hand(value: float, text: str) -> None:
-    assert text.number(value) == text
+def test_numbers_read_as_they_are_written_by_hand(value: float, written: str) -> None:
+    assert text.number(value) == written
 
 
 def test_the_first_axis_is_drawn_to_the_right() -> None:
@@ -287,7 +287,7 @@ def test_the_first_axis_is_drawn_to_the_right() -> None:
 
 def uneven(axes: dict[str, Any], scales: dict[str, str] | None = None) -> xr.Dataset:
     shape = tuple(len(values) for values in reversed(axes.values()))
-    return atlas(axes, scalar_maps, regime=np.full(shape, 3, np.int8), largest=np.ones(shape))
+    return atlas(axes, scales, regime=np.full(shape, 3, np.int8), largest=np.ones(shape))
 
 
 def test_even_axes_are_drawn_as_an_image_from_edge_to_edge() -> None:

@@ -124,7 +124,7 @@ class CoexistenceSearch:
         """Assign these motions to their attractors, in the order of the initial states, and count the cost of all."""
         np.add.at(self.periods_used, search.owner, search.cells.periods_used)
         for r in rows.tolist():
-            self.cells[search.owner[r]].put(int(number[r]), search, r)
+            self.cells[search.owner[r]].assign(int(number[r]), search, r)
 
     def _watch(self) -> None:
         """Watch apparent chaos beside a stable orbit until it has survived, or ends.
