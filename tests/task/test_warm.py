@@ -219,11 +219,11 @@ def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
 ) -> None:
     monkeypatch.setattr(warm, "processors", lambda: 2)
     heard: list[warm.CompileProgress] = []
-    assert warm.warm_up_in_child((cell_loops, warm.ORBITS), heard.append)
+    assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
     assert asked == [
-        [[warm.APART, cell_loops]],
-        [[warm.BATCH, cell_loops], [warm.SETTLE, cell_loops]],
-        [[cell_loops, warm.ORBITS]],
+        [[warm.APART, cells]],
+        [[warm.BATCH, cells], [warm.SETTLE, cells]],
+        [[cells, warm.ORBITS]],
     ]
     assert [step.done for step in heard] == list(range(1, 9))
 
