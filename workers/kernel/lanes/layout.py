@@ -1,4 +1,4 @@
-"""Layout of the fields of a batch's lanes: offsets by name, constants in kernels.
+"""Layout of the fields of the lanes of a batch: offsets by name, constants in kernels.
 
 All fields lie in one flat array: ``a[LANE.v + i]`` is the velocity of lane i. Constant offsets, STRIDE apart, show the
 compiler that fields do not overlap, so loops over lanes become vector instructions.
@@ -14,13 +14,14 @@ from workers.kernel.jit import inline_always, named_constants
 from workers.model.oscillator import COLUMN, Block
 
 LANES = 128
-"""Lanes of a batch: their fields stay in the processor's nearest caches."""
+"""Number of lanes of a batch: their fields stay in the processor's nearest caches."""
 
 VECTOR_WIDTH = 8
-"""Width of the longest vectors of today's processors: loops run over multiples of it, since a remainder is scalar."""
+"""Number of float64 values in the longest vectors of today's processors. Loops run over multiples of it, since a
+remainder is scalar."""
 
 STRIDE = LANES + VECTOR_WIDTH
-"""Distance from one field to the next; a power of two would map all fields of a lane to the same few cache lines."""
+"""Distance from one field to the next. A power of two would map all fields of a lane to the same few cache lines."""
 
 FLYING, AT_SECTION, LEFT = 0.0, 2.0, 3.0
 """Events of a lane besides +-1, an impact at that stop. LEFT: the kernels of one cell complete this period."""
@@ -117,13 +118,13 @@ FIELDS_OF_BLOCK = (
     *("h0", "h1"),  # its state at LANE.time
     *("f11", "f12", "f21", "f22"),  # the flow between the two
 )
-"""Fields of one block of a lane."""
+"""Names of the fields of one block of a lane."""
 
 BlockFields: Any = namedtuple("BlockFields", FIELDS_OF_BLOCK)  # type: ignore[misc]
 
 
 class HarmonicFields(NamedTuple):
-    """Fields of one harmonic of a lane, from the second on."""
+    """Fields of one harmonic of a lane, from the second harmonic on."""
 
     sin_part: int
     cos_part: int
@@ -152,7 +153,7 @@ named_constants(LaneFields, BlockFields, HarmonicFields, GapFields)
 
 @register_jitable
 def padded_blocks(n: int) -> int:
-    """Number of blocks with room for n: passes over tangent vectors take two at a time."""
+    """Return the number of blocks with room for n: passes over tangent vectors take two blocks at a time."""
     return n + n % 2
 
 
@@ -165,7 +166,7 @@ GAP_SIZE = len(GapFields._fields) * STRIDE
 
 @inline_always
 def room_for_vectors(size):
-    """Zeros (size,) aligned to a vector register: a register that spans two cache lines is read twice."""
+    """Return zeros (size,) aligned to a vector register: a register that spans two cache lines is read twice."""
     room = np.zeros(size + VECTOR_WIDTH)
     first = (VECTOR_WIDTH - np.int64(room.ctypes.data) // 8 % VECTOR_WIDTH) % VECTOR_WIDTH
     return room[first : first + size]
