@@ -53,11 +53,14 @@ def _prepare_cache() -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            os.utime(folder)  # notes the use
+            os.utime(folder)  # records the use
     except OSError as error:
         if multiprocessing.parent_process() is None:  # once, not by every worker of a cluster
-            reason = f"{folder} cannot be written ({error.strerror})"
-            print(f"impact-atlas: kernels are compiled anew each time, {reason}", file=sys.stderr)
+            reason = f"{folder}: cannot be written ({error.strerror})"
+            print(
+                f"impact-atlas: {reason}; each process compiles its kernels, set NUMBA_CACHE_DIR to a writable folder",
+                file=sys.stderr,
+            )
         return None
     if multiprocessing.parent_process() is None:
         _remove_unused(folder)

@@ -69,7 +69,7 @@ def start_at(oscillator, state, h):
             h[j, k] = full - wave(oscillator.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
         if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
-            h[j, 1] = 0.0  # else rounding of h would drift forever
+            h[j, 1] = 0.0  # otherwise rounding of h would drift for ever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])

@@ -47,7 +47,7 @@ SINC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(13, 1, -2))
 def exp_minus(x):
     """Return exp(-x) for x >= 0 as 2^-k e^r, k the integer nearest to x / ln 2; 0 for x >= 708."""
     reduced = min(x, _LARGEST_EXPONENT)
-    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits hold k, those below the exponent
+    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits, below the exponent, are k
     k = shifted - _TO_INTEGER
     power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
     r = fma(k, _LN2_LOW, fma(k, _LN2_HIGH, -reduced))

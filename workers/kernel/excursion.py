@@ -69,7 +69,7 @@ def turning_points(gap, state, phase, duration, start, low, high, allowance):
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
     falls = start > 0 or (start == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
-    begun = start - np.sign(start)  # the order of the first nonzero derivative of y' is one less
+    begun = start - np.sign(start)  # the first nonzero derivative of y' has one order less
     t, spent = 0.0, 0
     while True:
         s, side, evaluations = next_turn(velocity, offset, h, phase, falls, begun, duration - t, scratch)

@@ -39,7 +39,7 @@ def load(modes: bool = False) -> None:
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):
-        return  # without the lock: a thread that compiles a kernel holds Numba's, which the lock's holder may wait for
+        return  # without this lock: a compiling thread holds Numba's lock, for which the holder of this lock may wait
     with _loading:  # other threads wait until all are compiled
         if _compiles:  # a function calls only functions defined before it
             return

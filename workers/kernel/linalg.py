@@ -259,7 +259,7 @@ def sort_down(values):
 @inlined
 def copy_into(target, source):
     """Copy the entries of an array into another of the same shape; both are contiguous."""
-    if source.ndim == 1:  # decided by the compiler: ravel calls a function of numpy's
+    if source.ndim == 1:  # decided by the compiler: ravel calls a function of NumPy
         for k in range(len(source)):
             target[k] = source[k]
         return

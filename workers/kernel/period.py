@@ -96,7 +96,7 @@ def leave_stop(oscillator, motion, phase, side, remaining, chatter):
     """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(oscillator, h, V, motion.growth, motion.triangle, phase, side, remaining)
-    tally[STUCK] += max(s - chatter, min(s, TINY))  # a rest counts, however short
+    tally[STUCK] += max(s - chatter, min(s, TINY))  # sticking counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
@@ -189,7 +189,7 @@ def through_impacts(oscillator, motion, duration):
             s = min(s, duration - t)
         if hit:
             y, v, a, jerk, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
-            v = side * max(side * v, TINY)  # it approaches; the last digit may differ in the new evaluation
+            v = side * max(side * v, TINY)  # the mass approaches; a new evaluation may differ in the last digit
         if watched:
             watch_flight(gap, motion, phase, s, start, top, bottom)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
@@ -214,7 +214,7 @@ def through_impacts(oscillator, motion, duration):
             widen(motion.extremes, stop)
         scale += abs(y)
         if speed > 0.0:
-            kick(blocks, h, side * speed - v)  # rounding hides the end speed of so low a hop
+            kick(blocks, h, side * speed - v)  # rounding hides the end speed of a low hop
             v = side * speed
         load = load_at_rest(side, v, a, cA2k)
         following = outcome(load, v, R, scale, period)

@@ -153,7 +153,7 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
         for i in range(W.shape[0]):
             reset(W[i], n, row, brake, 0.0, 1.0)
         signal_starts[g] = (
-            0  # the velocity may have turned at this instant: this begins a stick, not the slide after the turn
+            0  # the velocity may have turned at this instant: friction begins to stick here, not to slide back
         )
     else:
         slips[e] = -1 if force > 0.0 else 1

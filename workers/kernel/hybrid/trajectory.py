@@ -235,7 +235,7 @@ def count_rest(elements, states, lost, s, chatter, tally):
     if held > 0.0:
         tally[MIN_SPEED] = 0.0
     if lost > 0.0:
-        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # a rest counts, however short
+        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # sticking counts, however short
 
 
 @inline_always

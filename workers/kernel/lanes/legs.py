@@ -55,7 +55,7 @@ class LegFields(NamedTuple):
     event: int  # FLYING, REACHED, OVER, or LEFT: the search needs very many steps
     hit: int  # the first signal to reach an end of its range, -1 for none
     side: int  # the end reached, +-1
-    step: int  # the least step
+    step: int  # the least step of all signals
     oscillates: int  # 1 if all blocks are underdamped, else 0
 
 
