@@ -3,7 +3,7 @@
 Reference counting takes several nanoseconds for every array that a kernel receives or reads from a record. The dozens
 of arrays of one cell would cost as much time as its flights. The caller keeps all arrays alive, so counting is not
 needed. The compiler sees a borrowed array only in the kernel that borrows it. Each hot kernel therefore borrows its
-arrays, even those that are passed by reference.
+arrays, even arrays passed by reference.
 """
 
 from typing import Any, TypeVar

@@ -95,5 +95,5 @@ inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of small branch-free functions called in loops over cells: a call would stop vectorisation."""
 
 inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
-"""Decorator of inner kernels of one or a few kernels, compiled into their caller. Otherwise each kernel, and every
-kernel in between, would compile all its callees once more."""
+"""Decorator of inner kernels that one or a few other kernels call, compiled into their caller. Otherwise each caller,
+and every kernel in between, would compile all callees once more."""

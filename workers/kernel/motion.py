@@ -27,7 +27,7 @@ BEYOND = -1
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
     EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, PROGRESS, SLID, NEUTRAL, TALLIES,
 ) = range(18)  # fmt: skip
-"""Columns of the counts of a motion:
+"""Columns of the tally of a motion.
 
 UPPER, LOWER  number of impacts on the upper and on the lower stop
 MIN_SPEED     speed of the slowest impact, 0 if the mass has stuck on a rigid stop

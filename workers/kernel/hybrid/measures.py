@@ -46,14 +46,16 @@ AROUND = 1e-9
 class MeasurePlan(NamedTuple):
     """Quantities to measure of N machines with n coordinates, P phases, C contacts and F frictions.
 
-    rows               (N, M, n)         weights of each output
-    orders             (N, M)            derivative of the displacements on which they act
-    peaks              (N, M)            1 to measure extremes of the output, else 0
-    damping            (N, P, n, n)      see HybridMachines, also for the other fields
-    contact_constants  (N, P, C, 3)
-    friction_constants (N, P, F, 3)
-    contact_laws       (N, C, 2, S, 3)
-    friction_laws      (N, F, S', 3)
+    rows               (N, M, n)       weights of each output
+    orders             (N, M)          order of the derivative of the displacements on which the weights act
+    peaks              (N, M)          1 to measure extremes of the output, else 0
+    damping            (N, P, n, n)    damping matrices
+    contact_constants  (N, P, C, 3)    stiffness, damping and preload of soft contacts
+    friction_constants (N, P, F, 3)    kinetic level, static level and slope of frictions
+    contact_laws       (N, C, 2, S, 3) segments of the laws of contacts: start, slope and level
+    friction_laws      (N, F, S', 3)   segments of the laws of frictions: start, slope and level
+
+    The last five fields are those of HybridMachines.
     """
 
     rows: Array
