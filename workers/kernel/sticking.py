@@ -97,6 +97,10 @@ def load_on_stop(oscillator, u, harmonics, side):
 def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
     """Advance h and V in place while the mass sticks on a stop: until the load falls to zero, or for H.
 
+    growth, triangle  see tangent.orthonormalise; empty if the vectors stay as they are
+    phase             forcing phase at the start
+    side              side of the stop, +-1
+
     Return (time, released, evaluations); ``released`` is 2 if the march gave up.
     """
     h, V = borrow(h), borrow(V)

@@ -127,6 +127,9 @@ def go_on(signal_starts, g, side):
 def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
     """Pass an event of friction e: it begins to slip, stops sliding, or its law enters another segment.
 
+    g, side    the signal of the friction and the end of its range
+    z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
+
     Friction that stops sliding sticks if it can, else it slides the other way. Nothing jumps between segments. Return
     the slot and the number of the sticking mode, as of ``mode_of``; the mode must be built to decide.
     """
@@ -187,11 +190,17 @@ def soft_event(g, c, side, states, signal_starts):
 
 @kernel
 def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
-    """Pass an impact on a rigid contact at this rate of y.
+    """Pass an impact on a rigid contact and return its outcome and the remaining time of a chatter.
 
-    Return the outcome, see contact.outcome, and the remaining time of a chatter. Friction that the impact jerks slides
-    afterwards. The end of chatter is to leading order one impact with R = 0. After R = 0 a load that pulls away
-    releases at once, see ``follow_one``.
+    k, g         mode before the impact, and its signal that reached the stop
+    c, side      the contact and the side of its stop
+    rate         rate of y
+    h (n, 2)     block state
+    z (2n,)      physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
+    harmonics    (H, 2) of the force, see state.harmonics_at
+
+    For the outcomes see contact.outcome. Friction that the impact jerks slides afterwards. The end of chatter is to
+    leading order one impact with R = 0. After R = 0 a load that pulls away releases at once, see ``follow_one``.
     """
     elements, pieces, n = table.elements, table.pieces, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]

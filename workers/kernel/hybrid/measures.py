@@ -103,7 +103,14 @@ class MeasureTotals(NamedTuple):
 
 @kernel
 def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s, tally):
-    """Add the integrals over a flight of duration s in mode k from block state h (n, 2)."""
+    """Add the integrals over a flight of duration s in mode k.
+
+    meter, reading  MeasurePlan and MeasureTotals of one machine
+    phase_index     phase of the machine
+    states, slips   of contacts and of friction in the mode
+    h (n, 2)        block state at the start
+    phase           forcing phase at the start
+    """
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
     top = table.omega * pieces.waves.shape[2]
@@ -179,7 +186,12 @@ def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h
 
 @kernel
 def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, h, phase, s, tally):
-    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except those of its damper."""
+    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except those of its damper.
+
+    c, side, state  the contact, the side of its stop, and its state without that side's sign
+    h (n, 2)        block state at the start
+    s               duration of the leg
+    """
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
     if pushes:

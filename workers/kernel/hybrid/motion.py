@@ -25,7 +25,13 @@ from workers.model.oscillator import HEAD, GuardedFlow
 
 @kernel
 def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
-    """Return (time, signal, side) of the first guard reached in [0, H]; signal -1 if none is reached."""
+    """Return (time, signal, side) of the first guard of mode k reached in [0, H]; signal -1 if none is reached.
+
+    h       (n, 2)        block state at the start
+    phase                 forcing phase at the start
+    signal_starts (G,)    start of each signal, see ``events.py``
+    scratch (n, 2)        overwritten
+    """
     s, hit, side = H, -1, 0
     for g in range(modes.ends.shape[1]):
         low, high = modes.ends[k, g, 0], modes.ends[k, g, 1]
