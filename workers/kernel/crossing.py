@@ -123,9 +123,12 @@ def safe_retreat(g, v, a, j3, M2, M3, M4, H):
 def landing(g, v, a, j3, M3, M4, tol):
     """Return the time at which a gap g certainly closes; infinity if the time is not certain.
 
-    The time is certain if the cubic is exact to ``tol`` and v stays positive until then. It is the root of g = v s + a
-    s^2 / 2 + j3 s^3 / 6, computed from its series in g / v by a step of Halley's method. The step is exact to rounding
-    where v changes by less than a 64th until then. The remainder of the cubic is below M4 s^4 / 24.
+    The time is certain if the cubic is exact to ``tol`` and v stays positive until then. The time is the root of
+
+        g = v s + a s^2 / 2 + j3 s^3 / 6,
+
+    computed from its series in g / v by a step of Halley's method. The step is exact to rounding where v changes by
+    less than a 64th until then. The remainder of the cubic is below M4 s^4 / 24.
     """
     inv_v = 1.0 / v
     first = g * inv_v

@@ -11,7 +11,7 @@ from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined
 
 _TO_INTEGER = 1.5 * 2.0**52
-"""Number whose addition and subtraction round to the nearest integer."""
+"""Adding and subtracting this number rounds to the nearest integer."""
 
 _LARGEST_EXPONENT = 708.0
 """Maximum exponent: exp(-708) is about the smallest number of full precision; smaller values count as zero."""

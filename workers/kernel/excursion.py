@@ -19,8 +19,9 @@ from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 def velocity_of(gap):
     """Return the free flight with guard y', and the offset that a constant load adds to the guard.
 
-    The rows of the guard are cA and cA^2; a load adds c1 load. Y' has sine parts -k omega cos_part and cosine parts k
-    omega sin_part.
+    The rows of the guard are cA and cA^2; a load adds c1 load. The forced part Y' has amplitudes
+
+        sin_part' = -k omega cos_part,  cos_part' = k omega sin_part.
     """
     blocks, waves, numbers = gap.blocks.copy(), np.empty(gap.waves.shape), np.zeros(len(gap.numbers))
     offset = 0.0

@@ -115,10 +115,10 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 
 @inlined
 def go_on(signal_starts, g, side):
-    """Let signal g begin at this end of its range, with the rate of the signal just left: nothing jumps.
+    """Let signal g begin at this end of its range, with the rate of the signal just left; nothing jumps.
 
-    If the signal has left the other mode in no time too, rounding hides its derivatives. At zero rate on its end the
-    mode would then change for ever.
+    If the signal left the other mode in no time too, its derivatives are hidden by rounding and the start is UNCLEAR.
+    Otherwise a signal at rest on its end would change the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
