@@ -1,1 +1,1 @@
-"""The hot path: compiled functions of numbers and arrays, without Python objects."""
+"""Compiled kernels, the hot path of the solver: functions of numbers and arrays, without Python objects."""

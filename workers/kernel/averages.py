@@ -1,4 +1,4 @@
-"""Running averages of the tangent growth per forcing period, Lyapunov exponents, with their standard errors."""
+"""Running averages of the tangent growth per forcing period (Lyapunov exponents), with their standard errors."""
 
 import math
 
@@ -8,19 +8,19 @@ from workers.kernel.elementary import exp_minus
 from workers.kernel.jit import inlined, kernel
 
 LEVELS = 40
-"""Levels of the blocking analysis: enough for 2^40 periods."""
+"""Number of levels of the blocking analysis, enough for 2^40 periods."""
 
 COUNT, MEAN, SQUARES, UNPAIRED = range(4)
-"""Columns of the levels (LEVELS, 4) of an average: count, mean and sum of squared deviations of blocks of 2^k periods,
-and the newest block while it has no partner."""
+"""Columns of the levels (LEVELS, 4) of an average. COUNT, MEAN and SQUARES are the count, the mean and the sum of
+squared deviations of blocks of 2^k periods. UNPAIRED is the newest block while it has no partner."""
 
 FEWEST_BLOCKS = 32
-"""Blocks that a level of the blocking analysis needs before its error bar counts."""
+"""Minimum number of blocks that a level of the blocking analysis needs for its error bar to count."""
 
 
 @inlined
 def add_to_blocks(levels, x):
-    """Add a value to the blocking analysis (Flyvbjerg & Petersen 1989): two blocks move up a level as their mean."""
+    """Add a value to the blocking analysis (Flyvbjerg & Petersen 1989): the mean of two blocks moves up a level."""
     for k in range(LEVELS):
         levels[k, COUNT] += 1.0
         deviation = x - levels[k, MEAN]
@@ -35,12 +35,12 @@ def add_to_blocks(levels, x):
 
 @kernel
 def standard_error(levels):
-    """Standard error of the mean of correlated values: the largest from blocks that are long enough.
+    """Return the standard error of the mean of correlated values: the largest from blocks that are long enough.
 
-    Blocks of B = 2^k values give e_k, going from sigma / sqrt(N) to sqrt(sigma^2 tau / N). Blocks are long enough from
-    the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). Longer blocks show weak correlations, such as long
-    flights that miss the stops now and then. NaN below FEWEST_BLOCKS values; if no k qualifies, the largest e_k of the
-    levels with FEWEST_BLOCKS blocks.
+    Blocks of B = 2^k values give the error e_k, which grows from sigma / sqrt(N) to sqrt(sigma^2 tau / N). Blocks are
+    long enough from the first k with B^3 > 2 N (e_k / e_0)^4 (Lee et al. 2011). Longer blocks reveal weak correlations,
+    such as long flights that now and then miss the stops. The result is NaN below FEWEST_BLOCKS values. If no k
+    qualifies, it is the largest e_k of the levels with at least FEWEST_BLOCKS blocks.
     """
     error, first, count, enough = np.nan, np.nan, levels[0, COUNT], False
     for k in range(LEVELS):
@@ -58,10 +58,13 @@ def standard_error(levels):
 
 @inlined
 def add_growth(levels, weighted, growth, k, periods):
-    """Add the growth g of the first vector in period k of a stretch of ``periods``.
+    """Add the growth g of the first tangent vector in period k of an interval of ``periods`` periods.
 
-    Besides the plain mean, weighted (2,) sums w g and w over the stretch for the weighted Birkhoff average, w = exp(-1
-    / (u (1 - u))), which converges faster than any power of ``periods`` on a torus (Das et al. 2017).
+    levels   (LEVELS, 4)  blocking analysis of the growth, for its plain mean and standard error
+    weighted (2,)         sums of w g and of w over the interval
+
+    The weight is w = exp(-1 / (u (1 - u))) with u = (k + 1/2) / periods. The ratio of both sums is the weighted
+    Birkhoff average, which on a torus converges faster than any power of ``periods`` (Das et al. 2017).
     """
     u = (k + 0.5) / periods
     weight = exp_minus(1.0 / (u * (1.0 - u)))

@@ -1,8 +1,9 @@
-"""Borrowed arrays, which the compiler does not reference-count, and rows of records of many.
+"""Borrowed arrays, which the compiler does not reference-count, and rows of batches of records.
 
-Reference counting takes several nanoseconds for every array that a kernel receives or reads from a record; the dozens
+Reference counting takes several nanoseconds for every array that a kernel receives or reads from a record. The dozens
 of arrays of one cell would cost as much time as its flights. The caller keeps all arrays alive, so counting is not
-needed. The compiler sees this only in the kernel that borrows: each hot kernel borrows, even arrays that are lent.
+needed. The compiler sees a borrowed array only in the kernel that borrows it. Each hot kernel therefore borrows its
+arrays, even arrays passed by reference.
 """
 
 from typing import Any, TypeVar
@@ -20,7 +21,7 @@ Given = TypeVar("Given")
 
 
 def borrow(given: Given) -> Given:
-    """The same array or record, uncounted in kernels: it must not outlive the owner of its memory."""
+    """Return the same array or record, uncounted in kernels; it must not outlive the owner of its memory."""
     return given
 
 
@@ -35,7 +36,7 @@ def _compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any
 
 
 def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """A value of this type whose arrays are not reference-counted."""
+    """Return a value of type ``kind`` whose arrays are not reference-counted."""
     if isinstance(kind, types.BaseTuple):
         parts: Any = enumerate(kind)  # type: ignore[arg-type]
         fields = [without_counts(context, builder, part, builder.extract_value(value, i)) for i, part in parts]
@@ -48,13 +49,13 @@ def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 def row_of(record: Given, r: int) -> Given:
-    """Row r of a record of many; in kernels lent (see lend.py) and borrowed from the record."""
+    """Return row r of a batch of records; kernels borrow it and pass it by reference, see ``by_reference.py``."""
     row: Given = map_fields(record, lambda field: field[r])
     return row
 
 
 def row_type(kind: Any) -> Any:
-    """The type of a row of a record of many of this type."""
+    """Return the type of a row of a batch of records of type ``kind``."""
     if isinstance(kind, types.NamedTuple):
         return types.NamedTuple([row_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
@@ -63,7 +64,7 @@ def row_type(kind: Any) -> Any:
 
 
 def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
-    """Row r of a record of many of this type."""
+    """Return the value of row r of a batch of records of type ``kind``."""
     if isinstance(kind, types.NamedTuple):
         fields = [row_value(context, builder, part, builder.extract_value(value, i), r) for i, part in enumerate(kind)]
         return context.make_tuple(builder, row_type(kind), fields)
@@ -80,7 +81,7 @@ def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
 
 
 def many_type(kind: Any) -> Any:
-    """The type of a record of many whose rows have this type, see row_type."""
+    """Return the type of a batch of records whose rows have type ``kind``, the inverse of ``row_type``."""
     if isinstance(kind, types.NamedTuple):
         return types.NamedTuple([many_type(field) for field in kind], kind.instance_class)
     if isinstance(kind, types.Array):
@@ -89,7 +90,7 @@ def many_type(kind: Any) -> Any:
 
 
 def many_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """A record of many with one row, at the address of that row; its numbers lie in the caller's frame."""
+    """Return a batch of records with one row, at the address of that row; its numbers lie in the caller's frame."""
     if isinstance(kind, types.NamedTuple):
         fields = [many_value(context, builder, part, builder.extract_value(value, i)) for i, part in enumerate(kind)]
         return context.make_tuple(builder, many_type(kind), fields)

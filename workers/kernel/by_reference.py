@@ -1,7 +1,8 @@
-"""Records and arrays passed between kernels by address: one word, where an oscillator's arrays take 200.
+"""Passing records and arrays between kernels by reference: one pointer instead of the 200 words of an oscillator.
 
-The lender keeps the memory of the arrays. Lent arrays are not reference-counted, see borrow.py, and live as long as the
-function that lent them: no function returns them.
+Numba passes a tuple of arrays by value, field by field. The Numba types here represent a record by its address. The
+caller keeps the arrays alive. References are not counted (see ``borrow.py``) and are valid as long as the function that
+created them. No function may return one. In plain Python ``by_reference`` and ``by_value`` return their argument.
 """
 
 from typing import Any, TypeVar
@@ -30,40 +31,40 @@ Given = TypeVar("Given")
 
 
 def by_reference(given: Given) -> Given:
-    """The same record; in kernels passed by address, with the same fields."""
+    """Return the same record; kernels pass it by reference, with the same fields."""
     return given
 
 
 def row_in(record: Given, r: int) -> Given:
-    """row_of for a lent record: fields are looked up when used, which suits large records."""
+    """Return row r of a batch of records, by reference: fields are loaded when used, which suits large records."""
     return row_of(record, r)
 
 
 def as_many(record: Given) -> Given:
-    """A record of many with this row alone, at the same memory; in kernels lent.
+    """Return a batch of records that has this record as its only row, in the same memory; kernels pass it by reference.
 
-    Functions of rows of many, and functions called by symbol, accept it.
+    Functions of rows of a batch, and functions called by symbol, accept the result.
     """
     return many_of(record)
 
 
 def by_value(given: Given) -> Given:
-    """The same record or array; in kernels passed by value if it was lent."""
+    """Return the same record or array; kernels pass it by value again."""
     return given
 
 
 def with_phase(oscillator: Any, tau: Any) -> Any:
-    """An oscillator with another forcing phase at a section; in kernels lent."""
+    """Return the oscillator with forcing phase ``tau`` at a section; kernels pass it by reference."""
     return oscillator._replace(tau=tau)
 
 
 def without_mode_table(oscillators: Any) -> Any:
-    """The same oscillators; in kernels lent and without the table of modes, their last field: rows are read faster."""
+    """Return the oscillators without their table of modes, the last field, by reference: rows are read faster."""
     return oscillators
 
 
 class RecordRef(types.Type):
-    """The type of a record or array of this kind that is known by its address."""
+    """Numba type of a record or array of type ``kind`` that is represented by its address."""
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
@@ -71,12 +72,12 @@ class RecordRef(types.Type):
 
 
 def lent_as(kind: Any) -> Any:
-    """The lent form of a type: records and arrays by address, numbers as they are."""
+    """Return the type by reference of a type: records and arrays by address, numbers as they are."""
     return RecordRef(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
 
 
 class RowRef(types.Type):
-    """The type of a row of a lent record of many of this kind, known by the record's address and the row number."""
+    """Numba type of a row of a batch of records of type ``kind``: the address of the batch and the row number."""
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
@@ -138,7 +139,7 @@ def _row_attribute(context: Any, builder: Any, row: RowRef, value: Any, name: st
 
 
 def _row_at(context: Any, builder: Any, row: RowRef, record: Any, number: Any) -> Any:
-    """The value of a row of the lent record at this address."""
+    """Return the value of row ``number`` of the batch of records at the address ``record``."""
     own = create_struct_proxy(row)(context, builder)
     own.record, own.number = record, number
     return own._getvalue()
@@ -184,12 +185,12 @@ def _lend_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -
 
 
 def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
-    """The value of a record or array of this type, lent or not."""
+    """Return the value of a record or array of type ``kind``, which may be by reference."""
     return builder.load(value) if isinstance(kind, RecordRef) else value
 
 
 def make_reference(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
-    """A value of this type in the form of ``lent_as``."""
+    """Return a value of type ``kind`` in the form of ``lent_as``."""
     return alloca_once_value(builder, value) if lent_as(kind) != kind else value
 
 

@@ -1,8 +1,8 @@
-"""The folder of compiled kernels on disk.
+"""The cache folder of compiled kernels on disk.
 
-Numba's cache does not notice an edit in another module, so the folder's name has a hash of all sources of this package.
-NUMBA_CACHE_DIR is used if set; without a writable folder there is no cache. Folders of other sources that nobody has
-used for UNUSED_DAYS are removed.
+Numba's cache does not notice an edit in another module, so the folder's name contains a hash of all sources of this
+package. The folder lies in NUMBA_CACHE_DIR if that variable is set. If the folder cannot be written, there is no cache.
+Folders of other sources that have not been used for UNUSED_DAYS are removed.
 """
 
 import hashlib
@@ -23,11 +23,15 @@ from numba import config
 __all__ = ["CACHE", "in_own_folder"]
 
 UNUSED_DAYS = 30.0
-"""Days after which the folder of other sources is removed: several versions on one computer keep theirs meanwhile."""
+"""Length, in days, of disuse after which the folder of other sources is removed. Several versions on one computer keep
+their folders meanwhile."""
 
 
 def _source_hash() -> str:
-    """Hash of the sources and their folder: Numba looks kernels up by path and would miss those of a copy."""
+    """Return a hash of the sources and their folder.
+
+    Numba looks kernels up by path and would not find those of a copy.
+    """
     package = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256(os.fsencode(package) + b"\0")
     for source in sorted(package.rglob("*.py")):
@@ -36,7 +40,7 @@ def _source_hash() -> str:
 
 
 def _cache_root() -> Path:
-    """The user's cache folder: NUMBA_CACHE_DIR, else XDG_CACHE_HOME or ~/.cache."""
+    """Return the user's cache folder: NUMBA_CACHE_DIR, else a folder in XDG_CACHE_HOME or ~/.cache."""
     if "NUMBA_CACHE_DIR" in os.environ:
         return Path(os.environ["NUMBA_CACHE_DIR"])
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
@@ -44,16 +48,19 @@ def _cache_root() -> Path:
 
 
 def _prepare_cache() -> Path | None:
-    """Make the folder for these sources; None, with a one-line warning, if it cannot be written."""
+    """Make the cache folder of these sources and return it; None, with a one-line warning, if it cannot be written."""
     folder = _cache_root() / f"workers-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            os.utime(folder)  # notes the use
+            os.utime(folder)  # records the use
     except OSError as error:
         if multiprocessing.parent_process() is None:  # once, not by every worker of a cluster
-            reason = f"{folder} cannot be written ({error.strerror})"
-            print(f"impact-atlas: kernels are compiled anew each time, {reason}", file=sys.stderr)
+            reason = f"{folder}: cannot be written ({error.strerror})"
+            print(
+                f"impact-atlas: {reason}; each process compiles its kernels, set NUMBA_CACHE_DIR to a writable folder",
+                file=sys.stderr,
+            )
         return None
     if multiprocessing.parent_process() is None:
         _remove_unused(folder)
@@ -61,7 +68,7 @@ def _prepare_cache() -> Path | None:
 
 
 def _remove_unused(own: Path) -> None:
-    """Remove the folders of other sources beside ``own`` of which nothing was read or written for UNUSED_DAYS."""
+    """Remove the folders of other sources beside ``own`` in which no file was read or written for UNUSED_DAYS."""
     oldest = time.time() - UNUSED_DAYS * 86400.0
     for folder in own.parent.glob("workers-*"):
         if folder == own or not re.fullmatch("workers-[0-9a-f]{16}", folder.name):
@@ -74,20 +81,23 @@ def _remove_unused(own: Path) -> None:
 
 
 def _last_use(folder: Path) -> float:
-    """When a process last found the folder, or a file of it was read or written."""
+    """Return the last time at which a process opened the folder, or a file in it was read or written."""
     stats = [path.stat() for path in folder.rglob("*") if path.is_file()]
     return max([folder.stat().st_mtime, *(time for stat in stats for time in (stat.st_mtime, stat.st_atime))])
 
 
 CACHE = _prepare_cache()
-"""The folder of the compiled kernels of these sources; None if there is none."""
+"""The cache folder of the compiled kernels of these sources; None if it cannot be written."""
 
 _lock = threading.RLock()
 
 
 @contextmanager
 def in_own_folder() -> Iterator[None]:
-    """Make functions whose cache lies in CACHE; Numba finds the folder when it makes them. Others keep their own."""
+    """Place the cache of the functions made within the block in CACHE; other functions keep their own folder.
+
+    Numba decides on the folder when it makes a function.
+    """
     if CACHE is None:
         yield
         return

@@ -1,6 +1,6 @@
-"""Loops over cells between their stretches, each applying the kernels of one cell.
+"""Loops over cells between their intervals; each applies the kernels of one cell.
 
-``cells`` are the rows to process, of records of many.
+``cells`` are the row numbers to process in batches of records.
 """
 
 import math
@@ -21,7 +21,7 @@ from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 @kernel
 def energy_norm(blocks, h):
-    """sqrt(sum metric_j h_j^2 + h_j'^2) of block states (n, 2)."""
+    """Return sqrt(sum_j metric_j h_j^2 + h_j'^2) of block states h (n, 2)."""
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * h[j, 0] ** 2 + h[j, 1] ** 2
@@ -30,7 +30,10 @@ def energy_norm(blocks, h):
 
 @kernel
 def scale_of(blocks, h):
-    """Energy norm that scales deviations of a motion at block state h (n, 2): that of h plus that of Y."""
+    """Return the scale of deviations of a motion at block state h (n, 2): the energy norm of h plus that of Y.
+
+    The swing columns of ``blocks`` bound the forced response Y.
+    """
     swing = 0.0
     for j in range(len(blocks)):
         swing += blocks[j, COLUMN.metric] * blocks[j, COLUMN.swing0] ** 2 + blocks[j, COLUMN.swing1] ** 2
@@ -39,7 +42,7 @@ def scale_of(blocks, h):
 
 @kernel
 def start_motions(oscillators, motions, states, cells):
-    """Start motions at physical section states (N, 2n) with the contact of each state; their scales (N,)."""
+    """Start motions at physical section states (N, 2n), each in the mode of its state, and return their scales (N,)."""
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     scales = np.zeros(len(states))
     for r in cells:
@@ -51,7 +54,7 @@ def start_motions(oscillators, motions, states, cells):
 
 @kernel
 def clamp_to_stops(row, upper, lower, states):
-    """Move physical states (N, 2n) beyond a stop onto it, along the gap row (N, n), in place."""
+    """Move physical states (N, 2n) that lie beyond a stop onto the stop, along the gap row (N, n), in place."""
     n = row.shape[1]
     for r in range(len(states)):
         y, square = 0.0, 0.0
@@ -67,7 +70,10 @@ def clamp_to_stops(row, upper, lower, states):
 
 @kernel
 def impact_free(oscillators, motions, cells):
-    """Mask of the cells that cannot impact from this section on: the bound of |y| stays inside both stops."""
+    """Return the mask of the cells that cannot impact from this section on.
+
+    Such a cell is in flight, and the bound of |y| stays inside both stops.
+    """
     gap, head, motions = by_reference(oscillators).gap, oscillators.head, by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
@@ -80,7 +86,7 @@ def impact_free(oscillators, motions, cells):
 
 @kernel
 def reset_frames(blocks, motions, cells):
-    """Make the frames orthonormal and count their growth."""
+    """Make the tangent frames of these cells orthonormal and count their growth."""
     motions = by_reference(motions)
     for r in cells:
         reset_frame(blocks[r], row_of(motions, r))
@@ -88,7 +94,7 @@ def reset_frames(blocks, motions, cells):
 
 @kernel
 def physical_states(oscillators, motions, cells):
-    """Physical section states of these cells."""
+    """Return the physical section states (len(cells), 2n) of these cells."""
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     states = np.zeros((len(cells), 2 * motions.h.shape[1]))
     for e in range(len(cells)):
@@ -99,7 +105,7 @@ def physical_states(oscillators, motions, cells):
 
 @kernel
 def standard_errors(levels, cells):
-    """The standard errors of the averages of these cells."""
+    """Return the standard errors of the averages of these cells."""
     error = np.empty(len(cells))
     for e in range(len(cells)):
         error[e] = standard_error(levels[cells[e]])
@@ -108,10 +114,15 @@ def standard_errors(levels, cells):
 
 @kernel
 def excursions(oscillators, h, mode, periods, allowance, cells):
-    """The least and greatest y - y0 (N, 2) of motions from block states h (N, n, 2) with contacts (N, 1).
+    """Return the least and the greatest y - y0 (N, 2) of motions from block states.
 
-    Computed for ``cells`` over ``periods`` (N,). NaN for other cells, and for motions that cannot be followed within
-    ``allowance`` (N,) evaluations.
+    h         (N, n, 2)  block states at a section
+    mode      (N, 1)     numbers of their modes
+    periods   (N,)       numbers of periods to follow
+    allowance (N,)       maximum numbers of evaluations
+    cells                rows to compute
+
+    The result is NaN for other cells, and for motions that cannot be followed within ``allowance``.
     """
     ranges = np.full((len(periods), 2), np.nan)
     oscillators, n = by_reference(oscillators), h.shape[1]
@@ -129,9 +140,12 @@ def excursions(oscillators, h, mode, periods, allowance, cells):
 
 @kernel
 def states_within(oscillators, r, states, times):
-    """Physical states (S, K, 2n) of cell r at times (K,) within the period after each section state (S, 2n).
+    """Return physical states (S, K, 2n) of cell r at K times after each of S section states.
 
-    NaN if a motion cannot be followed.
+    states (S, 2n)  physical section states
+    times  (K,)     times since the section, at most a period
+
+    The states of a motion that cannot be followed are NaN.
     """
     reached = np.full((len(states), len(times), states.shape[1]), np.nan)
     osc = row_of(by_reference(oscillators), r)

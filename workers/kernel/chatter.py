@@ -1,7 +1,8 @@
-"""Chatter: hops off a stop, each known to rounding of its own height, and the time when their sequence ends.
+"""Chatter: hops off a stop, and the time at which their sequence ends.
 
-y is a sum of terms of the machine's size, whose rounding hides low hops. The speed at which a hop begins is known, and
-so are the second and higher derivatives of y: the hop is their Taylor series.
+Each hop is computed to rounding of its own height. y is a sum of terms of the machine's size, whose rounding hides low
+hops. The speed at which a hop begins is known, and so are the second and higher derivatives of y. The hop is their
+Taylor series.
 """
 
 import numpy as np
@@ -14,30 +15,37 @@ ORDER = 17
 """Order of the Taylor series of a hop."""
 
 SHORT = 1.0
-"""Largest phase, in radians of the fastest oscillation, for which the series is exact to rounding: SHORT^17 / 18!."""
+"""Maximum phase, in radians of the fastest oscillation, for which the series is exact to rounding: SHORT^17 / 18!."""
 
 NEWTON_STEPS, NEAR = 4, 1e-2
-"""Newton steps for the end of a hop, and tolerated difference to the search (share of the hop), which sees y alone."""
+"""Number of Newton steps for the end of a hop, and tolerated difference to the end that the search found, as a share of
+the hop. The search sees only y."""
 
 AGREES = 0.1
-"""Largest difference of two estimates of a chatter's end, as a share of the time left, for the better one to count."""
+"""Maximum difference of two estimates of a chatter's end, as a share of the time left, for the better one to count."""
 
 UNKNOWN = (np.nan, np.nan, np.nan)
-"""Marks that there are no estimates of a chatter's end."""
+"""Estimates of a chatter's end before the first one."""
 
 
 @inlined
 def chatter_time(load, w, R):
-    """Duration of chatter under this load on the stop after a rebound at speed w, to leading order."""
+    """Return the duration of chatter under this load on the stop after a rebound at speed w, to leading order."""
     return 2.0 * w / (load * (1.0 - R)) if w > 0.0 else 0.0
 
 
 @inlined
 def chatter_left(load, jerk, cA2k, w, R):
-    """chatter_time to second order, for a velocity that decays at -cA^2k and third derivative ``jerk`` toward the stop.
+    """Return ``chatter_time`` to second order.
 
-    t (1 - t (jerk / load - 3 cA^2k / 2) / 3), t the time to leading order; at zero velocity the load rises at the rate
-    jerk - cA^2k load. The result is limited to [t/2, 2t] for R near 1, where chatter is the slowest process.
+    load   acceleration toward the stop
+    jerk   third derivative of y toward the stop
+    cA2k   velocity decays at the rate -cA^2k
+    w, R   speed after the rebound, coefficient of restitution
+
+    The result is t (1 - t (jerk / load - 3 cA^2k / 2) / 3), with t the time to leading order. At zero velocity the load
+    rises at the rate jerk - cA^2k load. The result is limited to [t/2, 2t] for R near 1, where chatter is the slowest
+    process.
     """
     t = chatter_time(load, w, R)
     return t * min(max(1.0 - t * (jerk / load - 1.5 * cA2k) * (1.0 / 3.0), 0.5), 2.0)
@@ -45,16 +53,16 @@ def chatter_left(load, jerk, cA2k, w, R):
 
 @inlined
 def with_estimate(ends, end):
-    """The last three estimates of a chatter's end."""
+    """Return the last three estimates of a chatter's end, with ``end`` as the newest."""
     return ends[1], ends[2], end
 
 
 @inlined
 def chatter_end(ends, left, R):
-    """End of a chatter with ``left`` to go, from estimates at its last three impacts, to fourth order.
+    """Return the end of a chatter with ``left`` to go, to fourth order, from estimates at its last three impacts.
 
-    The error of chatter_left is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
-    Richardson's extrapolation removes both, or the first if there are only two estimates.
+    The error of ``chatter_left`` is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
+    Richardson's extrapolation removes both terms, or the first if there are only two estimates.
     """
     cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
     before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
@@ -65,7 +73,7 @@ def chatter_end(ends, left, R):
 
 @inlined
 def fastest_rate(blocks, waves, omega):
-    """Largest rate, per time, of oscillation, decay or growth of any block or harmonic."""
+    """Return the largest rate, per time, of oscillation, decay or growth of any block or harmonic."""
     rate = omega * len(waves)
     for j in range(len(blocks)):
         rate = max(rate, blocks[j, COLUMN.fast], -blocks[j, COLUMN.slow], np.sqrt(abs(blocks[j, COLUMN.lam])))
@@ -74,10 +82,16 @@ def fastest_rate(blocks, waves, omega):
 
 @kernel
 def hop(blocks, waves, omega, h, phase, side, w, s, rate):
-    """(time, speed) of the impact that ends a hop off stop ``side`` at speed w > 0, near the time s of a search.
+    """Return (time, speed) of the impact that ends a hop off stop ``side``.
 
-    h (n, 2) and phase: the start; rate: see fastest_rate. Returns (s, 0) if the hop is not SHORT or the series fails.
-    The distance from the stop is t p(t), p = w + sum_k u_k t^(k-1) / k!, and at its zero the speed is -t p'(t).
+    h     (n, 2)  block state at the start
+    phase         forcing phase at the start
+    w             speed of the rebound, > 0
+    s             time of the impact by the search
+    rate          see ``fastest_rate``
+
+    The distance from the stop is t p(t) with p = w + sum_k u_k t^(k-1) / k!; at its zero the speed is -t p'(t). Return
+    (s, 0) if the hop is longer than SHORT or the series fails.
     """
     if not s * rate <= SHORT:
         return s, 0.0
@@ -115,7 +129,7 @@ def hop(blocks, waves, omega, h, phase, side, w, s, rate):
 
 @inlined
 def series(u, w, t):
-    """p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t)."""
+    """Return p(t) = w + sum_k u_k t^(k-1) over k = 2...ORDER, and p'(t)."""
     p, slope = 0.0, 0.0
     for order in range(ORDER, 1, -1):
         slope = slope * t + p

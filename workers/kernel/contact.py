@@ -1,4 +1,4 @@
-"""Impacts: the restitution law and its saltation matrix, and the end of chatter."""
+"""Impacts: the restitution law with its saltation matrix, and the end of chatter."""
 
 import numpy as np
 
@@ -7,41 +7,47 @@ from workers.kernel.jit import inline_always, inlined
 from workers.model.oscillator import COLUMN, HEAD
 
 REBOUND, REST, LEAVE = range(3)
-"""Outcomes of an impact: rebound; rest on the stop; v = 0 while the load pulls away (R = 0)."""
+"""Outcomes of an impact. REBOUND: the mass rebounds. REST: the mass sticks on the stop. LEAVE: v = 0 while the load
+pulls away (R = 0)."""
 
 EPS = float(np.finfo(np.float64).eps)
 
 ENDING, BRIEF = 1e-4, 1.0 / 64.0
-"""Lanes leave the rest of a chatter to another kernel, which follows hops more exactly (chatter.hop), once the load
-changes in that rest by this share of it, or the rest lasts this share of the period."""
+"""Limits beyond which lanes leave the end of a chatter to another kernel, which follows hops more exactly
+(chatter.hop). ENDING is the change of the load until the end, as a share of the load. BRIEF is the time until the end,
+as a share of the period."""
 
 SHORTEST_HOP = 1e-11
-"""Share of a forcing period below which a hop counts as rounding."""
+"""Share of a forcing period below which the length of a hop counts as rounding."""
 
 
 @inlined
 def load_at_rest(side, v, a, cA2k):
-    """side * (a - cA^2k v): the acceleration that presses the mass on the stop once v is removed."""
+    """Return side * (a - cA^2k v), the acceleration that presses the mass on the stop once v is removed."""
     return side * (a - cA2k * v)
 
 
 @inlined
 def hop_is_rounding(load, w, scale, period):
-    """Whether a hop at speed w under this load is too low, w^2 / (2 load) < 1e4 eps scale, or too short to be seen.
+    """Return True if a hop at speed w under this load is too low or too short to be resolved.
 
-    Motion that decays to an equilibrium on a stop hops under a load of rounding size: it never rests, and its squares
-    may underflow, where a comparison with zero fails.
+    Too low means w^2 / (2 load) < 1e4 eps scale. Motion that decays to an equilibrium on a stop hops under a load of
+    rounding size. Such a motion never comes to rest, and its squares may underflow, where a comparison with zero fails.
     """
     return w * w < 2e4 * load * EPS * scale or 2.0 * w < SHORTEST_HOP * period * load
 
 
 @inlined
 def outcome(load, v, R, scale, period):
-    """Outcome of an impact at velocity v under a load on the stop, see load_at_rest.
+    """Return the outcome of an impact at velocity v under a load on the stop, see ``load_at_rest``.
 
-    R = 0: rest if the load presses, load > 0, else release. 0 < R < 1: chatter is followed hop by hop until hops are
-    below rounding, where ``scale`` is the sum of moduli that add up to y; the remainder ends at chatter.chatter_end,
-    with a third-order error of the state. R = 1 never completes.
+    R       coefficient of restitution
+    scale   sum of moduli that add up to y
+    period  forcing period
+
+    With R = 0 the mass sticks if the load presses, load > 0, and else leaves. With 0 < R < 1 chatter is followed hop by
+    hop until hops are below rounding. The remainder ends at chatter.chatter_end, with a third-order error of the state.
+    With R = 1 chatter never completes.
     """
     if R == 0.0:
         return REST if load > 0.0 else LEAVE
@@ -50,7 +56,7 @@ def outcome(load, v, R, scale, period):
 
 @inlined
 def is_rebound(load, v, R, cA2k, scale, remaining, period):
-    """Whether an impact at velocity v rebounds and ends no chatter."""
+    """Return True if an impact at velocity v rebounds and does not end a chatter."""
     w = R * abs(v)
     change, pressing = 2.0 * abs(cA2k * v), load * (1.0 - R)
     slow = (change > ENDING * load and 2.0 * w > BRIEF * period * pressing) or 2.0 * w > remaining * pressing
@@ -95,7 +101,7 @@ def saltation(blocks, R, V, ratio):
 
 @inline_always
 def rest_projection(blocks, cA2k, V):
-    """Carry tangent vectors V (m, n, 2) through complete chatter to rest, in place.
+    """Carry tangent vectors V (m, n, 2) through a complete chatter into sticking, in place.
 
     P = I - (A k) c - k (cA - (cA^2k) c), to leading order in the chatter's duration; c P = cA P = 0.
     """
@@ -106,5 +112,5 @@ def rest_projection(blocks, cA2k, V):
 
 @inline_always
 def stop_position(oscillator, side):
-    """Position of a stop: +b_upper or -b_lower."""
+    """Return the position of a stop relative to y0: +b_upper or -b_lower."""
     return oscillator.head[HEAD.top] if side > 0 else oscillator.head[HEAD.bottom]

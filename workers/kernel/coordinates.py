@@ -27,9 +27,10 @@ from workers.results import BEYOND_STOP, InvalidError
 
 
 def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int = 0, record: int = 0) -> Motion:
-    """A motion that starts at physical section state (x..., v...).
+    """Return a motion that starts at a physical section state (2n,), displacements x and then velocities v.
 
-    The state decides the mode: on a stop with v = 0 it is held or about to leave. InvalidError beyond a stop.
+    The state decides the mode: on a stop with v = 0 the mass sticks or is about to leave. Raise InvalidError if the
+    state is beyond a stop.
     """
     h = np.zeros((len(oscillator.gap_row), 2))
     mode = start_at(oscillator, np.asarray(state, dtype=np.float64), h)
@@ -40,7 +41,7 @@ def motion_from(oscillator: Oscillator, state: NDArray[np.float64], vectors: int
 
 @external(OSCILLATOR, FLOATS[1], FLOATS[2], result=types.int64, modes=True)
 def start_hybrid(oscillator, state, h):
-    """start_at for a machine with modes."""
+    """Do ``start_at`` for a machine with modes."""
     state, h = by_value(state), by_value(h)
     enter_frame(oscillator.to_blocks, state.reshape((1, len(state))), h.reshape((1, len(h), 2)))
     return mode_number_of_state(oscillator.table.elements, state)
@@ -48,7 +49,10 @@ def start_hybrid(oscillator, state, h):
 
 @kernel
 def start_at(oscillator, state, h):
-    """Write the block coordinates h (n, 2), less forced response, of a physical section state; its mode, or BEYOND."""
+    """Write block coordinates h (n, 2) of a physical section state (2n,) and return its mode, or BEYOND.
+
+    The forced response is left out of h.
+    """
     if has_modes(oscillator):
         return start_hybrid(oscillator, state, h)
     row, blocks, turn = (
@@ -65,7 +69,7 @@ def start_at(oscillator, state, h):
             h[j, k] = full - wave(oscillator.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
         if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
-            h[j, 1] = 0.0  # else rounding of h would drift forever
+            h[j, 1] = 0.0  # otherwise rounding of h would drift for ever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
@@ -78,7 +82,7 @@ def start_at(oscillator, state, h):
 
 @inline_always
 def mode_at_rest(oscillator, side, h, turn):
-    """The mode of a state at rest on this stop: held if the load presses, else about to leave."""
+    """Return the mode of a state on a stop with v = 0: sticking if the load presses, else about to leave."""
     n = h.shape[0]
     u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
     to_held(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
@@ -87,16 +91,20 @@ def mode_at_rest(oscillator, side, h, turn):
 
 @inline_always
 def side_of(y, error, upper, lower):
-    """The side of the stop that y is on, within its rounding ``error`` on either side of the stop; 0 for none."""
+    """Return the side of the stop that y is on, within its rounding ``error`` on either side of the stop; else 0."""
     on_lower = -1 if abs(y - lower) <= error else 0
     return 1 if abs(y - upper) <= error else on_lower
 
 
 @kernel
 def put_on_stop(row, stop, x):
-    """Set the coordinate with the largest weight in g . x, the first numbers of x (n or more,), so that g . x = stop.
+    """Set one coordinate of x so that g . x = ``stop``, the coordinate with the largest weight in the gap row g.
 
-    g . x then equals the stop to rounding, see ROUNDING, and exactly if it is one coordinate with weight +-1.
+    row  (n,)          gap row g
+    x    (n or more,)  a state, of which only the first n numbers count
+
+    g . x then equals the stop to rounding, see ROUNDING. It equals the stop exactly if it is one coordinate with weight
+    +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):
@@ -110,7 +118,7 @@ def put_on_stop(row, stop, x):
 
 @external(OSCILLATOR, FLOATS[2], types.int64, FLOATS[1], modes=True)
 def leave_hybrid(oscillator, h, mode, state):
-    """leave_blocks for a machine with modes."""
+    """Do ``leave_blocks`` for a machine with modes."""
     h, state = by_value(h), by_value(state)
     leave_frame(oscillator.to_physical, h.reshape((1, len(h), 2)), state.reshape((1, len(state))))
     snap_to_mode(oscillator.table.elements, mode, state)
@@ -118,7 +126,10 @@ def leave_hybrid(oscillator, h, mode, state):
 
 @kernel
 def leave_blocks(oscillator, h, mode, state):
-    """Add ``blocks_to_physical`` of block coordinates h (n, 2) in a mode to a state (2n,) of zeros."""
+    """Add the physical state of block coordinates h (n, 2) in a mode to a state (2n,) of zeros.
+
+    See ``blocks_to_physical``.
+    """
     if has_modes(oscillator):
         leave_hybrid(oscillator, h, mode, state)
         return
@@ -152,7 +163,7 @@ def leave_blocks(oscillator, h, mode, state):
 
 @kernel
 def blocks_to_physical(oscillator, motion):
-    """Physical section state (2n,) of a motion; at rest it is exactly on the stop with v = 0.
+    """Return the physical section state (2n,) of a motion; a sticking mass is exactly on the stop with v = 0.
 
     A motion is never beyond a stop: overshoot by rounding is removed.
     """

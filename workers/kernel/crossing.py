@@ -1,9 +1,9 @@
-"""The certified next crossing of a stop by a free flight: no sampling in time.
+"""The certified search for the next crossing of a stop by a free flight, without sampling in time.
 
-The step rule: with a bound K on the curvature toward a stop, a point at gap g that approaches at v cannot arrive before
-g = v s + K s^2 / 2. The bounds on the second and third derivative of the signal hold for all later times, so a march of
-such steps cannot jump over an impact, however short. Bounds of a growing motion hold until its size may have doubled
-and are then computed anew.
+The step rule uses a bound K on the curvature toward a stop. A point at gap g that approaches at speed v cannot arrive
+before g = v s + K s^2 / 2. The bounds on the second and third derivative of the signal hold for all later times. A
+march of such steps therefore cannot jump over an impact, however short. Bounds of a growing motion hold until its size
+may have doubled, and are then computed again.
 """
 
 import math
@@ -18,33 +18,37 @@ from workers.kernel.signal import derivative_bounds, evaluate, growth_rate
 from workers.model.oscillator import NUMBER
 
 GAP_ROUNDING = 4e-16
-"""Gap below which the mass is at the stop, in units of the sum of moduli that add up to y."""
+"""Maximum gap at which the mass counts as at the stop, in units of the sum of moduli that add up to y."""
 
 MAX_EVALUATIONS = 1_000_000
-"""Evaluations after which a flight is given up; the certified march needs about five between impacts."""
+"""Maximum number of evaluations of one flight; the certified march needs about five between impacts."""
 
 MIN_STEP = 4e-16
-"""Least step of a flight, as a share of its longest duration: rounding of time."""
+"""Minimum step of a flight, as a share of its longest duration: the rounding of time."""
 
 REFRESH = 8
-"""Evaluations after which the derivative bounds are renewed from the decayed state."""
+"""Number of evaluations after which the derivative bounds are renewed from the decayed state."""
 
 DOUBLED = math.log(2.0)
-"""Log-growth after which the derivative bounds of a growing motion are renewed."""
+"""Log of the growth after which the derivative bounds of a growing motion are renewed."""
 
 TRIALS = 4
-"""Trial lengths at the end of a safe step."""
+"""Number of trial lengths at the end of a safe step."""
 
 UNCLEAR = 4
-"""In place of the order of a start whose derivatives rounding hides: a guard that falls back to its end at once."""
+"""Value in place of the order of a start whose derivatives are hidden by rounding: a guard that returns to its end at
+once."""
 
 TINY = 1e-300
-"""Keeps a quotient finite for a state at rest."""
+"""Number that keeps a quotient finite for a state at rest."""
 
 
 @inlined
 def arrival(g, v, K):
-    """First s > 0 with g = v s + K s^2 / 2, infinity if none: no arrival before s (g >= 0)."""
+    """Return the first s > 0 with g = v s + K s^2 / 2 for g >= 0, infinity if there is none.
+
+    No arrival is earlier.
+    """
     D = fma(v, v, 2.0 * K * g)
     r = math.sqrt(max(D, 0.0))
     closing = v > 0.0
@@ -56,16 +60,23 @@ def arrival(g, v, K):
 
 @inlined
 def curvature(a, j3, M2, M3, M4, h):
-    """K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h, from the bounds M2, M3, M4.
+    """Return K(h) with y(s) - y(0) <= v s + K s^2 / 2 for all s <= h, from the bounds M2, M3, M4.
 
-    The least of M2, of a + M3 h / 3 by the third derivative, and of a + max(0, j3 + M4 h / 4) h / 3 by the fourth.
+    K is the least of three bounds.
+
+    M2                                   by the second derivative
+    a + M3 h / 3                         by the third derivative
+    a + max(0, j3 + M4 h / 4) h / 3      by the fourth derivative
     """
     return min(M2, fma(min(M3, max(0.0, fma(0.25 * M4, h, j3))), h * (1.0 / 3.0), a))
 
 
 @inlined
 def stays_open(g, v, K, h):
-    """Whether v s + K s^2 / 2 stays below g >= 0 for all s <= h: checked at h and at an earlier peak."""
+    """Return True if v s + K s^2 / 2 stays below g >= 0 for all s <= h.
+
+    The bound is checked at h and at an earlier peak.
+    """
     end = fma(0.5 * K, h, v) * h < g
     peaks = K < 0.0 and fma(K, h, v) < 0.0
     return (v <= 0.0 or v * v < -2.0 * K * g) if peaks else end
@@ -73,10 +84,10 @@ def stays_open(g, v, K, h):
 
 @inlined
 def bracket(g, v, a, j3, M2, M3, M4, H):
-    """(L, U): times <= H such that a gap g, closing at v with acceleration a and jerk j3, does not close before L.
+    """Return (L, U), times <= H: a gap g with closing speed v, acceleration a and jerk j3 does not close before L.
 
-    No arrival before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). s falls with h, so
-    L = min(h, s(h)) of any h is certified and U = s(L) is a limit: the best h lies between.
+    The gap cannot close before min(h, s(h)), where s(h) is the arrival under the curvature bound K(h). Since s falls
+    with h, L = min(h, s(h)) of any h is certified and U = s(L) is a limit. The best h lies between both.
     """
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
     U = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, L)))
@@ -85,7 +96,7 @@ def bracket(g, v, a, j3, M2, M3, M4, H):
 
 @inlined
 def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
-    """The longest of several trial times between L and U before which the gap certainly does not close, at least L."""
+    """Return the longest of ``trials`` times between L and U before which the gap certainly stays open, at least L."""
     h = math.sqrt(L * U)  # at a graze L and U can differ by orders of magnitude
     for _ in range(trials):
         free = stays_open(g, v, curvature(a, j3, M2, M3, M4, h), h)
@@ -96,24 +107,28 @@ def close_in(L, U, g, v, a, j3, M2, M3, M4, trials):
 
 @inlined
 def safe_step(g, v, a, j3, M2, M3, M4, H):
-    """A time <= H in which a gap g, closing at v with acceleration a and jerk j3, certainly does not close."""
+    """Return a time <= H in which a gap g with closing speed v, acceleration a and jerk j3 certainly does not close."""
     L, U = bracket(g, v, a, j3, M2, M3, M4, H)
     return close_in(L, U, g, v, a, j3, M2, M3, M4, TRIALS)
 
 
 @inlined
 def safe_retreat(g, v, a, j3, M2, M3, M4, H):
-    """safe_step of an opening gap, v <= 0, which seldom limits a step: computed with less effort."""
+    """Return ``safe_step`` of an opening gap, v <= 0, with less effort: such a gap seldom limits a step."""
     L = min(H, arrival(g, v, curvature(a, j3, M2, M3, M4, H)))
     return close_in(L, H, g, v, a, j3, M2, M3, M4, TRIALS) if L < H else H
 
 
 @inlined
 def landing(g, v, a, j3, M3, M4, tol):
-    """The time at which a gap g closes if its cubic is exact to tol until then and v stays positive; else infinity.
+    """Return the time at which a gap g certainly closes; infinity if the time is not certain.
 
-    Root of g = v s + a s^2 / 2 + j3 s^3 / 6 from its series in g / v by a step of Halley's method, which is exact to
-    rounding where v changes by less than a 64th until then; the remainder of the cubic is below M4 s^4 / 24.
+    The time is certain if the cubic is exact to ``tol`` and v stays positive until then. The time is the root of
+
+        g = v s + a s^2 / 2 + j3 s^3 / 6,
+
+    computed from its series in g / v by a step of Halley's method. The step is exact to rounding where v changes by
+    less than a 64th until then. The remainder of the cubic is below M4 s^4 / 24.
     """
     inv_v = 1.0 / v
     first = g * inv_v
@@ -130,7 +145,7 @@ def landing(g, v, a, j3, M3, M4, tol):
 
 @inlined
 def certain_crossing(g, v, a, j3, M3, M4, tol, H):
-    """The time <= H after which a gap g, closing at v, has certainly just closed; infinity if none is known."""
+    """Return the time <= H after which a gap g, closing at v, has certainly just closed; infinity if none is known."""
     s = landing(max(g, 0.0), v, a, j3, M3, M4, tol)
     s = 0.0 if g <= tol and v > 0.0 else s
     return s if s <= H else np.inf
@@ -138,10 +153,11 @@ def certain_crossing(g, v, a, j3, M3, M4, tol, H):
 
 @inline_always
 def _first_step(order, side, a, j3, M3, M4, tol):
-    """A time in which a start on stop ``side`` with v = 0 certainly leaves it: 3|a|/M3, or 4|j|/M4 if a = 0 too.
+    """Return a time in which a start on stop ``side`` with v = 0 certainly leaves the stop.
 
-    The longer of both if the jerk points inward too: a may be zero up to rounding.
-    If a and j are negligible beside M4, the time s in which the guard stays within tol of the stop, M4 s^4 = 24 tol.
+    The time is 3|a|/M3, or 4|j3|/M4 if a = 0 too. If the jerk points inward as well, it is the longer of both, since a
+    may be zero up to rounding. If a and j3 are negligible beside M4, it is the time s with M4 s^4 = 24 tol. Until then
+    the guard stays within ``tol`` of the stop.
     """
     hidden = math.sqrt(math.sqrt(24.0 * tol / max(M4, TINY)))
     if order == UNCLEAR and abs(j3) <= M4 * hidden and abs(a) <= M4 * hidden * hidden:
@@ -155,13 +171,16 @@ def _first_step(order, side, a, j3, M3, M4, tol):
 
 @kernel
 def next_crossing(mode, h, phase, offset, upper, lower, start, H, scratch):
-    """The first time in [0, H] at which the guard plus offset reaches ``upper`` from below or ``lower`` from above.
+    """Find the first time in [0, H] when the guard plus offset reaches ``upper`` from below or ``lower`` from above.
 
-    h (n, 2) and phase: the start. start: 0 inside; +-k at ``upper`` or ``lower``, where the k-th derivative of the
-    guard is the first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release; UNCLEAR if rounding hides it.
-    scratch: (n, 2), overwritten.
-    Returns (time, side, evaluations): side +1 or -1; 0 if nothing is reached, time = H; 2 if the march needed more than
-    MAX_EVALUATIONS.
+    h       (n, 2)  block state at the start
+    phase           forcing phase at the start
+    start           0 if the start is inside; +-k at ``upper`` or ``lower``, if the k-th derivative of the guard is the
+                    first nonzero one: 1 after a rebound, 2 with v = 0, 3 after a release; UNCLEAR if rounding hides k
+    scratch (n, 2)  overwritten
+
+    Return (time, side, evaluations). The side is +1 or -1; 0 if nothing is reached, with time H; 2 if the march needed
+    more than MAX_EVALUATIONS.
     """
     h, scratch = borrow(h), borrow(scratch)
     blocks, waves, numbers = mode.blocks, mode.waves, mode.numbers

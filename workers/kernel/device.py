@@ -1,7 +1,7 @@
-"""Kernels for another device: the same function and all kernels that it calls, decorated anew from their text.
+"""Translation of kernels for another device: a kernel and all kernels that it calls are decorated anew from their code.
 
-``numba.cuda.jit(device=True)`` makes device functions of them. For a round of lanes, give each thread one lane and its
-own array: all loops over lanes then run once.
+``numba.cuda.jit(device=True)`` makes device functions of the kernels. For a round of lanes, give each thread one lane
+and its own array; all loops over lanes then run once.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,9 @@ __all__ = ["make_translator"]
 
 
 def make_translator(decorate: Callable[[Any], Any]) -> Callable[[Kernel], Any]:
-    """A function that translates a kernel for another device, with all kernels that it calls.
+    """Return a function that translates a kernel, with all kernels that it calls, by the decorator ``decorate``.
 
-    Functions called by symbol, ``apart``, cannot be translated.
+    Functions called by symbol, see ``external``, cannot be translated.
     """
 
     @cache

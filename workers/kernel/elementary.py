@@ -11,17 +11,17 @@ from workers.kernel.fma import fma, horner
 from workers.kernel.jit import inlined
 
 _TO_INTEGER = 1.5 * 2.0**52
-"""Adding and subtracting it rounds to the nearest integer."""
+"""Adding and subtracting this number rounds to the nearest integer."""
 
 _LARGEST_EXPONENT = 708.0
-"""exp(-708) is about the smallest number of full precision; smaller values count as zero."""
+"""Maximum exponent: exp(-708) is about the smallest number of full precision; smaller values count as zero."""
 
 _EXPONENT_BITS = 52
 _EXPONENT_OF_ONE = 1023 << _EXPONENT_BITS
 _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH = float.fromhex("0x1.62e42feep-1")
 _LN2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
-"""ln 2 in two parts, the first of 32 bits: its product with any exponent is exact."""
+"""ln 2 in two parts. The first part has 32 bits, so its product with any exponent is exact."""
 
 _FRACTION = (1 << _EXPONENT_BITS) - 1
 _BITS_OF_2_52 = (1023 + 52) << _EXPONENT_BITS
@@ -32,7 +32,7 @@ _TWO_OVER_PI = 2.0 / math.pi
 _PI2_HIGH = float.fromhex("0x1.921fb54p0")
 _PI2_MIDDLE = float.fromhex("0x1.10b4610p-30")
 _PI2_LOW = float.fromhex("0x1.a62633145c06ep-58")
-"""pi / 2 in three parts, the first two of 28 bits: their products with integers below 2^25 are exact."""
+"""pi / 2 in three parts. The first two parts have 28 bits, so their products with integers below 2^25 are exact."""
 
 EXP = tuple(1.0 / math.factorial(k) for k in range(13, 1, -1))
 LOG = tuple(2.0 / k for k in range(23, 1, -2))
@@ -45,9 +45,9 @@ SINC = tuple((-1.0) ** (k // 2) / math.factorial(k) for k in range(13, 1, -2))
 
 @inlined
 def exp_minus(x):
-    """exp(-x) for x >= 0: 2^-k e^r, k the integer nearest to x / ln 2; 0 for x >= 708."""
+    """Return exp(-x) for x >= 0 as 2^-k e^r, k the integer nearest to x / ln 2; 0 for x >= 708."""
     reduced = min(x, _LARGEST_EXPONENT)
-    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits hold k, those below the exponent
+    shifted = fma(reduced, _LOG2_E, _TO_INTEGER)  # its last bits, below the exponent, are k
     k = shifted - _TO_INTEGER
     power = np.int64(_EXPONENT_OF_ONE - (np.float64(shifted).view(np.int64) << _EXPONENT_BITS)).view(np.float64)
     r = fma(k, _LN2_LOW, fma(k, _LN2_HIGH, -reduced))
@@ -57,14 +57,17 @@ def exp_minus(x):
 
 @inlined
 def exp(x):
-    """exp(x) of either sign, by exp_minus; infinity for x >= 708."""
+    """Return exp(x) of either sign, by ``exp_minus``; infinity for x >= 708."""
     power = exp_minus(abs(x))
     return 1.0 / power if x > 0.0 else power
 
 
 @inlined
 def log(x):
-    """log x of a normal number x > 0, k ln 2 + log(1 + f) with 1 / sqrt(2) < 1 + f < sqrt(2); -inf at 0."""
+    """Return log x of a normal number x > 0; -inf at 0.
+
+    log x = k ln 2 + log(1 + f) with 1 / sqrt(2) < 1 + f < sqrt(2).
+    """
     bits = np.float64(x).view(np.int64) + (_EXPONENT_OF_ONE - _HALF_ROOT)
     k = np.int64((bits >> _EXPONENT_BITS) | _BITS_OF_2_52).view(np.float64) - (2.0**52 + 1023.0)
     f = np.int64((bits & _FRACTION) + _HALF_ROOT).view(np.float64) - 1.0
@@ -79,7 +82,7 @@ def log(x):
 
 @inlined
 def sin_cos(x):
-    """(sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE), from r = x - k pi / 2, |r| <= pi / 4."""
+    """Return (sin x, cos x) for |x| <= 3e7 (oscillator.LARGEST_ANGLE), from r = x - k pi / 2, |r| <= pi / 4."""
     k = fma(x, _TWO_OVER_PI, _TO_INTEGER) - _TO_INTEGER
     r = fma(-k, _PI2_LOW, fma(-k, _PI2_MIDDLE, fma(-k, _PI2_HIGH, x)))
     z = r * r
@@ -96,5 +99,5 @@ def sin_cos(x):
 
 @inlined
 def cosc_sinc(x):
-    """(cos(sqrt x), sin(sqrt x) / sqrt x) for |x| <= 0.1 of either sign, by their series in x."""
+    """Return (cos(sqrt x), sin(sqrt x) / sqrt x) for |x| <= 0.1 of either sign, by their series in x."""
     return fma(x, horner(COSC, x), 1.0), fma(x, horner(SINC, x), 1.0)

@@ -1,6 +1,6 @@
-"""Turning points of the gap coordinate in a free flight: its least and greatest value.
+"""The least and the greatest value of the gap coordinate in a free flight, from its turning points.
 
-y' is a guard like y, so the certified search for crossings finds its zeros: no turning point is missed.
+The velocity y' is a guard like y, so the certified search for crossings finds its zeros. No turning point is missed.
 """
 
 import math
@@ -17,10 +17,11 @@ from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 
 @inline_always
 def velocity_of(gap):
-    """The free flight with guard y', and the offset that a constant load adds to it.
+    """Return the free flight with guard y', and the offset that a constant load adds to the guard.
 
-    Its rows are cA and cA^2; a load adds c1 load. Y' has sine parts -k omega cos_part and cosine parts k omega
-    sin_part.
+    The rows of the guard are cA and cA^2; a load adds c1 load. The forced part Y' has amplitudes
+
+        sin_part' = -k omega cos_part,  cos_part' = k omega sin_part.
     """
     blocks, waves, numbers = gap.blocks.copy(), np.empty(gap.waves.shape), np.zeros(len(gap.numbers))
     offset = 0.0
@@ -43,10 +44,10 @@ def velocity_of(gap):
 
 @inline_always
 def next_turn(velocity, offset, h, phase, falls, signal_starts, left, scratch):
-    """(time, side, evaluations) of the next turning point within ``left``, as of next_crossing.
+    """Return (time, side, evaluations) of the next turning point within ``left``, as ``next_crossing`` does.
 
     The motion starts at block state h (n, 2), falling or rising; h is moved to the turning point or to the end. The
-    zero of y' is a stop of that signal: the upper stop if y falls, the lower if it rises.
+    zero of y' is a stop of the signal y': the upper stop if y falls, the lower if y rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
     signal = by_reference(velocity)
@@ -57,17 +58,19 @@ def next_turn(velocity, offset, h, phase, falls, signal_starts, left, scratch):
 
 @inline_always
 def turning_points(gap, state, phase, duration, start, low, high, allowance):
-    """(low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
+    """Return (low, high) widened by y - y0 at every turning point of a flight of this duration from block state (n, 2).
 
-    start: as in next_crossing, for y. Also returns the evaluations; high is NaN if the search gave up or takes more
-    than ``allowance`` evaluations.
+    start      as in ``next_crossing``, for y
+    allowance  maximum number of evaluations
+
+    The number of evaluations is returned too. ``high`` is NaN if the search gave up or exceeded ``allowance``.
     """
     velocity, offset = velocity_of(gap)
     h, scratch = state.copy(), np.empty(state.shape)
     blocks, waves, omega = gap.blocks, gap.waves, gap.numbers[NUMBER.omega]
     _, v, a, _, _ = evaluate(blocks, waves, omega, h, 0.0, phase, 0.0)
     falls = start > 0 or (start == 0 and (v < 0.0 or (v == 0.0 and a < 0.0)))
-    begun = start - np.sign(start)  # the order of the first nonzero derivative of y' is one less
+    begun = start - np.sign(start)  # the first nonzero derivative of y' has one order less
     t, spent = 0.0, 0
     while True:
         s, side, evaluations = next_turn(velocity, offset, h, phase, falls, begun, duration - t, scratch)

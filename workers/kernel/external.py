@@ -1,8 +1,8 @@
-"""Functions compiled once and called by symbol, instead of recompiled into each caller.
+"""Functions compiled once and called by symbol, instead of being compiled again into each caller.
 
-A function has one signature and is linked by its name: a cached kernel looks the name up while it is loaded. The name
+A function has one signature and is linked by its name. A cached kernel looks the name up while it is loaded; the name
 is that of a pointer to the function. Functions that only machines with modes need are compiled when a kernel first
-sees such a machine; until then their pointers are null.
+receives such a machine; until then their pointers are null.
 """
 
 import ctypes
@@ -26,7 +26,7 @@ __all__ = ["FLOATS", "INTEGERS", "external", "load"]
 FLOATS, INTEGERS = (
     {axes: types.Array(number, axes, "C") for axes in range(1, 7)} for number in (types.float64, types.int64)
 )
-"""The types of arrays of float64, and of int64, by their number of axes."""
+"""Types of arrays of float64, and of int64, by their number of axes."""
 
 _waiting: dict[bool, list["ExternalFunction"]] = {False: [], True: []}
 _loading, _compiles = threading.RLock(), False
@@ -35,11 +35,11 @@ _loading, _compiles = threading.RLock(), False
 def load(modes: bool = False) -> None:
     """Compile or load the functions that are not yet compiled, in the order of their definition.
 
-    ``modes``: the functions that only kernels of machines with modes call, too.
+    With ``modes`` include the functions that only kernels of machines with modes call.
     """
     global _compiles
     if not _waiting[False] and not (modes and _waiting[True]):
-        return  # without the lock: a thread that compiles a kernel holds Numba's, which the lock's holder may wait for
+        return  # without this lock: a compiling thread holds Numba's lock, for which the holder of this lock may wait
     with _loading:  # other threads wait until all are compiled
         if _compiles:  # a function calls only functions defined before it
             return
@@ -56,16 +56,23 @@ def load(modes: bool = False) -> None:
 def external(
     *kinds: types.Type, result: types.Type = types.void, modes: bool = False
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of a function of these argument types that kernels call by symbol.
+    """Return the decorator of a function of these argument types that kernels call by symbol.
 
-    Arrays and records are passed lent, see lend.py: fields of records are used directly, arrays through ``whole``. The
-    result is a number. ``modes``: only kernels of machines with modes call it.
+    kinds   types of the arguments
+    result  type of the result, a number
+    modes   whether only kernels of machines with modes call the function
+
+    Arrays and records are passed by reference, see ``by_reference.py``. The function uses fields of records directly,
+    and arrays through ``by_value``.
     """
     return lambda function: function if config.DISABLE_JIT else ExternalFunction(function, kinds, result, modes)  # type: ignore[attr-defined]
 
 
 class ExternalFunction:
-    """A function that kernels call by symbol, see ``external``. Python calls compile it as a kernel (tests only)."""
+    """A function that kernels call by symbol, see ``external``.
+
+    A call from Python compiles the function as a kernel (tests only).
+    """
 
     def __init__(
         self, function: Callable[..., Any], kinds: tuple[types.Type, ...], result: types.Type, modes: bool
@@ -87,7 +94,7 @@ class ExternalFunction:
         return self.alone(*arguments)
 
     def compile(self) -> None:
-        """Compile the function, or load it, and point to it."""
+        """Compile the function, or load it from the cache, and set its pointer."""
         with in_own_folder(), not_unrolled():
             self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
         self.pointer.value = self.compiled.address

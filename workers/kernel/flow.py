@@ -1,4 +1,4 @@
-"""Free flight of the blocks: h'' + 2 eta h' + lam h = load in closed form, underdamped, overdamped, rigid, growing."""
+"""Free flight of the blocks, h'' + 2 eta h' + lam h = load, in closed form: underdamped, overdamped, rigid, growing."""
 
 import math
 
@@ -9,12 +9,12 @@ from workers.kernel.jit import inlined, kernel
 from workers.model.oscillator import COLUMN
 
 FALL = tuple(1.0 / math.factorial(k) for k in range(17, 1, -1))
-"""(x - 1 + e^-x) / x^2 as a series in -x."""
+"""Coefficients of the series of (x - 1 + e^-x) / x^2 in -x."""
 
 
 @inlined
 def oscillating_flow(s, eta, lam, w, inv_w):
-    """flow_entries of an underdamped block."""
+    """Return ``flow_entries`` of an underdamped block."""
     decay = exp_minus(eta * s)
     sin, cos = sin_cos(w * s)
     S = sin * inv_w
@@ -24,11 +24,13 @@ def oscillating_flow(s, eta, lam, w, inv_w):
 
 @inlined
 def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
-    """The flow of h'' + 2 eta h' + lam h = 0 over s: (f11, f12, f21, f22), (h, h') -> f (h, h').
+    """Return (f11, f12, f21, f22), the flow (h, h') -> f (h, h') of h'' + 2 eta h' + lam h = 0 over s.
 
-    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S). With d = lam - eta^2 and w = sqrt|d|: C, S = cos(w s),
-    sin(w s) / w for d > 0; for d <= 0 their series in d s^2 if that is small, else exponentials of the decay rates slow
-    = lam / (eta + w) and fast = eta + w, which do not cancel.
+    f = e^(-eta s) (C + eta S, S, -lam S, C - eta S), with d = lam - eta^2 and w = sqrt|d|.
+
+    d > 0         C = cos(w s), S = sin(w s) / w
+    d s^2 small   C and S by their series in d s^2
+    otherwise     exponentials of the decay rates slow = lam / (eta + w) and fast = eta + w, which do not cancel
     """
     o11, o12, o21, o22 = oscillating_flow(s, eta, lam, w, inv_w)
     oscillates = d > 0.0
@@ -54,7 +56,7 @@ def flow_entries(s, eta, lam, d, w, inv_w, slow, fast):
 
 @kernel
 def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
-    """flow_entries of a growing block, slow < 0: eta or lam is negative."""
+    """Return ``flow_entries`` of a growing block, slow < 0: eta or lam is negative."""
     x = d * s * s
     if x > -0.1:
         growth = exp(-eta * s)
@@ -73,7 +75,7 @@ def growing_flow(s, eta, lam, d, w, inv_w, slow, fast):
 
 @inlined
 def block_flow(block, s):
-    """flow_entries of a block, a row of Mode.blocks."""
+    """Return ``flow_entries`` of a block, a row of GuardedFlow.blocks."""
     eta, lam, w, inv_w = block[COLUMN.eta], block[COLUMN.lam], block[COLUMN.w], block[COLUMN.inv_w]
     if block[COLUMN.slow] < 0.0:
         return growing_flow(s, eta, lam, block[COLUMN.d], w, inv_w, block[COLUMN.slow], block[COLUMN.fast])
@@ -84,7 +86,10 @@ def block_flow(block, s):
 
 @inlined
 def fall(s, eta):
-    """Displacement of a rigid mode from rest in s under a unit load: s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s."""
+    """Return the displacement of a rigid mode of vibration after s under a unit load, from zero state.
+
+    The displacement is s^2 (x - 1 + e^-x) / x^2 with x = 2 eta s.
+    """
     x = 2.0 * eta * s
     p = horner(FALL, -x)
     far = ((x - 1.0) + exp_minus(x)) / (x * x)
@@ -93,14 +98,14 @@ def fall(s, eta):
 
 @kernel
 def rise(s, eta):
-    """``fall`` for eta < 0."""
+    """Return ``fall`` for eta < 0."""
     x = 2.0 * eta * s
     return fall(s, eta) if x > -1.0 else s * s * (((x - 1.0) + exp(-x)) / (x * x))
 
 
 @inlined
 def moved_by_load(s, eta):
-    """Displacement of a rigid mode from rest in s under a unit load, for either sign of eta."""
+    """Return ``fall`` for either sign of eta."""
     if eta < 0.0:
         return rise(s, eta)
     return fall(s, eta)
@@ -116,7 +121,7 @@ def flow(block, s, h):
 
 @inlined
 def flow_block(block, s, h):
-    """Advance the state h (2,) of one block by s, in place; returns its flow."""
+    """Advance the state h (2,) of one block by s, in place, and return its ``flow_entries``."""
     f11, f12, f21, f22 = block_flow(block, s)
     h0, h1, load = h[0], h[1], block[COLUMN.load]
     h[0], h[1] = fma(f11, h0, f12 * h1), fma(f21, h0, f22 * h1)
@@ -127,7 +132,7 @@ def flow_block(block, s, h):
 
 @inlined
 def flow_vectors(V, j, f11, f12, f21, f22):
-    """Advance block j of tangent vectors V (m, n, 2) by a flow, see flow_entries, in place."""
+    """Advance block j of tangent vectors V (m, n, 2) by a flow, see ``flow_entries``, in place."""
     for i in range(V.shape[0]):
         v0, v1 = V[i, j, 0], V[i, j, 1]
         V[i, j, 0], V[i, j, 1] = fma(f11, v0, f12 * v1), fma(f21, v0, f22 * v1)
@@ -144,7 +149,7 @@ def flow_with_tangent(block, s, h, V):
 
 @kernel
 def guard_of(blocks, h):
-    """c . h over all blocks, h (n, 2)."""
+    """Return c . h over all blocks, h (n, 2)."""
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.c1], h[j, 1], fma(blocks[j, COLUMN.c0], h[j, 0], total))
@@ -153,7 +158,7 @@ def guard_of(blocks, h):
 
 @kernel
 def guard_rate_of(blocks, h):
-    """cA . h over all blocks, h (n, 2)."""
+    """Return cA . h over all blocks, h (n, 2)."""
     total = 0.0
     for j in range(len(blocks)):
         total = fma(blocks[j, COLUMN.cA1], h[j, 1], fma(blocks[j, COLUMN.cA0], h[j, 0], total))

@@ -1,7 +1,8 @@
-"""a b + c with one rounding, and polynomials made of it.
+"""The fused product and sum a b + c, with one rounding, and polynomials made of it.
 
-Written explicitly where the solver spends its time. With ``contract`` the compiler would choose which product to fuse
-with which sum by the function it inlines into, and the last bits of a result would depend on that.
+Both are written explicitly where the solver spends its time. With LLVM's ``contract`` flag the compiler would choose
+which product to fuse with which sum, depending on the function it inlines into. The last bits of a result would depend
+on that choice.
 """
 
 from fractions import Fraction
@@ -18,7 +19,7 @@ FLOAT = types.float64
 
 
 def fma(a: float, b: float, c: float) -> float:
-    """a b + c of float64 numbers with one rounding: in kernels one instruction where the processor has it."""
+    """Return a b + c of float64 numbers with one rounding; in kernels one instruction if the processor has it."""
     if not (isfinite(a) and isfinite(b) and isfinite(c)):
         return a * b + c
     exact = Fraction(a) * Fraction(b) + Fraction(c)
@@ -26,7 +27,7 @@ def fma(a: float, b: float, c: float) -> float:
 
 
 def horner(coefficients: tuple[float, ...], x: float) -> float:
-    """The polynomial in x with these coefficients, highest power first."""
+    """Return the value at x of the polynomial with these coefficients, highest power first."""
     total = coefficients[0]
     for coefficient in coefficients[1:]:
         total = fma(total, x, coefficient)

@@ -1,11 +1,11 @@
-"""The one way to compile a kernel: no GIL, IEEE arithmetic, cached on disk.
+"""Decorators that compile all kernels in one way: without the GIL, in IEEE arithmetic, cached on disk.
 
-The compiler neither reorders nor fuses; products to be fused are written so, see fma.py. The bits of a result therefore
-depend neither on the compilation or loading order nor on the processor.
+The compiler neither reorders operations nor fuses them; products to be fused are written with ``fma.py``. The bits of a
+result therefore depend neither on the order of compilation or loading nor on the processor.
 
-Loops of unknown length are not unrolled, see unrolling.py. Most run over a few coordinates, blocks or harmonics;
-unrolled, they took 155 s of processor time to compile in place of 109 and made periods of machines with modes 11 to
-17 % slower.
+Loops of unknown length are not unrolled, see ``unrolling.py``. Most of these loops run over a few coordinates, blocks
+or harmonics. Unrolled loops took 155 s of processor time to compile instead of 109 s. They also made the periods of
+machines with modes 11 to 17 % slower.
 """
 
 from collections.abc import Callable
@@ -25,17 +25,17 @@ __all__ = ["inline_always", "inlined", "kernel", "named_constants"]
 _HOW: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _PART: Any = _HOW | {"no_cpython_wrapper": True}
-"""Compilation options of all parts: Numba's own functions, such as ``np.zeros``, are compiled once per set of
+"""Compilation options of all inner kernels: Numba's own functions, such as ``np.zeros``, are compiled once per set of
 options."""
 
 _WITHIN: dict[bool, dict[str, Any]] = {False: {}, True: {"inline": "always"}}
 
 
 class Kernel:
-    """A function that Python calls as a separate kernel, and other kernels as a part of them.
+    """A compiled function that Python calls as a kernel of its own, and other kernels as an inner kernel.
 
-    A part has no file in the cache and no entry for Python, which unpacks records of arrays and takes as long to
-    compile as the function itself. ``within``: the part is compiled into its caller.
+    An inner kernel has no file in the cache and no entry for Python. That entry unpacks records of arrays and takes as
+    long to compile as the function itself. With ``within`` the inner kernel is compiled into its caller.
     """
 
     def __init__(self, function: Callable[..., Any], *, within: bool = False, **how: Any) -> None:
@@ -44,18 +44,18 @@ class Kernel:
 
     @cached_property
     def python_kernel(self) -> Any:
-        """The kernel for Python, made at first use: a process never calls most kernels that it imports."""
+        """The kernel that Python calls, made at first use: a process never calls most kernels that it imports."""
         with in_own_folder():
             return njit(cache=CACHE is not None, **self._how)(self.py_func)
 
     @cached_property
     def inner_kernel(self) -> Any:
-        """The part for other kernels, made at first use while one of them is compiled."""
+        """The kernel that other kernels call, made at first use while one of them is compiled."""
         return njit(**(_PART | self._how), **_WITHIN[self._within])(self.py_func)
 
     @property
     def targetoptions(self) -> Any:
-        """Numba looks here whether to inline the kernel."""
+        """Options in which Numba looks up whether to inline the kernel."""
         return getattr(self.inner_kernel, "targetoptions", {})
 
     def __call__(self, *arguments: Any) -> Any:
@@ -66,7 +66,7 @@ class Kernel:
 
 @typeof_impl.register(Kernel)
 def _(kernel: Kernel, context: Any) -> types.Dispatcher:
-    """The type of a kernel within another kernel."""
+    """Return the Numba type of a kernel within another kernel."""
     load()
     return types.Dispatcher(kernel.inner_kernel)
 
@@ -74,7 +74,7 @@ def _(kernel: Kernel, context: Any) -> types.Dispatcher:
 def named_constants(*kinds: Any) -> None:
     """Make records of these kinds look like modules of named constants to kernels.
 
-    As a tuple, all numbers of a record would be compiled in wherever one of them is used.
+    If a record were a tuple, all its numbers would be compiled in wherever one of them is used.
     """
 
     def module_of(record: Any, context: Any) -> types.Module:
@@ -95,5 +95,5 @@ inlined: Callable[[Callable[..., Any]], Any] = partial(Kernel, forceinline=True)
 """Decorator of small branch-free functions called in loops over cells: a call would stop vectorisation."""
 
 inline_always: Callable[[Callable[..., Any]], Any] = partial(Kernel, within=True)
-"""Decorator of kernels that are parts of one or a few others, compiled into their caller: a kernel compiles all its
-callees once more, as would every kernel in between."""
+"""Decorator of inner kernels that one or a few other kernels call, compiled into their caller. Otherwise each caller,
+and every kernel in between, would compile all callees once more."""

@@ -1,4 +1,4 @@
-"""Small dense matrices: a linear equation, and the moduli of eigenvalues."""
+"""Small dense matrices: linear equations, and the moduli of eigenvalues."""
 
 import math
 
@@ -12,15 +12,16 @@ from workers.kernel.jit import inline_always, inlined, kernel
 EPS = float(np.finfo(np.float64).eps)
 
 NOTHING = 1e-290
-"""Entries below it count as zero in a matrix whose largest entry is about one: products with them underflow."""
+"""Entries below this number count as zero in a matrix whose largest entry is about one: products with them
+underflow."""
 
 MAX_SWEEPS = 60
-"""QR steps for one eigenvalue; two or three suffice as a rule."""
+"""Maximum number of QR steps for one eigenvalue; two or three usually suffice."""
 
 
 @kernel
 def identity(size):
-    """The unit matrix of this size."""
+    """Return the unit matrix of this size."""
     unit = np.zeros((size, size))
     for k in range(size):
         unit[k, k] = 1.0
@@ -29,7 +30,10 @@ def identity(size):
 
 @kernel
 def solution(matrix, right):
-    """x with matrix x = right, by elimination with pivots; overwrites both. Not finite for a singular matrix."""
+    """Return x with matrix x = right, by elimination with pivots; overwrites both arguments.
+
+    x is not finite if the matrix is singular.
+    """
     size = len(right)
     for k in range(size):
         pivot = k
@@ -75,7 +79,7 @@ def balance(A):
 
 @inline_always
 def to_hessenberg(A):
-    """Bring A to zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
+    """Make A zero below its subdiagonal by eliminations with pivots: a similarity, in place."""
     size = len(A)
     for m in range(1, size - 1):
         pivot = m
@@ -98,7 +102,7 @@ def to_hessenberg(A):
 
 @inline_always
 def near_eigenvalue(a, b, c, d):
-    """The eigenvalue of [[a, b], [c, d]] nearest to d."""
+    """Return the eigenvalue of [[a, b], [c, d]] nearest to d."""
     half = times(0.5, a - d)
     root = np.sqrt(half * half + b * c)
     if abs(half + root) < abs(half - root):
@@ -109,19 +113,19 @@ def near_eigenvalue(a, b, c, d):
 
 @inlined
 def times(real, z):
-    """A real number times a complex one."""
+    """Return a real number times a complex one."""
     return complex(real * z.real, real * z.imag)
 
 
 @inlined
 def over(z, real):
-    """A complex number divided by a real one."""
+    """Return a complex number divided by a real one."""
     return complex(z.real / real, z.imag / real)
 
 
 @inlined
 def couples(below, before, here):
-    """Whether an entry below the diagonal exceeds the rounding of its two diagonal neighbours."""
+    """Return True if an entry below the diagonal exceeds the rounding of its two diagonal neighbours."""
     if max(abs(below.real), abs(below.imag)) < NOTHING:
         return False
     sides = abs(before.real) + abs(before.imag) + abs(here.real) + abs(here.imag)
@@ -132,9 +136,9 @@ def couples(below, before, here):
 
 @inline_always
 def rotate_once(H, cosines, sines, start, end, shift):
-    """One step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
+    """Do one step of the QR method with a shift on rows and columns start...end - 1 of a complex Hessenberg matrix.
 
-    cosines and sines, as long as the matrix, are overwritten.
+    ``cosines`` and ``sines``, as long as the matrix, are overwritten.
     """
     for k in range(start, end):
         H[k, k] -= shift
@@ -161,7 +165,7 @@ def rotate_once(H, cosines, sines, start, end, shift):
 
 @inline_always
 def exponent_of(matrix):
-    """The power of two next to the largest entry of a matrix; 0 for a matrix of zeros."""
+    """Return the exponent of the power of two next to the largest entry of a matrix; 0 for a matrix of zeros."""
     largest = 0.0
     for row in matrix:
         for entry in row:
@@ -218,7 +222,7 @@ def fill_moduli(matrix, sizes):
 
 @inline_always
 def moduli(matrix):
-    """|eigenvalues| of a real matrix, in any order; infinity if it is not finite."""
+    """Return the |eigenvalues| of a real matrix, in any order; infinity if it is not finite."""
     sizes = np.empty(len(matrix))
     fill_moduli(matrix, sizes)
     return sizes
@@ -226,14 +230,14 @@ def moduli(matrix):
 
 @external(FLOATS[2], result=types.float64)
 def spectral_radius(matrix):
-    """The largest |eigenvalue| of a real matrix; infinity if it is not finite."""
+    """Return the largest |eigenvalue| of a real matrix; infinity if it is not finite."""
     matrix = by_value(matrix)
     return highest(moduli(matrix), 0, len(matrix))
 
 
 @inline_always
 def highest(values, start, end):
-    """The largest of values[start:end], NaN if any of them is NaN."""
+    """Return the largest of values[start:end], NaN if any of them is NaN."""
     top = values[start]
     for i in range(start + 1, end):
         if values[i] > top or math.isnan(values[i]):
@@ -255,7 +259,7 @@ def sort_down(values):
 @inlined
 def copy_into(target, source):
     """Copy the entries of an array into another of the same shape; both are contiguous."""
-    if source.ndim == 1:  # decided by the compiler: ravel calls a function of numpy's
+    if source.ndim == 1:  # decided by the compiler: ravel calls a function of NumPy
         for k in range(len(source)):
             target[k] = source[k]
         return

@@ -1,4 +1,4 @@
-"""The record of a motion in kernels, and its counts."""
+"""The record of a motion in kernels, with its counts and status codes."""
 
 from typing import Any, NamedTuple
 
@@ -17,54 +17,84 @@ from workers.model.mode_table import no_table
 from workers.model.oscillator import GuardedFlow, Oscillator, empty, map_fields
 
 FLIGHT = FLYING.number
-"""The mode of a machine with one rigid contact is FLIGHT +- ON while a stop holds the gap coordinate, and FLIGHT +-
-DETACHED where the motion is on a stop with v = 0, about to leave."""
+"""Number of the flight mode of a machine with one rigid contact. The mode is FLIGHT +- ON while the gap coordinate
+sticks on a stop. It is FLIGHT +- DETACHED if the motion is on a stop with v = 0, about to leave."""
 
 BEYOND = -1
-"""In place of a mode: the motion begins beyond a stop."""
+"""Value in place of a mode if the motion begins beyond a stop."""
 
 (
     UPPER, LOWER, MIN_SPEED, MAX_SPEED, SPEEDS, LOSS, STUCK,
     EVALUATIONS, WORK, LOST, SPREAD, RECORDED, STATUS, CONTRACTION, PROGRESS, SLID, NEUTRAL, TALLIES,
 ) = range(18)  # fmt: skip
-"""Counts of a motion: impacts per stop, slowest and fastest impact, sum of their speeds, loss of the square of y'; time
-at rest; evaluations used and still allowed, directions lost, spread of the frame since it was last orthonormal, impacts
-recorded, status. Of machines with modes: log of the change of volume, if no direction is lost; drift of a coordinate,
-which is reset at each section, so that this direction is lost; frictions that have slid, a binary digit each; neutral
-directions of turns of an orbit, see hybrid.neutral.freeze. An impact that completes a chatter counts as the fastest and
-in the loss like any other, but neither at its stop nor in the sum: infinitely many end a chatter. The slowest impact
-has speed 0 if a rigid stop has held the mass."""
+"""Columns of the tally of a motion.
+
+UPPER, LOWER  number of impacts on the upper and on the lower stop
+MIN_SPEED     speed of the slowest impact, 0 if the mass has stuck on a rigid stop
+MAX_SPEED     speed of the fastest impact
+SPEEDS        sum of the speeds of the impacts
+LOSS          loss of the square of y' by impacts
+STUCK         time spent sticking
+EVALUATIONS   number of evaluations used
+WORK          number of evaluations still allowed
+LOST          number of directions lost
+SPREAD        spread of the frame since it was last orthonormal
+RECORDED      number of contacts recorded
+STATUS        see RUNNING
+
+Of machines with modes only:
+
+CONTRACTION   log of the change of volume, if no direction is lost
+PROGRESS      drift of a coordinate that is reset at each section, so that this direction is lost
+SLID          frictions that have slid, one binary digit each
+NEUTRAL       number of neutral directions of turns of an orbit, see hybrid.neutral.freeze
+
+An impact that completes a chatter counts in MAX_SPEED and LOSS like any other. It counts neither at its stop nor in
+SPEEDS, since infinitely many impacts end a chatter."""
 
 NOTHING_COUNTED = np.where(np.arange(TALLIES) == MIN_SPEED, np.inf, 0.0)
-"""The tally (TALLIES,) of a motion before its start, with no evaluations allowed."""
+"""Tally (TALLIES,) of a motion before its start, with no evaluations allowed."""
 
 (
     RUNNING, MARCH_GAVE_UP, OUT_OF_WORK, NOT_FINITE, STARTED_BEYOND,
     MODE_MISSING, NO_MODE, ENDLESS_EVENTS, SIMULTANEOUS, RESONANT_MODE,
 ) = range(10)  # fmt: skip
-"""Status: running, or why a cell cannot continue. Of machines with modes: a mode is not built, or has no valid flow; an
-endless chain of events at one time; two rigid contacts reached at once; a mode that resonates undamped."""
+"""Status of a motion: running, or why a cell cannot continue.
+
+MARCH_GAVE_UP   the search for a crossing needs too many steps
+OUT_OF_WORK     the allowed evaluations are used up
+NOT_FINITE      a state is not finite
+STARTED_BEYOND  the motion starts beyond a stop
+
+Of machines with modes only:
+
+MODE_MISSING    a mode is not built
+NO_MODE         a mode has no valid flow
+ENDLESS_EVENTS  an endless chain of events at one time
+SIMULTANEOUS    two rigid contacts are reached at once
+RESONANT_MODE   a mode resonates undamped"""
 
 OVERDRAFT = 1_000_000
-"""Evaluations by which a period may exceed the allowance, so that motions can end at a section."""
+"""Maximum number of evaluations by which a period may exceed those allowed, so that motions can end at a section."""
 
 WORK_OF_A_TRIAL = 1_000_000
-"""Evaluations allowed to a trial: a turn of an orbit, a Newton step."""
+"""Maximum number of evaluations of a short motion outside the periods of a cell: a turn of an orbit or a Newton
+step."""
 
 
 class Motion(NamedTuple):
-    """State of one cell, everything that ``advance`` changes; records of many have one more leading axis per field.
+    """State of one cell, all that ``advance`` changes; a batch of motions has one more leading axis per field.
 
-    h        (n, 2)     block coordinates, forced response taken off
-    mode     (1,)       its number, see hybrid_modes.Code and FLIGHT; or BEYOND
-    V        (m, n, 2)  tangent vectors, m = 0 for none
+    h        (n, 2)     block coordinates without the forced response
+    mode     (1,)       number of the mode, see hybrid_modes.ModeCode and FLIGHT; or BEYOND
+    V        (m, n, 2)  tangent vectors; m = 0 if none are followed
     growth   (m,)       log of the growth removed from each vector so far
     triangle (m, m)     factors of tangent.orthonormalise; (0, 0) if not wanted
-    tally    (TALLIES,) counts, see UPPER...
-    impacts  (K, 3)     the first K impacts: time after the section, side, speed before it, which is 0 where a rest
-                        begins, see write_down_rest; K = 0 for none
+    tally    (TALLIES,) counts, see UPPER
+    impacts  (K, 3)     the first K impacts: time after the section, side, and speed before the impact, which is 0 where
+                        sticking begins, see write_down_rest; K = 0 if none are recorded
     extremes (2,)       the least and the greatest y - y0 so far; (0,) if not wanted
-    scratch  (n, 2)
+    scratch  (n, 2)     overwritten
     """
 
     h: NDArray[np.float64]
@@ -79,7 +109,7 @@ class Motion(NamedTuple):
 
 
 def record_type(kind: type, *fields: int | types.Type) -> types.NamedTuple:
-    """The type of a record in kernels; an integer stands for a float64 array with that many axes."""
+    """Return the type of a record in kernels; an integer stands for a float64 array with that number of axes."""
     return types.NamedTuple([FLOATS[field] if isinstance(field, int) else field for field in fields], kind)
 
 
@@ -90,25 +120,26 @@ OSCILLATOR, RIGID = (
     record_type(Oscillator, MODE, 2, 2, 1, 1, types.float64, row_type(_HELD), table)
     for table in (row_type(TABLES), types.none)
 )
-"""Types of records in kernels; TABLES of many, all others of one; RIGID without a table of modes."""
+"""Types of records in kernels. TABLES is the type of a batch, all others are types of one record. RIGID has no table of
+modes."""
 
 
 @typeof_impl.register(HybridMachines)
 def _(machines: HybridMachines, context: Any) -> types.Type:
-    """Hide from kernels the machines from which Python builds modes, and load their functions called by symbol."""
+    """Hide from kernels the machines from which Python builds modes, and load the functions by symbol for modes."""
     load(modes=True)
     return types.none
 
 
 @inline_always
 def has_modes(oscillator):
-    """Whether a machine has modes: see Oscillator.has_modes."""
+    """Return True if a machine has modes, see Oscillator.has_modes."""
     return oscillator.table.codes.shape[0] > 0
 
 
 @inline_always
 def spend(tally, evaluations):
-    """Count evaluations; every piece of motion costs at least one, so that no chain of pieces is endless."""
+    """Count evaluations. Every leg of a motion costs at least one, so that no chain of legs is endless."""
     tally[EVALUATIONS] += evaluations
     tally[WORK] -= max(1, evaluations)
     if tally[WORK] < -OVERDRAFT:
@@ -117,7 +148,7 @@ def spend(tally, evaluations):
 
 @inline_always
 def count_contact(tally, contacts, t, stop, speed):
-    """Count and record contact with a stop, the upper one for stop > 0."""
+    """Count and record contact with a stop: the upper stop if ``stop`` > 0, else the lower stop."""
     tally[UPPER if stop > 0 else LOWER] += 1.0
     tally[MIN_SPEED] = min(tally[MIN_SPEED], speed)
     tally[MAX_SPEED] = max(tally[MAX_SPEED], speed)
@@ -127,14 +158,14 @@ def count_contact(tally, contacts, t, stop, speed):
 
 @inline_always
 def write_down_rest(tally, contacts, t, stop, speed, chatter):
-    """Record the last impact before a rest and, with speed 0, the start of the rest after the remaining hops."""
+    """Record the last impact before sticking and, with speed 0, the start of sticking after the remaining hops."""
     write_down(tally, contacts, t, stop, speed)
     write_down(tally, contacts, t + max(chatter, 0.0), stop, 0.0)
 
 
 @inline_always
 def write_down(tally, contacts, t, stop, speed):
-    """Record contact with a stop while contacts (K, 3) has room."""
+    """Record contact with a stop while ``contacts`` (K, 3) has room."""
     row = int(tally[RECORDED])
     if row < contacts.shape[0]:
         contacts[row, 0], contacts[row, 1], contacts[row, 2] = t, stop, speed
@@ -143,7 +174,11 @@ def write_down(tally, contacts, t, stop, speed):
 
 @kernel
 def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
-    """A motion that starts at block state h (n, 2) in this mode, with these tangent vectors; see Motion."""
+    """Return a motion that starts at block state h (n, 2) in this mode, with these tangent vectors; see Motion.
+
+    record   number of impacts to record
+    watched  whether to follow the extremes of the gap coordinate
+    """
     tally = NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
     modes, extremes = np.empty(1, dtype=np.int64), np.empty(2 if watched else 0)
@@ -155,13 +190,13 @@ def motion_with(h, mode, V, growth, triangle, record=0, watched=False):
 
 @kernel
 def motion_alone(h, mode):
-    """A motion without tangent vectors."""
+    """Return a motion without tangent vectors that starts at block state h (n, 2) in this mode."""
     return motion_with(h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)))
 
 
 @register_jitable
 def axes(n: int) -> NDArray[np.float64]:
-    """The 2n tangent vectors (2n, n, 2) along the block axes."""
+    """Return the 2n tangent vectors (2n, n, 2) along the block axes."""
     frame = np.zeros((2 * n, n, 2))
     for j in range(n):
         frame[2 * j, j, 0] = frame[2 * j + 1, j, 1] = 1.0
@@ -170,10 +205,11 @@ def axes(n: int) -> NDArray[np.float64]:
 
 @kernel
 def cosine_vectors(n):
-    """2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
+    """Return 2n orthogonal tangent vectors (2n, n, 2): cos(pi (2i + 1) (2k + 1) / 8n), the cosine transform of type IV.
 
-    The first r of them are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).
-    Where blocks do not couple, an axis sees its own block alone and is lost where a stop holds that one.
+    The first r vectors are independent in any r of the block axes (odd powers of r cosines, Vandermonde's determinant).
+    An axis vector, in contrast, has only its own block if blocks do not couple, and is lost where that block sticks on
+    a stop.
     """
     frame = np.empty((2 * n, n, 2))
     for i in range(2 * n):
@@ -185,7 +221,11 @@ def cosine_vectors(n):
 def motions_at(
     h: NDArray[np.float64], mode: NDArray[np.int64] | None = None, vectors: int = 0, record: int = 0
 ) -> Motion:
-    """Motions that start at block states h (N, n, 2) in modes (N, 1); tangent vectors are the block axes."""
+    """Return motions that start at block states h (N, n, 2) in modes (N, 1), by default in flight.
+
+    vectors  number of tangent vectors, the first block axes
+    record   number of impacts to record
+    """
     N, n = h.shape[:2]
     one = motion_at(np.zeros((n, 2)), FLIGHT, vectors, record)
     many: Motion = map_fields(one, lambda field: field[None].repeat(N, axis=0))
@@ -193,7 +233,7 @@ def motions_at(
 
 
 def motion_at(h: NDArray[np.float64], mode: int = FLIGHT, vectors: int = 0, record: int = 0) -> Motion:
-    """A motion that starts at block state h (n, 2) in this mode; its tangent vectors are the block axes."""
+    """Return a motion that starts at block state h (n, 2) in this mode; its tangent vectors are the block axes."""
     V, growth, triangle = axes(len(h))[:vectors], np.zeros(vectors), np.zeros((0, 0))
     motion: Motion = motion_with.py_func(h, mode, V, growth, triangle, record)
     return motion

@@ -1,7 +1,7 @@
-"""Observables of motions of machines with modes: impacts, turning points, section values and losses, one by one.
+"""Observables of motions of machines with modes, value by value: impacts, turning points, section values and losses.
 
-Nothing is sampled: impacts are events of the one loop of hybrid/motion.py. Turning points of an output are zeros of its
-rate, which the certified search finds, or impacts that reverse it.
+Nothing is sampled. Impacts are events of the loop of ``hybrid/motion.py``. Turning points of an output are zeros of its
+rate, which the certified search finds, or impacts that reverse the output.
 """
 
 import math
@@ -29,11 +29,16 @@ AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
 """Kinds of observables as numbers."""
 
 ROUNDING = 1e-12
-"""Share of an output's terms by which it must rise or fall between two turning points for them to count."""
+"""Share of an output's terms by which the output must rise or fall between two turning points for them to count."""
 
 
 class ObservableSelection(NamedTuple):
-    """Observables of machines: kind (M,), contact (M,), -1 for all, and side (M,)."""
+    """Observables of machines.
+
+    kinds    (M,)  kind of each
+    contacts (M,)  contact, -1 for all
+    sides    (M,)  side of the contact, +-1, 0 for both
+    """
 
     kinds: Rows
     contacts: Rows
@@ -43,9 +48,10 @@ class ObservableSelection(NamedTuple):
 class ObservedValues(NamedTuple):
     """Values observed of N motions so far.
 
-    values (N, M, K)  the first K of each observable, in the order of time
-    counts (N, M)     number of values; endless (N, M) 1 if a chatter has added infinitely many
-    course (N, M, 5)  recent course of each output, see OutputCourse
+    values  (N, M, K)  the first K values of each observable, in the order of time
+    counts  (N, M)     number of values
+    endless (N, M)     1 if a chatter has added infinitely many
+    course  (N, M, 5)  recent history of each output, see OutputHistory
     """
 
     values: Array
@@ -55,12 +61,14 @@ class ObservedValues(NamedTuple):
 
 
 class OutputHistory(NamedTuple):
-    """The recent course of an output, as columns.
+    """The recent history of an output, as columns.
 
-    heading   1 while rising, -1 while falling; value: the last value
-    size      the greatest sum of its terms, and of its possible change on a leg
-    turn, at  the last turning point, confirmed by the next one: 1 for a maximum, -1 for a minimum, 0 for none or one
-              too early to count; and its value
+    heading  1 while rising, -1 while falling
+    value    the last value
+    size     the greatest sum of its terms, and of its possible change on a leg
+    turn     kind of the last turning point, confirmed by the next one: 1 for a maximum, -1 for a minimum, 0 for none or
+             one too early to count
+    at       value at the last turning point
     """
 
     heading: int
@@ -84,7 +92,7 @@ def put(seen, m, value):
 
 @kernel
 def put_turn(seen, m, highest):
-    """Add the confirmed turning point if observable m wants this kind."""
+    """Add the confirmed turning point if observable m wants its kind."""
     course = seen.course[m]
     if course[COURSE.turn] == (1.0 if highest else -1.0):
         put(seen, m, course[COURSE.at])
@@ -93,7 +101,7 @@ def put_turn(seen, m, highest):
 
 @kernel
 def head(seen, m, highest, direction, y, counts):
-    """Continue an output in this direction from y. A turn of rounding size does not count."""
+    """Continue an output in this direction from y. A turning point of rounding size does not count."""
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
         near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
@@ -108,9 +116,12 @@ def head(seen, m, highest, direction, y, counts):
 
 @kernel
 def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begins, tally):
-    """Record the turns of an output in a flight of s in mode k from h (n, 2), which begins at time ``start``.
+    """Record the turning points of an output in a flight of duration s in mode k from h (n, 2).
 
-    Turns up to the time ``begins`` do not count.
+    row, order  the output, see outputs.output_row
+    highest     whether maxima are wanted, else minima
+    start       time at the start of the flight
+    begins      time up to which turning points do not count
     """
     full, direct = output_row(modes, k, row, order)
     mode, offset = mode_with(modes, k, full, direct)
@@ -141,7 +152,12 @@ def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begin
 
 @kernel
 def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
-    """Record the turns of outputs on a leg of a period that begins at the time ``since``, and their section values."""
+    """Record the turning points of outputs on a leg, and their section values.
+
+    since   time at the start of the period
+    begins  time up to which turning points do not count
+    flies   whether the period counts for section values
+    """
     pieces, size, s, k = table.pieces, 2 * meter.rows.shape[1], leg[LEG.duration], int(leg[LEG.mode])
     t, harmonics = leg[LEG.start], table.pieces.waves.shape[2]
     h, nothing, flat = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty((0, size))
@@ -159,9 +175,9 @@ def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
 
 @kernel
 def see_impact(table, wanted, seen, hit, since, begins):
-    """Record an impact (3,) of a period that begins at the time ``since``, see motion.through_modes.
+    """Record an impact (3,) of a period that begins at the time ``since``, see hybrid.motion.through_modes.
 
-    Speed 0 marks the start of a rest, with infinitely many impacts before it if the contact bounces.
+    Speed 0 marks the start of sticking. If the contact bounces, infinitely many impacts precede it.
     """
     t, which, speed = hit[0], hit[1], hit[2]
     c, side = int(abs(which)) - 1, np.sign(which)
@@ -179,7 +195,7 @@ def see_impact(table, wanted, seen, hit, since, begins):
 
 @kernel
 def stored(table, meter, z, number):
-    """Energy in pushing soft contacts at a physical section state in the mode of this number."""
+    """Return the energy in pushing soft contacts at a physical section state in the mode of this number."""
     elements, total = table.elements, 0.0
     states = np.zeros(len(elements.row), dtype=np.int64)
     read_number(elements, number, states, np.zeros(len(elements.friction_rows), dtype=np.int64))
@@ -197,7 +213,7 @@ def stored(table, meter, z, number):
 
 @kernel
 def loss_in(table, meter, legs, end, tally):
-    """Energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
+    """Return the energy taken by contacts, friction and dampers on all legs (K, columns) up to the state ``end``."""
     n, C, F, M = len(end) // 2, meter.contact_constants.shape[1], meter.friction_constants.shape[1], len(meter.orders)
     reading = MeasureTotals(
         np.zeros(M), np.zeros(M), np.zeros(M), np.zeros(M), np.zeros((C, 2)), np.zeros(C), np.zeros(C), np.zeros(C),
@@ -209,9 +225,10 @@ def loss_in(table, meter, legs, end, tally):
 
 @kernel
 def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begins, flies):
-    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and observe it.
+    """Advance a motion by ``duration``, at most a period, and record its observables.
 
-    In place; see see_outputs. If a mode is missing, the motion stays put and nothing is recorded.
+    State z (2n,) and the number of its mode in code (1,) change in place; see ``see_outputs``. If a mode is missing,
+    the motion stays unchanged and nothing is recorded.
     """
     there, number, legs, hits = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
@@ -232,14 +249,19 @@ def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begi
 
 @kernel
 def observe_motions(oscillators, meters, wanted, seen, starts, states, codes, done, periods, closes, allowance, cells):
-    """Advance motions by their remaining periods and record observables; returns the status of each.
+    """Advance motions by their remaining periods, record observables, and return the status of each.
 
-    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
-    (N,): 1 if these are one turn of an orbit, where events at the section count once. allowance (N,): evaluations
-    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
+    starts             states (N, 2n) and mode numbers (N, 1) from which the counted motion begins
+    states    (N, 2n)  physical states, changed in place
+    codes     (N, 1)   numbers of their modes, changed in place
+    done      (N,)     number of periods done, of ``periods`` (N,); changed in place
+    closes    (N,)     1 if the periods are one turn of an orbit, where events at the section count once
+    allowance (N,)     number of evaluations allowed, changed in place
+    cells              rows to advance, of machines with modes
 
-    A negative number of periods ``done`` is a turn before the one that counts: it shows whether outputs rise or fall
-    where they rest at the section. Then the motion begins again from ``starts``, states (N, 2n) and codes (N, 1).
+    A negative ``done`` is a turn before the one that counts. That turn shows whether outputs rise or fall where they
+    are constant at the section. Then the motion begins again from ``starts``. A motion that misses a mode continues at
+    the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

@@ -1,6 +1,7 @@
-"""The stroboscopic map: ``advance`` takes one cell through one forcing period, the only hot kernel.
+"""The stroboscopic map: ``advance`` takes one cell through one forcing period.
 
-Between sections the phase runs from tau to tau + 2 pi; absolute time never enters.
+The loop of mode, first guard and reset map is the only hot kernel. Between sections the phase runs from tau to tau + 2
+pi; absolute time never enters.
 """
 
 import numpy as np
@@ -63,16 +64,19 @@ from workers.model.hybrid_modes import DETACHED, OPEN
 from workers.model.oscillator import HEAD, NUMBER
 
 AT_THE_END = 1e-9
-"""Share of its duration before which a motion released from a stop counts as still at rest at its end: the
-displacement, of third order in that time, is far below rounding."""
+"""Time left after a release from a stop, as a share of the motion's duration. Up to this share the motion ends on the
+stop: its displacement is of third order in that time, far below rounding."""
 
 NOWHERE = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""In place of an arrival, for a flight that ends at no stop."""
+"""Values in place of an arrival, for a flight that ends at no stop."""
 
 
 @inline_always
 def come_to_rest(blocks, cA2k, motion, v):
-    """The end of chatter, begun by an impact at velocity v."""
+    """End a chatter that began with an impact at velocity v.
+
+    Count the impact, remove v, and project the tangent vectors.
+    """
     tally = motion.tally
     tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(v))
     tally[LOSS] += v * v
@@ -82,13 +86,17 @@ def come_to_rest(blocks, cA2k, motion, v):
 
 @inline_always
 def leave_stop(oscillator, motion, phase, side, remaining, chatter):
-    """Rest on a stop until release or for ``remaining``: the time spent, and whether the motion continues.
+    """Advance a motion that sticks on a stop until its release, or for ``remaining``.
 
-    The mass spends the first part of it, ``chatter``, hopping.
+    phase    forcing phase at the start
+    side     side of the stop, +-1
+    chatter  first part of the time, which the mass spends hopping
+
+    Return the time spent, and True if the mass was released and the motion continues.
     """
     h, V, tally = motion.h, motion.V, motion.tally
     s, released, evaluations = stay_on_stop(oscillator, h, V, motion.growth, motion.triangle, phase, side, remaining)
-    tally[STUCK] += max(s - chatter, min(s, TINY))  # a rest counts, however short
+    tally[STUCK] += max(s - chatter, min(s, TINY))  # sticking counts, however short
     spend(tally, evaluations)
     tally[LOST] = 2.0
     tally[MIN_SPEED] = 0.0
@@ -102,7 +110,7 @@ def leave_stop(oscillator, motion, phase, side, remaining, chatter):
 
 @inlined
 def widen(extremes, y):
-    """Widen the least and greatest position (2,) of the gap coordinate to include y."""
+    """Widen the least and the greatest position (2,) of the gap coordinate to include y."""
     extremes[0], extremes[1] = min(extremes[0], y), max(extremes[1], y)
 
 
@@ -129,7 +137,7 @@ def watch_flight(gap, motion, phase, s, start, top, bottom):
 
 @external(RIGID, MOTION, types.float64)
 def through_impacts(oscillator, motion, duration):
-    """The one loop of mode, first guard and reset: see propagate."""
+    """Advance a motion with one rigid contact in the loop of mode, first guard and reset map; see ``propagate``."""
     gap, h, V, tally, scratch, impacts = (
         oscillator.gap,
         motion.h,
@@ -181,7 +189,7 @@ def through_impacts(oscillator, motion, duration):
             s = min(s, duration - t)
         if hit:
             y, v, a, jerk, scale = evaluate(blocks, waves, omega, h, s, phase, 0.0)
-            v = side * max(side * v, TINY)  # it approaches; the last digit may differ in the new evaluation
+            v = side * max(side * v, TINY)  # the mass approaches; a new evaluation may differ in the last digit
         if watched:
             watch_flight(gap, motion, phase, s, start, top, bottom)
         spread = impact_spread(a / v, unit, loss) if vectors and hit else 0.0
@@ -206,7 +214,7 @@ def through_impacts(oscillator, motion, duration):
             widen(motion.extremes, stop)
         scale += abs(y)
         if speed > 0.0:
-            kick(blocks, h, side * speed - v)  # rounding hides the end speed of so low a hop
+            kick(blocks, h, side * speed - v)  # rounding hides the end speed of a low hop
             v = side * speed
         load = load_at_rest(side, v, a, cA2k)
         following = outcome(load, v, R, scale, period)
@@ -238,7 +246,7 @@ def through_impacts(oscillator, motion, duration):
 def propagate(oscillator, motion, duration):
     """Advance a motion from a section by ``duration`` <= one period, in place, through all its impacts.
 
-    Stops early with tally[STATUS] set if it cannot be completed, at once where it starts beyond a stop.
+    The motion stops early, with tally[STATUS] set, if it cannot be completed. A motion beyond a stop ends at once.
     """
     if has_modes(oscillator):
         through_events(oscillator, motion, duration)
@@ -248,13 +256,16 @@ def propagate(oscillator, motion, duration):
 
 @inline_always
 def advance(oscillator, motion):
-    """The stroboscopic map P: one forcing period, section to section, in place; V becomes DP V."""
+    """Apply the stroboscopic map P, one forcing period from section to section, in place; V becomes DP V."""
     propagate(oscillator, motion, oscillator.head[HEAD.period])
 
 
 @inline_always
 def step(oscillator, motion, half):
-    """The stroboscopic map P, or the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place; G o G = P."""
+    """Apply the map P, or with ``half`` the half-period map G(z) = -P_{T/2}(z) of a symmetric gap, in place.
+
+    G o G = P.
+    """
     period = oscillator.head[HEAD.period]
     propagate(oscillator, motion, 0.5 * period if half else period)
     if half:
@@ -263,7 +274,7 @@ def step(oscillator, motion, half):
 
 @kernel
 def mirror(motion):
-    """z -> -z, in place."""
+    """Replace z by -z, in place, with the mode and the tangent vectors."""
     motion.mode[0] = 2 * FLIGHT - motion.mode[0]
     for j in range(motion.h.shape[0]):
         for k in range(2):

@@ -1,4 +1,4 @@
-"""The guard of a mode over time: value, derivatives, and their bounds."""
+"""The guard of a mode as a signal in time: value, derivatives, and bounds of them."""
 
 import math
 
@@ -13,7 +13,11 @@ from workers.model.oscillator import COLUMN, NUMBER
 
 @inlined
 def forced(phase, w, sin_part, cos_part):
-    """One harmonic of the forced part at its phase, of frequency w: value and derivatives in time."""
+    """Return the value of one harmonic of the forced part at its phase, and its first three derivatives in time.
+
+    w                   frequency of the harmonic
+    sin_part, cos_part  its amplitudes
+    """
     sin, cos = sin_cos(phase)
     y, v = fma(sin_part, sin, cos_part * cos), w * fma(sin_part, cos, -cos_part * sin)
     return y, v, -w * w * y, -w * w * v
@@ -21,9 +25,9 @@ def forced(phase, w, sin_part, cos_part):
 
 @inlined
 def all_forced(waves, omega, phase):
-    """The forced part at a phase, its first three derivatives, and the sum of the moduli of its terms.
+    """Return the forced part at a phase, its first three derivatives, and the sum of the moduli of its terms.
 
-    Orders absent from the force cost no sine.
+    Orders that the force lacks cost no sine.
     """
     y, v, a, j3, scale = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(waves)):
@@ -37,7 +41,10 @@ def all_forced(waves, omega, phase):
 
 @inlined
 def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
-    """A block's share q = c . (h, h') of the signal, q' = d . (h, h'), and two more: q'' = -2 eta q' - lam q."""
+    """Return a block's contribution q to the signal, and its first three derivatives.
+
+    q = c . (h, h'), q' = d . (h, h'), q'' = -2 eta q' - lam q.
+    """
     q0 = fma(c0, h0, c1 * h1)
     q1 = fma(d0, h0, d1 * h1)
     q2 = fma(-2.0 * eta, q1, -lam * q0)
@@ -46,7 +53,7 @@ def block_output(h0, h1, eta, lam, c0, c1, d0, d1):
 
 @inlined
 def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
-    """block_output of a block under a load: q'' = -2 eta q' - lam q + c0 load."""
+    """Return ``block_output`` of a block under a load: q'' = -2 eta q' - lam q + c0 load."""
     q0 = fma(c0, h0, c1 * h1)
     q1 = fma(c1, load, fma(d0, h0, d1 * h1))
     q2 = fma(c0, load, fma(-2.0 * eta, q1, -lam * q0))
@@ -55,9 +62,11 @@ def loaded_output(h0, h1, eta, lam, c0, c1, d0, d1, load):
 
 @kernel
 def evaluate(blocks, waves, omega, h, s, phase, offset):
-    """A guard plus offset and its first three derivatives, a time s after block state h (n, 2); scale of its rounding.
+    """Return a guard plus offset, its first three derivatives, and the scale of its rounding, at a time s.
 
-    blocks and waves: of the mode; phase: at the start.
+    blocks, waves  those of the mode
+    h      (n, 2)  block state at the start
+    phase          forcing phase at the start
     """
     y, v, a, j3, scale = all_forced(waves, omega, fma(omega, s, phase))
     y, scale = y + offset, scale + abs(offset)
@@ -82,10 +91,11 @@ def evaluate(blocks, waves, omega, h, s, phase, offset):
 
 @inlined
 def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
-    """Bounds of one block's share q of the signal and of its second to fourth derivatives, for all later times.
+    """Return bounds, for all later times, of a block's contribution q to the signal and of its 2nd to 4th derivatives.
 
-    sqrt(q^2 + weight (q' + tilt q)^2) bounds q: with tilt = eta and weight = 1 / d it is the amplitude of the
-    oscillation, with 0 and 1 / lam the energy, which never grows. The derivatives are at most grow2...grow4 times that.
+    sqrt(q^2 + weight (q' + tilt q)^2) bounds q. With tilt = eta and weight = 1 / d it is the amplitude of the
+    oscillation. With tilt = 0 and weight = 1 / lam it is the energy, which never grows. The derivatives are at most
+    grow2...grow4 times that bound.
     """
     turned = fma(tilt, q0, q1)
     b0 = math.sqrt(fma(q0, q0, weight * (turned * turned)))
@@ -94,12 +104,15 @@ def amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4):
 
 @inlined
 def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, grow2, grow3, grow4):
-    """amplitude_bounds for an oscillating block, d > 0; else the smaller of two bounds.
+    """Return ``amplitude_bounds`` for an oscillating block, d > 0; else the smaller of two bounds.
 
-    sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows; and where well overdamped the moduli of
-    the two exponentials, |alpha| slow^k + |beta| fast^k. A rigid mode, lam = 0, is unbounded under a load or undamped,
-    unless it stands still; else it goes straight from q to q + q' / (2 eta) = +-alpha, and its second and later
-    derivatives never grow. pull: share of the load in q'', see loaded_output.
+    pull  contribution of the load to q'', see ``loaded_output``
+
+    The first bound is sqrt(q^2 + q'^2 / lam) of each derivative q, since the energy never grows. The second holds in a
+    well overdamped block: the moduli of both exponentials, |alpha| slow^k + |beta| fast^k.
+
+    A rigid mode of vibration, lam = 0, is unbounded under a load or without damping, unless it stands still. Otherwise
+    it goes straight from q to q + q' / (2 eta) = +-alpha, and its second and later derivatives never grow.
     """
     a0, a2, a3, a4 = amplitude_bounds(q0, q1, tilt, weight, grow2, grow3, grow4)
     q2 = pull - 2.0 * eta * q1 - lam * q0
@@ -127,19 +140,22 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
 
 
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
-"""Relative error of a derivative of a signal, as a share of its terms: along a direction in which a block seems not to
-move, the lost digits grow by its rate in each derivative."""
+"""Relative error of a derivative of a signal, as a share of its terms. Along a direction in which a block seems not to
+move, the lost digits grow by the block's rate in each derivative."""
 
 FINEST = 1e6
-"""Useful ratio of the frequency of a norm to those of its block; any frequency makes a bound."""
+"""Maximum useful ratio of the frequency of a norm to those of its block; any frequency gives a bound."""
 
 
 @kernel
 def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H):
-    """Bounds of one block's share q of the signal and of its second to fourth derivative, for times up to H.
+    """Return bounds, for times up to H, of a growing block's contribution q and of its second to fourth derivative.
 
-    For a growing block, slow < 0. q' is its rate, size0 and size1 the sums of moduli of the terms of q and q', pull the
-    share of the load in q''. The k-th derivative is at most each of
+    q0, q1        q and q' at the start; slow < 0
+    size0, size1  sums of moduli of the terms of q and q'
+    pull          contribution of the load to q''
+
+    The k-th derivative is at most each of
 
         d > 0:   sqrt(q^2 + (q' + eta q)^2 / d) lam^(k/2) e^(-eta H)
         d < 0:   |a| |r+|^k e^(max(0, r+) H) + |b| |r-|^k e^(max(0, r-) H),  q = a e^(r+ s) + b e^(r- s)
@@ -197,7 +213,7 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
 
 @inlined
 def growth_rate(blocks):
-    """The largest growth rate of any of the blocks, 0 if none grows."""
+    """Return the largest growth rate of any of the blocks, 0 if none grows."""
     rate = 0.0
     for j in range(len(blocks)):
         rate = max(rate, -blocks[j, COLUMN.slow])
@@ -206,7 +222,7 @@ def growth_rate(blocks):
 
 @kernel
 def bounds_while_growing(blocks, numbers, h, H):
-    """derivative_bounds with a growing block."""
+    """Return ``derivative_bounds`` of a mode with a growing block."""
     M0, M2, M3, M4 = numbers[NUMBER.amplitude], numbers[NUMBER.swing2], numbers[NUMBER.swing3], numbers[NUMBER.swing4]
     for j in range(len(blocks)):
         block = blocks[j]
@@ -228,7 +244,7 @@ def bounds_while_growing(blocks, numbers, h, H):
 
 @inlined
 def bounds_of(block, h0, h1):
-    """block_bounds of a block that does not grow, a row of Mode.blocks, in the state (h0, h1)."""
+    """Return ``block_bounds`` of a block that does not grow, a row of GuardedFlow.blocks, in the state (h0, h1)."""
     load, c0, c1 = block[COLUMN.load], block[COLUMN.c0], block[COLUMN.c1]
     q0 = c0 * h0 + c1 * h1
     q1 = block[COLUMN.cA0] * h0 + block[COLUMN.cA1] * h1 + c1 * load
@@ -241,9 +257,12 @@ def bounds_of(block, h0, h1):
 
 @kernel
 def derivative_bounds(blocks, numbers, h, H):
-    """Bounds M0, M2, M3, M4 of the modulus of a guard and of its second to fourth derivative, for times up to H.
+    """Return bounds M0, M2, M3, M4 of the modulus of a guard and of its second to fourth derivative, for times up to H.
 
-    For a mode of these blocks and numbers from block state h (n, 2); for all later times if no block grows.
+    blocks, numbers  those of the mode
+    h        (n, 2)  block state at the start
+
+    If no block grows, the bounds hold for all later times.
     """
     if growth_rate(blocks) > 0.0:
         return bounds_while_growing(blocks, numbers, h, H)

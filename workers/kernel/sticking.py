@@ -1,4 +1,4 @@
-"""Motion on a stop that holds the gap coordinate y, until the load on the stop falls to zero."""
+"""Motion in which the gap coordinate y sticks on a stop, until the load on the stop falls to zero."""
 
 import numpy as np
 
@@ -22,14 +22,17 @@ from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 
 ONLY = np.int64(0)
-"""The place of the mode in which a stop holds among Oscillator.held."""
+"""Index of the only mode in Oscillator.held, the mode in which the mass sticks on a stop."""
 
 
 @kernel
 def to_held(oscillator, h, V, harmonics, z, W, u, U):
-    """Write the block state u (n, 2) and tangent vectors U (m, n, 2) of motion held on a stop, from those of flight.
+    """Write block state u (n, 2) and tangent vectors U (m, n, 2) of sticking motion, from h and V in flight.
 
-    The last block is y; its constant state, the stop, is left out of u: see load_on_stop. z (2n,), W (m, 2n) are room.
+    harmonics (H, 2)   sine and cosine of the harmonics of the force, see state.harmonics_at
+    z (2n,), W (m, 2n) work arrays, overwritten
+
+    The last block is y. Its constant state, the stop, is left out of u, see ``load_on_stop``.
     """
     held, n = oscillator.held, h.shape[0]
     leave_flight(oscillator, h, harmonics, z)
@@ -42,7 +45,10 @@ def to_held(oscillator, h, V, harmonics, z, W, u, U):
 
 @kernel
 def from_held(oscillator, u, U, harmonics, side, z, W, h, V):
-    """Write the block state h (n, 2) and tangent vectors V (m, n, 2) in flight of held motion; see to_held."""
+    """Write block state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of sticking motion.
+
+    This is the inverse of ``to_held``.
+    """
     held, n = oscillator.held, h.shape[0]
     u[n - 1, 0] = stop_position(oscillator, side)
     leave(held, ONLY, u, U, harmonics, z, W)
@@ -55,7 +61,10 @@ def from_held(oscillator, u, U, harmonics, side, z, W, h, V):
 
 @inlined
 def leave_flight(oscillator, h, harmonics, z):
-    """Write the physical state z (2n,), counted from rest, of a block state h (n, 2) in flight; see state.turned."""
+    """Write the physical state z (2n,), relative to equilibrium, of a block state h (n, 2) in flight.
+
+    harmonics (H, 2)  sine and cosine of the harmonics of the force, see state.harmonics_at
+    """
     z[:] = 0.0
     for j in range(len(z)):
         full = h[j // 2, j % 2] + wave(oscillator.gap.forced[j // 2, j % 2], harmonics)[0]
@@ -65,7 +74,10 @@ def leave_flight(oscillator, h, harmonics, z):
 
 @inlined
 def level_on_stop(oscillator, side):
-    """Constant part of the signal of held motion: the force by which a stop holds y, without motion of the others."""
+    """Return the constant part of the signal of sticking motion.
+
+    The signal is the force by which the stop holds y; this part acts without motion of the other coordinates.
+    """
     last = oscillator.held.blocks.shape[2] - 1
     return oscillator.held.offset[0, 0] + oscillator.held.blocks[0, 0, last, COLUMN.c0] * stop_position(
         oscillator, side
@@ -74,7 +86,7 @@ def level_on_stop(oscillator, side):
 
 @kernel
 def load_on_stop(oscillator, u, harmonics, side):
-    """The force that presses the resting mass on the stop, from its block state u (n, 2)."""
+    """Return the force that presses the sticking mass on the stop, from its block state u (n, 2)."""
     held = oscillator.held
     return -side * (
         guard_of(held.blocks[0, 0], u) + wave(held.waves[0, 0], harmonics)[0] + level_on_stop(oscillator, side)
@@ -83,9 +95,13 @@ def load_on_stop(oscillator, u, harmonics, side):
 
 @inline_always
 def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
-    """Rest on a stop until the load on it falls to zero, or for H; moves h and V in place.
+    """Advance h and V in place while the mass sticks on a stop: until the load falls to zero, or for H.
 
-    Returns (time, released, evaluations); released is 2 if the march gave up.
+    growth, triangle  see tangent.orthonormalise; empty if the vectors stay as they are
+    phase             forcing phase at the start
+    side              side of the stop, +-1
+
+    Return (time, released, evaluations); ``released`` is 2 if the march gave up.
     """
     h, V = borrow(h), borrow(V)
     held, n = oscillator.held, h.shape[0]

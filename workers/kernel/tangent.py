@@ -15,17 +15,20 @@ from workers.kernel.motion import LOST, SPREAD
 from workers.model.oscillator import COLUMN
 
 MAX_SPREAD = 8.0
-"""Largest |log| of the stretch of a frame by flights and impacts before it is made orthonormal again: keeps 12 digits
-of the most contracted direction. One flight with its impact may exceed it."""
+"""Maximum |log| of the stretch of a frame by flights and impacts before it is made orthonormal again. The limit keeps
+12 digits of the most contracted direction. One flight with its impact may exceed it."""
 
 
 DEPENDENT = 1e-12
-"""Share of a vector that may be rounding of a sum of others, after an event that removes directions."""
+"""Share of a vector that may be rounding of a sum of other vectors, after an event that removes directions."""
 
 
 @inlined
 def inner(blocks, V, i, W, k):
-    """The product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k], which undamped flight conserves."""
+    """Return the product sum_j metric_j u_j w_j + u_j' w_j' of u = V[i] and w = W[k].
+
+    Undamped flight conserves this product.
+    """
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * V[i, j, 0] * W[k, j, 0] + V[i, j, 1] * W[k, j, 1]
@@ -36,9 +39,12 @@ def inner(blocks, V, i, W, k):
 def orthonormalise(blocks, V, growth, triangle, rank):
     """Make V (m, n, 2) orthonormal in the product of ``inner`` and add the log of each norm to growth (m,).
 
-    V = Q r by modified Gram-Schmidt. Only the first ``rank`` directions exist; the others, and zero vectors, are
-    structurally lost: zero, growth -infinity. triangle (m, m), or (0, 0) for none, is the product of all r so far with
-    rows divided by exp(growth), which keeps it in range.
+    rank             number of directions that exist
+    triangle (m, m)  product of all factors r so far, with rows divided by exp(growth), which keeps it in range; (0, 0)
+                     if not wanted
+
+    V = Q r by modified Gram-Schmidt. Vectors beyond the first ``rank`` ones, and zero vectors, are structurally lost:
+    their entries become zero and their growth -infinity.
     """
     blocks, V, growth, triangle = by_value(blocks), by_value(V), by_value(growth), by_value(triangle)
     m = V.shape[0]
@@ -67,7 +73,7 @@ def orthonormalise(blocks, V, growth, triangle, rank):
 
 @kernel
 def drop_dependent(blocks, V, rank):
-    """Zero the part of the first ``rank`` vectors of V (m, n, 2) that is a sum of earlier ones, to rounding.
+    """Zero those of the first ``rank`` vectors of V (m, n, 2) that are sums of earlier vectors, to rounding.
 
     If masses do not couple, an event that removes directions may leave fewer vectors than directions.
     """
@@ -90,14 +96,14 @@ def drop_dependent(blocks, V, rank):
 
 @inlined
 def log_length(blocks, V, growth):
-    """Log of the length of the first vector, including the growth removed so far."""
+    """Return the log of the length of the first vector, including the growth removed so far."""
     first = np.int64(0)  # typed, as in run_batch
     return growth[0] + 0.5 * log(inner(blocks, V, first, V, first))
 
 
 @kernel
 def add_row(triangle, growth, i, k, factor):
-    """Record in the triangle that this multiple of vector i, with growth exp(growth), was subtracted from vector k."""
+    """Record in the triangle that ``factor`` times vector i, with growth exp(growth), was subtracted from vector k."""
     if factor != 0.0:  # exp(...) may be infinite between uncoupled blocks
         factor *= exp(growth[k] - growth[i])
         for c in range(k, triangle.shape[1]):
@@ -106,11 +112,15 @@ def add_row(triangle, growth, i, k, factor):
 
 @external(FLOATS[2], types.float64, FLOATS[3], FLOATS[1], FLOATS[2], types.int64)
 def graded_flow(blocks, s, V, growth, triangle, rank):
-    """Advance the tangent vectors V (m, n, 2) by any s, as V exp(growth) triangle; rows of blocks: eta, lam...
+    """Advance the tangent vectors V (m, n, 2) by any s, as V exp(growth) triangle.
 
-    In coordinates of one decay rate each a flight is X -> D X, D = diag(exp(-rate s)) times a rotation. Gaussian
-    elimination with pivots by the size in D X gives D X = L U: L, well conditioned, is the new frame; U goes into
-    growth and triangle (see orthonormalise, which follows). No entry of D is multiplied out.
+    blocks            rows of eta, lam, ..., see Block
+    growth, triangle  see ``orthonormalise``
+    rank              number of directions that exist
+
+    In coordinates of one decay rate each, a flight is X -> D X, with D = diag(exp(-rate s)) times a rotation. Gaussian
+    elimination with pivots by the size in D X gives D X = L U. The well-conditioned L is the new frame, to be made
+    orthonormal next; U goes into growth and triangle. No entry of D is multiplied out.
     """
     blocks, V, growth, triangle = by_value(blocks), by_value(V), by_value(growth), by_value(triangle)
     n, m = len(blocks), V.shape[0]
@@ -185,10 +195,11 @@ def graded_flow(blocks, s, V, growth, triangle, rank):
 
 @kernel
 def spread_rate(blocks):
-    """Rate at which a flight spreads the frame: the largest contraction rate of the blocks plus that of growth.
+    """Return the rate at which a flight spreads the frame.
 
-    The flow of a rigid mode is a shear too, (h, h') -> (h + h' s, h'), which spreads by at most sqrt(metric) per time;
-    that of a block that grows is one in the norm of metric = nu^2, by at most |nu - lam / nu| / 2 besides eta.
+    The rate is the largest contraction rate of the blocks plus that of growth. The flow of a rigid mode of vibration is
+    also a shear, (h, h') -> (h + h' s, h'). It spreads by at most sqrt(metric) per time. The flow of a growing block is
+    a shear in the norm of metric = nu^2. It spreads by at most |nu - lam / nu| / 2 besides eta.
     """
     rate, growth = 0.0, 0.0
     for j in range(len(blocks)):
@@ -222,16 +233,16 @@ def reset_frame(blocks, motion):
 
 @inlined
 def needs_reset(spread, more, limit):
-    """Whether the frame must be made orthonormal before the next flight and impact spread it by ``more``."""
+    """Return True if the frame must be made orthonormal before the next flight and impact spread it by ``more``."""
     return spread > 0.0 and spread + more > limit
 
 
 @inlined
 def impact_spread(ratio, unit, loss):
-    """Largest spread of the frame, as a logarithm, by an impact with ratio = a / v.
+    """Return the largest spread of the frame, as a logarithm, by an impact with ratio = a / v.
 
-    2 ln(1 + u) - ln R, u = |ratio| unit, where unit is the oscillator's time_unit; ln x < (x - 1) / sqrt(x) avoids the
-    logarithms.
+    The spread is at most 2 ln(1 + u) - ln R with u = |ratio| unit, where ``unit`` is the oscillator's time_unit. The
+    bound ln x < (x - 1) / sqrt(x) avoids the logarithms. ``loss`` is the value of ``loss_spread``.
     """
     u = abs(ratio) * unit
     return 2.0 * u / math.sqrt(1.0 + u) + loss
@@ -239,5 +250,5 @@ def impact_spread(ratio, unit, loss):
 
 @inlined
 def loss_spread(R):
-    """The share of the restitution in impact_spread: at least -ln R."""
+    """Return the contribution of the restitution to ``impact_spread``: at least -ln R."""
     return (1.0 - R) / math.sqrt(max(R, TINY))

@@ -1,6 +1,7 @@
-"""Loops of unknown length are not unrolled in kernels of this package; kernels of others are compiled as ever.
+"""Compilation of the kernels of this package without unrolling loops of unknown length.
 
-LLVM has no such option of one function: it is set while a kernel of this package is compiled.
+Kernels of other packages are compiled as usual. LLVM has no such option for one function, so the option is set while a
+kernel of this package is compiled.
 """
 
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ __all__ = ["not_unrolled"]
 _OWN = __name__.partition(".")[0] + "."
 
 _depth = 0
-"""Kernels of this package that are being compiled, one for another."""
+"""Number of kernels of this package that are being compiled, each for another one."""
 
 
 def _enter() -> None:
@@ -33,7 +34,7 @@ def _leave() -> None:
 
 @contextmanager
 def not_unrolled() -> Iterator[None]:
-    """Compile without unrolling loops of unknown length."""
+    """Compile within the block without unrolling loops of unknown length."""
     _enter()
     try:
         yield
@@ -42,10 +43,10 @@ def not_unrolled() -> Iterator[None]:
 
 
 class _Compiling(event.Listener):
-    """Sets the option while Numba compiles a function of this package."""
+    """Listener that sets the option while Numba compiles a function of this package."""
 
     def on_start(self, event: event.Event) -> None:
-        """Numba holds its lock here: no other thread compiles."""
+        """Set the option; Numba holds its lock here, so no other thread compiles."""
         if _is_own(event):
             _enter()
 

@@ -1,1 +1,1 @@
-"""Motion of machines with modes, see model/hybrid.py: modes, guards and resets."""
+"""Kernels for the motion of machines with modes: modes, guards and reset maps; see ``workers/model/hybrid_modes``."""

@@ -1,12 +1,12 @@
-"""Events of a hybrid machine, where a guard falls to zero: the reset, and the mode that follows.
+"""Events of a machine with modes, where a guard falls to zero: the reset map, and the mode that follows.
 
 An event at guard r, reached at the rate r', takes a tangent vector w to
 
     S w = R w + (f+ - R f-) (r . w) / r',
 
-with f the right-hand sides before and after the event and R the linear part of the reset. ``begun`` holds, for each
-signal, the end of its range at which it starts in the next mode and the order of its first nonzero derivative there:
-see crossing.next_crossing.
+with f the right-hand sides before and after the event and R the linear part of the reset map. ``signal_starts`` holds,
+for each signal, the end of its range at which it starts in the next mode. The modulus is the order of its first nonzero
+derivative there, see crossing.next_crossing.
 """
 
 import numpy as np
@@ -29,18 +29,22 @@ from workers.kernel.signal import evaluate
 from workers.model.hybrid_modes import DETACHED, ON, OPEN, RESONANT, SIGNALS
 
 MISSING, WRONG, ENDLESS, RESONATES = -1, -2, -3, -4
-"""In place of a mode: not built yet; no valid mode; an endless chain of changes; undamped resonance."""
+"""Values in place of a mode. MISSING: not built yet. WRONG: no valid mode. ENDLESS: an endless chain of changes.
+RESONATES: undamped resonance."""
 
 JUMPED = 1e-12
-"""Overshoot of a signal beyond its range, as a share of its terms, from which on a jump has caused it."""
+"""Minimum overshoot of a signal beyond its range, as a share of its terms, that counts as caused by a jump."""
 
 CHANGES = 4
-"""Simultaneous changes of mode per element after which the chain counts as endless."""
+"""Maximum number of simultaneous changes of mode per element; a longer chain counts as endless."""
 
 
 @inlined
 def mode_of(table, states, slips, phase_index):
-    """(slot of the mode of these contacts and slips in this phase, or MISSING, WRONG or RESONATES; its number)."""
+    """Return the slot and the number of the mode of these contacts and slips in this phase.
+
+    The slot is MISSING, WRONG or RESONATES if the mode cannot be used.
+    """
     number = number_of(table.elements, states, slips, phase_index)
     k = slot_of(table.codes, number)
     if k >= 0 and table.wrong[k] != 0:
@@ -50,7 +54,7 @@ def mode_of(table, states, slips, phase_index):
 
 @inlined
 def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts):
-    """Follow a jump beyond guards: friction slips, contacts that push engage. Returns as mode_of."""
+    """Find the mode after a jump beyond guards and return as ``mode_of``: friction slips, pushing contacts engage."""
     number = np.int64(0)
     for _ in range(CHANGES * (len(states) + len(slips) + 1)):
         k, number = mode_of(table, states, slips, phase_index)
@@ -63,7 +67,7 @@ def follow_jumps(table, states, slips, phase_index, z, harmonics, signal_starts)
 
 @inlined
 def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, signal_starts):
-    """Change the element of the first signal of mode k that is beyond its range; returns whether there was one."""
+    """Change the element of the first signal of mode k that is beyond its range; return True if there was one."""
     C, ends = len(states), modes.ends[k]
     for g in range(SIGNALS * C + len(slips)):
         low, high = ends[g, 0], ends[g, 1]
@@ -94,9 +98,9 @@ def follow_one(modes, elements, k, phase_index, states, slips, z, harmonics, sig
 
 @inlined
 def release(elements, g, c, phase_index, states, slips, signal_starts, order):
-    """Release a rigid stop; ``order`` is that of the first nonzero derivative of y after the release.
+    """Release a rigid stop; ``order`` is the order of the first nonzero derivative of y after the release.
 
-    Friction that also held the mass slides; its force jumps if the static level is above the kinetic one.
+    Friction that also held the mass slides. Its force jumps if the static level is above the kinetic one.
     """
     side = states[c]
     for e in range(len(slips)):
@@ -111,20 +115,23 @@ def release(elements, g, c, phase_index, states, slips, signal_starts, order):
 
 @inlined
 def go_on(signal_starts, g, side):
-    """Signal g begins at this end of its range at a rate, as what it has just left; nothing jumps.
+    """Let signal g begin at this end of its range, with the rate of the signal just left; nothing jumps.
 
-    Where it has left the other mode in no time too, rounding hides its derivatives: at rest on its end it would change
-    for ever.
+    If the signal left the other mode in no time too, its derivatives are hidden by rounding and the start is UNCLEAR.
+    Otherwise a signal at rest on its end would change the mode for ever.
     """
     signal_starts[g] = side * (UNCLEAR if signal_starts[g] * side < 0 else 1)
 
 
 @kernel
 def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmonics, signal_starts):
-    """Friction e begins to slip, or stops sliding: then it sticks if it can, else slides the other way.
+    """Pass an event of friction e: it begins to slip, stops sliding, or its law enters another segment.
 
-    Or its law enters another segment, in which nothing jumps. Returns the slot and number of the sticking mode, as of
-    mode_of: it must be built to decide.
+    g, side    the signal of the friction and the end of its range
+    z (2n,)    physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
+
+    Friction that stops sliding sticks if it can, else it slides the other way. Nothing jumps between segments. Return
+    the slot and the number of the sticking mode, as of ``mode_of``; the mode must be built to decide.
     """
     elements, sign = table.elements, 1 if slips[e] > 0 else -1
     if slips[e] != 0 and (slips[e] != sign or side == sign):  # the next or the previous segment of a law
@@ -149,7 +156,7 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
         for i in range(W.shape[0]):
             reset(W[i], n, row, brake, 0.0, 1.0)
         signal_starts[g] = (
-            0  # the velocity may have turned at this instant: this begins a stick, not the slide after the turn
+            0  # the velocity may have turned at this instant: friction begins to stick here, not to slide back
         )
     else:
         slips[e] = -1 if force > 0.0 else 1
@@ -159,13 +166,16 @@ def friction_event(table, g, e, side, states, slips, phase_index, z, f, W, harmo
 
 @inlined
 def other_push(state):
-    """The other of the two states of a soft contact: pushing and detached."""
+    """Return the other of the two states of a soft contact: pushing and detached."""
     return state + (1 if state > 0 else -1) * (1 if state % 2 != 0 else -1)
 
 
 @inlined
 def soft_event(g, c, side, states, signal_starts):
-    """A soft contact engages or opens, enters another segment, or begins or ceases to push. Nothing jumps."""
+    """Pass an event of a soft contact, at which nothing jumps.
+
+    The contact engages or opens, enters another segment, or begins or ceases to push.
+    """
     state = states[c]
     go_on(signal_starts, g, -side)
     if g % SIGNALS == 1:
@@ -180,10 +190,17 @@ def soft_event(g, c, side, states, signal_starts):
 
 @kernel
 def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, phase, harmonics, signal_starts):
-    """An impact on a rigid contact at this rate of y: outcome (see contact.outcome) and remaining time of a chatter.
+    """Pass an impact on a rigid contact and return its outcome and the remaining time of a chatter.
 
-    Friction that the impact jerks slides afterwards. The end of chatter is to leading order one impact with R = 0;
-    after R = 0 a load that pulls away releases at once, see follow_one.
+    k, g         mode before the impact, and its signal that reached the stop
+    c, side      the contact and the side of its stop
+    rate         rate of y
+    h (n, 2)     block state
+    z (2n,)      physical state, changed in place with the right-hand side f (2n,) and the tangent vectors W (m, 2n)
+    harmonics    (H, 2) of the force, see state.harmonics_at
+
+    For the outcomes see contact.outcome. Friction that the impact jerks slides afterwards. The end of chatter is to
+    leading order one impact with R = 0. After R = 0 a load that pulls away releases at once, see ``follow_one``.
     """
     elements, pieces, n = table.elements, table.pieces, len(z) // 2
     row, kick, R, stop = elements.row[c], elements.kick[c], elements.R[c], elements.stops[c, 1 if side > 0 else 0]
@@ -220,7 +237,10 @@ def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, p
 
 @kernel
 def load_away(table, c, side, load, states, slips, phase_index, z, harmonics):
-    """Load on stop ``side`` while the mass moves away from it: differs from ``load`` if friction turns at each hop."""
+    """Return the load on stop ``side`` while the mass moves away from the stop.
+
+    It differs from ``load`` if friction turns at each hop.
+    """
     n, kick, turned = len(z) // 2, table.elements.kick[c], slips.copy()
     for e in range(len(slips)):
         along = product(table.elements.friction_rows[e], kick, 0)
@@ -238,7 +258,9 @@ def load_away(table, c, side, load, states, slips, phase_index, z, harmonics):
 
 @kernel
 def uneven_chatter(away, back, w, R):
-    """Duration of chatter after a rebound at speed w, under different loads away from the stop and back to it.
+    """Return the duration of chatter after a rebound at speed w, if the loads on both halves of a hop differ.
+
+    away, back  load on the stop while the mass moves away from the stop, and back to it
 
     Hops last w / away + w / sqrt(away back); the speed ratio of successive hops is R sqrt(back / away).
     """
@@ -248,7 +270,7 @@ def uneven_chatter(away, back, w, R):
 
 @kernel
 def strikes_while_held(elements, c, states):
-    """Whether an impact on rigid contact c moves another held one: two impacts at once."""
+    """Return True if an impact on rigid contact c moves another sticking contact: two impacts at once."""
     if elements.soft[c] > 0.0 or states[c] != OPEN:
         return False
     for other in range(len(states)):

@@ -1,4 +1,4 @@
-"""Records of a period by the one loop of motion.py: its legs, each with the event that begins it."""
+"""Record of the legs of a period, each with the event that begins it, written by the loop of ``hybrid/motion``."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,15 @@ class LegRecord(NamedTuple):
     """One leg of a motion, within one mode, as columns of legs (K, LEG_STATE + 2n + G); NaN after the last leg.
 
     start            time since the section
-    signal, side     signal at an end of its range at the start of the leg, and which end; -1 and 0 at the start of a
-                     motion or phase
-    rate             of that signal
-    number, mode     number of the mode, see hybrid_modes.Code, and its slot in the table
-    duration         until the next leg
-    chatter          the first part of the duration, spent hopping, if it begins at the end of a chatter
-    Then follow the initial state (2n,) and the beginning of each of the G signals: see events.py.
+    signal           signal at an end of its range at the start of the leg; -1 at the start of a motion or phase
+    side             the end of its range, +-1; 0 at the start of a motion or phase
+    rate             rate of that signal
+    number           number of the mode, see hybrid_modes.ModeCode
+    mode             slot of the mode in the table
+    duration         time until the next leg
+    chatter          first part of the duration, spent hopping, if the leg begins at the end of a chatter
+
+    The initial state (2n,) and the beginning of each of the G signals follow these columns, see ``events.py``.
     """
 
     start: int
@@ -36,7 +38,7 @@ LEG_STATE = len(LEG)
 
 @inline_always
 def write_leg(row, t, signal, side, rate, number, mode, duration, chatter, z, signal_starts):
-    """Record a leg, see LegRecord."""
+    """Write a leg to a row of legs, see LegRecord."""
     row[LEG.start], row[LEG.signal], row[LEG.side], row[LEG.rate] = t, signal, side, rate
     row[LEG.number], row[LEG.mode], row[LEG.duration], row[LEG.chatter] = number, mode, duration, chatter
     for i in range(len(z)):

@@ -1,8 +1,8 @@
-"""Measures of a motion: means, squares and extremes of outputs, contacts, rest, and energy losses.
+"""Measures of a motion: means, squares and extremes of outputs, contacts, sticking, and energy losses.
 
-The one loop of motion.py records the legs of each period. On a leg every output is a sum of exponentials and harmonics:
-integrals of the output and of its square are sums over Gauss points close enough to be exact to rounding. Extremes are
-at the ends or at turning points, which the certified search finds.
+The loop of ``hybrid/motion.py`` records the legs of each period. On a leg every output is a sum of exponentials and
+harmonics. Integrals of the output and of its square are sums over Gauss points close enough to be exact to rounding.
+Extremes are at the ends or at turning points, which the certified search finds.
 """
 
 import math
@@ -33,8 +33,8 @@ from workers.model.hybrid_modes import OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 EARLY = 0.3819660112501051
-"""Share of a period after a section, by the golden ratio, at which a state is compared with that half a turn later. At
-the section itself orbits may impact, as many closed forms do."""
+"""Share of a period after a section, by the golden ratio, at which a state is compared with the state half a turn
+later. At the section itself orbits may impact, as many closed forms do."""
 
 LEGS = 64
 """Initial room for the legs of one period; it grows fourfold until all legs fit."""
@@ -44,11 +44,18 @@ AROUND = 1e-9
 
 
 class MeasurePlan(NamedTuple):
-    """Quantities measured of N machines of n coordinates with P phases, C contacts and F frictions.
+    """Quantities to measure of N machines with n coordinates, P phases, C contacts and F frictions.
 
-    rows (N, M, n) of the outputs, orders (N, M) of the derivatives that they act on, peaks (N, M) 1 to measure
-    extremes; damping (N, P, n, n), pad (N, P, C, 3), rub (N, P, F, 3), law (N, C, 2, S, 3) and grip (N, F, S', 3): see
-    HybridMachines
+    rows               (N, M, n)       weights of each output
+    orders             (N, M)          order of the derivative of the displacements on which the weights act
+    peaks              (N, M)          1 to measure extremes of the output, else 0
+    damping            (N, P, n, n)    damping matrices
+    contact_constants  (N, P, C, 3)    stiffness, damping and preload of soft contacts
+    friction_constants (N, P, F, 3)    kinetic level, static level and slope of frictions
+    contact_laws       (N, C, 2, S, 3) segments of the laws of contacts: start, slope and level
+    friction_laws      (N, F, S', 3)   segments of the laws of frictions: start, slope and level
+
+    The last five fields are those of HybridMachines.
     """
 
     rows: Array
@@ -64,12 +71,16 @@ class MeasurePlan(NamedTuple):
 class MeasureTotals(NamedTuple):
     """Measured values of N motions so far.
 
-    first, square (N, M)  integrals of each output and of its square; low, high (N, M) its extremes
-    hits     (N, C, 2)    contacts at the lower and at the upper stop; endless (N, C) 1 where they cannot be counted
-    touching (N, C)       time held by a rigid contact, or pushed by a soft one
+    first, square (N, M)  integrals of each output and of its square
+    low, high     (N, M)  extremes of each output
+    hits     (N, C, 2)    number of contacts at the lower and at the upper stop
+    endless  (N, C)       1 where contacts cannot be counted
+    touching (N, C)       time for which a rigid contact sticks, or a soft one pushes
     stop     (N, C)       energy that the contact has taken
-    depth, force (N, C)   greatest depth and force of a soft contact
-    stuck    (N, F)       time that the friction sticks, rubbed (N, F) energy that it has taken
+    depth    (N, C)       greatest depth of a soft contact
+    force    (N, C)       greatest force of a soft contact
+    stuck    (N, F)       time for which the friction sticks
+    rubbed   (N, F)       energy that the friction has taken
     damped   (N, 1)       energy that the dampers have taken
     halves   (N, 2, 2n)   states EARLY after the section, and half of all periods later, of an odd number of them
     """
@@ -92,7 +103,14 @@ class MeasureTotals(NamedTuple):
 
 @kernel
 def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s, tally):
-    """Add the integrals over a flight of duration s in mode k from block state h (n, 2)."""
+    """Add the integrals over a flight of duration s in mode k.
+
+    meter, reading  MeasurePlan and MeasureTotals of one machine
+    phase_index     phase of the machine
+    states, slips   of contacts and of friction in the mode
+    h (n, 2)        block state at the start
+    phase           forcing phase at the start
+    """
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
     top = table.omega * pieces.waves.shape[2]
@@ -133,10 +151,11 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
 
 @kernel
 def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h, phase, omega, chatter, rate):
-    """Subtract the end of a chatter, from block state h (n, 2), from the time of contact c and of sticking friction.
+    """Subtract the end of a chatter, from block state h (n, 2), from the sticking time of contact c and of friction.
 
-    The mass flies in that time in mode ``before``, with another acceleration than in mode k. Integrated by Simpson's
-    rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which the rest begins.
+    In that time the mass flies in mode ``before``, with another acceleration than in mode k, which is integrated by
+    Simpson's rule. An extreme lies at the end, or at the rebound from the impact at this rate, with which sticking
+    begins.
     """
     n, along = len(h), elements.along
     reading.touching[c] -= chatter
@@ -167,7 +186,12 @@ def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h
 
 @kernel
 def read_contact(table, meter, reading, k, phase_index, c, side, state, z, end, h, phase, s, tally):
-    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except its damper's."""
+    """Add the readings of an engaged or detached contact on a leg from z to ``end``, except those of its damper.
+
+    c, side, state  the contact, the side of its stop, and its state without that side's sign
+    h (n, 2)        block state at the start
+    s               duration of the leg
+    """
     row, stop = table.elements.row[c], table.elements.stops[c, 1 if side > 0 else 0]
     n, pushes = len(row), state % 2 != 0
     if pushes:
@@ -216,11 +240,15 @@ def read_impact(elements, reading, c, end, following, counts):
 
 @kernel
 def read_leg(table, meter, reading, before, leg, signal, following, begins, marks, flies, tally):
-    """Add the readings of a leg that ends with a signal, -1 for none; the next leg starts from ``following`` (2n,).
+    """Add the readings of a leg.
 
-    ``before`` is the mode of the previous leg. Events before the time ``begins`` do not count. marks (2,): times at
-    which to record the states of ``halves``, NaN for none in this period. If ``flies`` is false, only contacts are
-    counted.
+    before          mode of the previous leg
+    leg             row of legs, see leg_record.LegRecord
+    signal          signal that ends the leg, -1 for none
+    following (2n,) state at the start of the next leg
+    begins          time before which events do not count
+    marks     (2,)  times at which to record the states of ``halves``, NaN for none in this period
+    flies           whether to measure everything; if false, only contacts are counted
     """
     pieces, elements = table.pieces, table.elements
     n, z = len(following) // 2, leg[LEG_STATE : LEG_STATE + len(following)]
@@ -275,10 +303,13 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
 
 @kernel
 def record_period(table, z, code, tally, duration):
-    """(state, number of its mode, legs, contacts) of a motion from z (2n,) in the mode of code (1,) after ``duration``.
+    """Advance a motion by ``duration``, at most a period, and return its state, mode number, legs and contacts.
 
-    ``duration`` is at most a period. Legs and contacts are complete, as of through_modes; the tally changes in place.
-    If a mode is missing, there are no legs.
+    z    (2n,)  physical state at the start
+    code (1,)   number of its mode
+
+    Legs and contacts are complete, as of ``through_modes``; the tally changes in place. If a mode is missing, there are
+    no legs.
     """
     size, room = len(z), LEGS
     flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
@@ -300,7 +331,7 @@ def record_period(table, z, code, tally, duration):
 
 @kernel
 def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
-    """Add legs up to the state ``end`` (2n,); see read_leg."""
+    """Add the readings of legs up to the state ``end`` (2n,), see ``read_leg``."""
     before = np.int64(-1)  # typed: a literal would compile the callees once more
     for i in range(len(legs)):
         last = i + 1 == len(legs)
@@ -312,9 +343,10 @@ def read_legs(table, meter, reading, legs, end, begins, marks, flies, tally):
 
 @kernel
 def read_period(table, meter, reading, z, code, tally, duration, begins, marks, flies):
-    """Take a motion from state z (2n,) and its mode in code (1,) through a period or a part of it, and add its legs.
+    """Advance a motion by ``duration``, at most a period, and add the readings of its legs.
 
-    In place; see read_leg. If a mode is missing, the motion stays put and nothing is added.
+    State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode is missing, the
+    motion stays unchanged and nothing is added.
     """
     there, number, legs, _ = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
@@ -326,11 +358,16 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
 
 @kernel
 def read_motions(oscillators, meters, readings, states, codes, done, periods, closes, allowance, cells):
-    """Advance motions by their remaining periods and add their readings to ``readings``; returns the status of each.
+    """Advance motions by their remaining periods, add their readings to ``readings``, and return the status of each.
 
-    In place: states (N, 2n) with the numbers of their modes in codes (N, 1), done (N,) of ``periods`` (N,). closes
-    (N,): 1 if these are one turn of an orbit, where an impact at the section counts once. allowance (N,): evaluations
-    allowed. Only for ``cells``, of machines with modes; a motion that misses a mode continues at the next call.
+    states    (N, 2n)  physical states, changed in place
+    codes     (N, 1)   numbers of their modes, changed in place
+    done      (N,)     number of periods done, of ``periods`` (N,); changed in place
+    closes    (N,)     1 if the periods are one turn of an orbit, where an impact at the section counts once
+    allowance (N,)     number of evaluations allowed, changed in place
+    cells              rows to advance, of machines with modes
+
+    A motion that misses a mode continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:

@@ -1,4 +1,4 @@
-"""The one loop of mode, first guard and reset, of hybrid machines."""
+"""The loop of mode, first guard and reset map, for machines with modes."""
 
 import numpy as np
 from numba import types
@@ -25,7 +25,13 @@ from workers.model.oscillator import HEAD, GuardedFlow
 
 @kernel
 def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
-    """(time, signal, side) of the first guard reached in [0, H]; signal -1 for none."""
+    """Return (time, signal, side) of the first guard of mode k reached in [0, H]; signal -1 if none is reached.
+
+    h       (n, 2)        block state at the start
+    phase                 forcing phase at the start
+    signal_starts (G,)    start of each signal, see ``events.py``
+    scratch (n, 2)        overwritten
+    """
     s, hit, side = H, -1, 0
     for g in range(modes.ends.shape[1]):
         low, high = modes.ends[k, g, 0], modes.ends[k, g, 1]
@@ -48,9 +54,9 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
     result=types.boolean, modes=True,
 )  # fmt: skip
 def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
-    """Find the first event of the leg of machine r on this trip, and end the leg there.
+    """Find the first event of the leg of machine r on its trajectory, and end the leg there.
 
-    Returns whether the trip is over; not if the motion cannot continue. See through_modes.
+    Return True if the trajectory is over, False also if the motion cannot continue. See ``through_modes``.
     """
     table, trip = row_in(tables, r), row_in(trajs, slot)
     k, phase, H = trip.place[PLACE.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
@@ -64,13 +70,16 @@ def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
 def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, duration):
     """Advance a physical state z (2n,) and tangent vectors W (m, 2n) from a section by ``duration`` <= one period.
 
-    All in place:
-    code (1,)                   number of their mode
-    growth (m,), triangle       see tangent.orthonormalise; empty for vectors that stay as they are. Otherwise the first
-                                vector is the drift direction, if a coordinate drifts, see take_up
-    hits (K, 3)                 the first K contacts: time, +-(1 + contact) with the side's sign, speed
-    legs (K, LEG_STATE + 2n + G)  the first K legs, see notes.LegRecord
-    Stops early with tally[STATUS] set if the motion cannot continue.
+    All of these change in place:
+
+    code (1,)                     number of the mode
+    growth (m,), triangle         see tangent.orthonormalise; empty for vectors that stay as they are
+    tally (TALLIES,)              counts, see motion.Motion
+    contacts (K, 3)               the first K contacts: time, +-(1 + contact) with the side's sign, speed
+    legs (K, LEG_STATE + 2n + G)  the first K legs, see leg_record.LegRecord
+
+    With growth, the first vector is the drift direction if a coordinate drifts, see ``load_motion``. The motion stops
+    early, with tally[STATUS] set, if it cannot continue.
     """
     trips = make_trajectories(table, 1, len(z) // 2, len(W), len(growth) > 0, len(triangle) > 0)
     take_through(table, trips, z, W, code, growth, triangle, tally, contacts, legs, duration)
@@ -78,7 +87,7 @@ def through_modes(table, z, W, code, growth, triangle, tally, contacts, legs, du
 
 @kernel
 def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, legs, duration):
-    """through_modes with work arrays. A separate kernel, since lent arrays live as long as the caller."""
+    """Do ``through_modes`` with work arrays, in a separate kernel, since references live as long as the caller."""
     trajs = by_reference(trajs)
     trip = row_in(trajs, 0)
     copy_into(trip.z, z)
@@ -96,9 +105,9 @@ def take_through(table, trajs, z, W, code, growth, triangle, tally, contacts, le
 
 @external(TABLES, TRIPS, types.int64, FLOATS[2], FLOATS[2], types.float64, result=types.int64, modes=True)
 def go_through(tables, trajs, number, contacts, legs, duration):
-    """Advance a single trip from a section, beginning in the mode of this number; returns its last mode.
+    """Advance a single trajectory from a section, beginning in the mode of this number, and return its last mode.
 
-    See through_modes.
+    See ``through_modes``.
     """
     table, trip, contacts, legs = row_in(tables, 0), row_in(trajs, 0), by_value(contacts), by_value(legs)
     tally, scratch = trip.tally, np.empty_like(trip.h)
@@ -115,10 +124,11 @@ def go_through(tables, trajs, number, contacts, legs, duration):
 
 @kernel
 def load_motion(to_physical, motion, traj, more):
-    """Copy a motion at a section into a trip: physical state, tangent vectors and counts.
+    """Copy a motion at a section into a trajectory: physical state, tangent vectors and counts.
 
-    ``more`` is 1 if the drift direction precedes all others, with growth 0: components along it only tell the position
-    and do not count. As the first vector of the frame it is removed from all others, however short they become.
+    ``more`` is 1 if the drift direction precedes all other vectors, with growth 0. Components along it only change the
+    position and do not count. As the first vector of the frame it is removed from all others, however short they
+    become.
     """
     size, V = len(traj.z), motion.V
     for i in range(size):
@@ -141,7 +151,7 @@ def load_motion(to_physical, motion, traj, more):
 
 @kernel
 def store_motion(to_blocks, omega, motion, traj, more, resets):
-    """Copy the end of a trip back into its motion; ``resets`` says that a drifting coordinate is reset to 0."""
+    """Copy the end of a trajectory back into its motion; with ``resets`` a drifting coordinate is reset to 0."""
     size, V, h = len(traj.z), motion.V, traj.h
     for i in range(size):
         h[i // 2, i % 2] = product(to_blocks[i], traj.z, 0)
@@ -162,7 +172,7 @@ def store_motion(to_blocks, omega, motion, traj, more, resets):
 
 @kernel
 def take_on(oscillator, motion, trajs, more, duration):
-    """through_events with work arrays. A separate kernel, since lent arrays live as long as the caller."""
+    """Do ``through_events`` with work arrays, in a separate kernel, since references live as long as the caller."""
     tables, motion, trajs = as_many(oscillator.table), row_in(as_many(motion), 0), by_reference(trajs)
     table, trip = row_in(tables, 0), row_in(trajs, 0)
     load_motion(oscillator.to_physical, motion, trip, more)
@@ -176,7 +186,7 @@ def take_on(oscillator, motion, trajs, more, duration):
 
 @external(OSCILLATOR, MOTION, types.float64, modes=True)
 def through_events(oscillator, motion, duration):
-    """period.propagate for a machine with modes. If a mode is missing, the motion stays put."""
+    """Do ``period.propagate`` for a machine with modes; if a mode is missing, the motion stays unchanged."""
     framed, square = motion.growth.shape[0] > 0, motion.triangle.shape[0] > 0
     more = 1 if oscillator.table.drifts > 0.0 and framed else 0
     n, m = motion.h.shape[0], motion.V.shape[0] + more

@@ -11,9 +11,9 @@ from workers.model.hybrid_modes import ON
 
 @inline_always
 def remove_held_motion(elements, states, lost, V):
-    """Remove from tangent vectors V (m, n, 2) the motion of held and sticking coordinates: neighbours stop at once too.
+    """Remove from tangent vectors V (m, n, 2) the motion of sticking coordinates: neighbouring motions also stop.
 
-    The last blocks are those of held coordinates, then of sticking ones, see hybrid_modes.
+    The last blocks are those of coordinates that stick on a stop, then of sticking friction, see ``hybrid_modes``.
     """
     held = 0
     for c in range(len(states)):
@@ -39,9 +39,9 @@ def record_slips(slips, tally):
 
 @external(OSCILLATOR, MOTION, modes=True)
 def freeze(oscillator, motion):
-    """Treat friction that has never slid as a parameter of the motion: remove changes of its position from all vectors.
+    """Remove from all tangent vectors the position of friction that has never slid, which is a parameter of the motion.
 
-    It could rest anywhere nearby: the direction is neutral, with multiplier 1, and counts as lost.
+    Such friction could stick anywhere nearby. The direction is neutral, with multiplier 1, and counts as lost.
     """
     table, elements = oscillator.table, oscillator.table.elements
     n, m = motion.h.shape[0], motion.V.shape[0]
@@ -76,7 +76,7 @@ def freeze(oscillator, motion):
 
 @inline_always
 def rests_on_stop(elements, e, states):
-    """Whether friction e sticks on the row of a held rigid contact, which then holds it."""
+    """Return True if friction e sticks on the row of a sticking rigid contact, which then holds its coordinate."""
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0 and elements.along[e, c] != 0.0:
             return True
@@ -85,7 +85,10 @@ def rests_on_stop(elements, e, states):
 
 @inline_always
 def count_progress(motion, h, omega):
-    """Reset the drifting coordinate of a motion that a period took to block state h (n, 2): see Oscillator."""
+    """Reset and count the drifting coordinate of a motion that a period took to block state h (n, 2).
+
+    See Oscillator for the drift.
+    """
     last = h.shape[0] - 1
     motion.tally[PROGRESS] += (h[last, 1] - motion.h[last, 1]) / omega
     h[last, 1] = 0.0

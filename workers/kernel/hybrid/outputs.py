@@ -15,8 +15,8 @@ NODES, WEIGHTS = (np.ascontiguousarray(array) for array in np.polynomial.legendr
 """Gauss points and weights on [-1, 1], exact for polynomials of degree 19."""
 
 REACH = 2.0
-"""Largest rate times step for which the points are exact to rounding. For a product of two exponentials of at most that
-rate the error of the rule is (2 REACH)^20 (10!)^4 / (21 (20!)^3) = 6e-19 of the greatest value."""
+"""Maximum rate times step for which the points are exact to rounding. For a product of two exponentials of that rate
+the error is (2 REACH)^20 (10!)^4 / (21 (20!)^3) = 6e-19 of the greatest value."""
 
 DEGREE = 20
 """Order of the derivative in the error of the rule: after a decay by e^-x steps may be longer by e^(x / DEGREE)."""
@@ -25,14 +25,16 @@ LEVEL = 1e-15
 """Relative change on a leg, as a share of its terms, below which an output counts as constant."""
 
 POSITION, RATE, ACCELERATION = range(3)
-"""The derivative of the displacements that an output acts on."""
+"""Order of the derivative of the displacements that an output acts on."""
 
 
 @kernel
 def longest_panel(blocks, top, since):
-    """The longest step for which Gauss points are exact, at a time ``since`` after the start of a leg; see REACH.
+    """Return the longest step for which Gauss points are exact, a time ``since`` after the start of a leg; see REACH.
 
-    An exponential of rate r and decay rate q has decayed by e^(-q since). top: the greatest forcing frequency.
+    top  greatest forcing frequency
+
+    An exponential of rate r and decay rate q has decayed by e^(-q since).
     """
     longest = REACH / top
     for j in range(len(blocks)):
@@ -48,9 +50,10 @@ def longest_panel(blocks, top, since):
 
 @kernel
 def mode_with(modes, k, row, direct):
-    """Mode k with an output as its guard: a row (2n + 1,) on (x, v, 1), and ``direct`` (H, 2) of the force.
+    """Return mode k with an output as its guard, and the output with blocks at equilibrium, without forced response.
 
-    Also returns the output with the blocks at rest, without forced response.
+    row    (2n + 1,)  the output as a row on (x, v, 1)
+    direct (H, 2)     contribution of the force to the output
     """
     blocks, forced, waves = modes.blocks[k, 0].copy(), modes.forced[k], direct.copy()
     size = 2 * len(blocks)
@@ -76,7 +79,11 @@ def mode_with(modes, k, row, direct):
 
 @kernel
 def output_row(modes, k, row, order):
-    """The row (2n + 1,) on (x, v, 1) of an output row . x of this derivative in mode k, and its force part."""
+    """Return an output of mode k as a row (2n + 1,) on (x, v, 1), and the contribution (H, 2) of the force to it.
+
+    row   (n,)  weights of the output
+    order       derivative of the displacements on which they act
+    """
     n = len(row)
     full, direct = np.zeros(2 * n + 1), np.zeros(modes.direct.shape[2:])
     for i in range(n):
@@ -93,7 +100,9 @@ def output_row(modes, k, row, order):
 
 @kernel
 def extremes(modes, k, row, direct, h, phase, s, tally):
-    """The least and greatest value of an output, see mode_with, in a flight of duration s from block state h (n, 2).
+    """Return the least and the greatest value of an output in a flight of duration s from block state h (n, 2).
+
+    row, direct  the output, see ``mode_with``
 
     The output counts as constant if a bound of its rate limits its change to LEVEL.
     """

@@ -1,4 +1,8 @@
-"""States of a hybrid machine, physical z = (x, v) between modes and in blocks within one; guards and their rates."""
+"""States of a machine with modes, physical z = (x, v) and in blocks within one mode; guards and their rates.
+
+Where functions take ``harmonics`` (H, 2), these are sine and cosine of each harmonic of the force, see
+``harmonics_at``.
+"""
 
 import numpy as np
 
@@ -16,7 +20,7 @@ ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 @inlined
 def number_of(elements, states, slips, phase_index):
-    """Number of the mode of these contacts and slips in this phase, see model.hybrid_modes.Code."""
+    """Return the number of the mode of these contacts and slips in this phase, see hybrid_modes.ModeCode."""
     number, half, most = phase_index, 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for state in states:
         number = (2 * half + 1) * number + state + half
@@ -27,7 +31,7 @@ def number_of(elements, states, slips, phase_index):
 
 @inlined
 def read_number(elements, number, states, slips):
-    """Write the states of contacts and slips in the mode of this number; returns its phase."""
+    """Write the states of contacts and slips in the mode of this number and return its phase."""
     half, most = 2 * elements.depths.shape[2], elements.speeds.shape[1]
     for f in range(len(slips) - 1, -1, -1):
         slips[f] = number % (2 * most + 1) - most
@@ -40,7 +44,7 @@ def read_number(elements, number, states, slips):
 
 @inlined
 def segment_of(starts, at):
-    """Segment of a law at an argument, for segments beginning at ``starts`` (S,); 0 is the first."""
+    """Return the segment of a law at an argument, for segments beginning at ``starts`` (S,); 0 is the first."""
     i = 0
     while i + 1 < len(starts) and starts[i + 1] < at:
         i += 1
@@ -49,13 +53,13 @@ def segment_of(starts, at):
 
 @inlined
 def slip_of(elements, e, sliding):
-    """State of friction e that slides at this nonzero velocity: see model.hybrid_modes.Code."""
+    """Return the state of friction e that slides at this nonzero velocity, see hybrid_modes.ModeCode."""
     return (1 if sliding > 0.0 else -1) * (1 + segment_of(elements.speeds[e], abs(sliding)))
 
 
 @inline_always
 def slot_of(codes, number):
-    """Slot of the mode of this number among those built, -1 if it is not built."""
+    """Return the slot of the mode of this number among those built, -1 if it is not built."""
     for k in range(len(codes)):
         if codes[k] == number:
             return k
@@ -64,14 +68,14 @@ def slot_of(codes, number):
 
 @inlined
 def write_harmonics(phase, harmonics):
-    """Write sine and cosine of each harmonic of the force at a phase to turn (H, 2)."""
+    """Write sine and cosine of each harmonic of the force at a phase to ``harmonics`` (H, 2)."""
     for w in range(len(harmonics)):
         harmonics[w, 0], harmonics[w, 1] = sin_cos((w + 1.0) * phase)
 
 
 @kernel
 def harmonics_at(phase, harmonics):
-    """Sine and cosine (H, 2) of this many harmonics of the force at a phase."""
+    """Return sine and cosine (H, 2) of this number of harmonics of the force at a phase."""
     turn = np.empty((harmonics, 2))
     write_harmonics(phase, turn)
     return turn
@@ -79,7 +83,7 @@ def harmonics_at(phase, harmonics):
 
 @inlined
 def wave(parts, harmonics):
-    """sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian; see turned."""
+    """Return sum_k sin_part_k sin(k phase) + cos_part_k cos(k phase) of parts (H, 2), and its rate per radian."""
     value, rate = 0.0, 0.0
     for k in range(len(harmonics)):
         sin, cos = harmonics[k, 0], harmonics[k, 1]
@@ -90,7 +94,7 @@ def wave(parts, harmonics):
 
 @inlined
 def guard_value(modes, k, g, z, harmonics):
-    """Signal g of mode k at a physical state z (2n,), and the sum of moduli of its terms; see turned."""
+    """Return signal g of mode k at a physical state z (2n,), and the sum of moduli of its terms."""
     row = modes.rows[k, g]
     value, _ = wave(modes.direct[k, g], harmonics)
     size = abs(value) + abs(row[len(z)])
@@ -103,7 +107,7 @@ def guard_value(modes, k, g, z, harmonics):
 
 @inlined
 def guard_rate(modes, k, g, f, omega, harmonics):
-    """Rate of signal g of mode k for a state with rates f (2n,)."""
+    """Return the rate of signal g of mode k for a state with rates f (2n,)."""
     row = modes.rows[k, g]
     _, rate = wave(modes.direct[k, g], harmonics)
     rate *= omega
@@ -114,7 +118,7 @@ def guard_rate(modes, k, g, f, omega, harmonics):
 
 @inlined
 def right_hand_side(modes, k, z, harmonics, f):
-    """Write z' (2n,) in mode k."""
+    """Write z' (2n,) in mode k to ``f``."""
     n, drive, acceleration = len(z) // 2, modes.drive[k], modes.acceleration[k]
     for i in range(n):
         total, _ = wave(drive[i], harmonics)
@@ -127,7 +131,10 @@ def right_hand_side(modes, k, z, harmonics, f):
 
 @inlined
 def enter(modes, k, z, W, harmonics, h, V):
-    """Write the block state h (n, 2), forced response taken off, and the tangent vectors V (m, n, 2) in mode k."""
+    """Write the block state h (n, 2) of z (2n,) and the tangent vectors V (m, n, 2) of W (m, 2n) in mode k.
+
+    The forced response is left out of h.
+    """
     matrix, blocks, forced = modes.to_blocks[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
     for i in range(size):
@@ -141,7 +148,7 @@ def enter(modes, k, z, W, harmonics, h, V):
 
 @inlined
 def leave(modes, k, h, V, harmonics, z, W):
-    """Write the physical state z (2n,) and tangent vectors W (m, 2n) of h (n, 2) and V (m, n, 2) in mode k."""
+    """Write physical state z (2n,) and tangent vectors W (m, 2n) of h (n, 2) and V (m, n, 2) in mode k."""
     matrix, blocks, forced = modes.to_physical[k], modes.blocks[k, 0], modes.forced[k]
     size = len(z)
     z[:] = 0.0
@@ -181,7 +188,7 @@ def leave_frame(matrix, V, W):
 
 @inlined
 def row_product(row, z):
-    """row . z over the length of z."""
+    """Return row . z over the length of z."""
     total = 0.0
     for i in range(len(z)):
         total += row[i] * z[i]
@@ -190,7 +197,7 @@ def row_product(row, z):
 
 @inlined
 def product(row, z, first):
-    """row . z[first:] over the length of the row."""
+    """Return row . z[first:] over the length of the row."""
     total = 0.0
     for i in range(len(row)):
         total += row[i] * z[first + i]
@@ -199,7 +206,7 @@ def product(row, z, first):
 
 @inlined
 def product_of_blocks(row, h):
-    """row . h for blocks h (n, 2), summed like ``product``."""
+    """Return row . h for blocks h (n, 2), summed like ``product``."""
     total = 0.0
     for j in range(len(h)):
         total += row[2 * j] * h[j, 0]
@@ -209,7 +216,7 @@ def product_of_blocks(row, h):
 
 @kernel
 def size_of(row, z, first):
-    """The sum of the moduli of the terms of row . z[first:]."""
+    """Return the sum of the moduli of the terms of row . z[first:]."""
     total = 0.0
     for i in range(len(row)):
         total += abs(row[i] * z[first + i])
@@ -226,7 +233,7 @@ def reset(z, first, row, kick, target, factor):
 
 @kernel
 def damping_along(acceleration, row, kick):
-    """cA^2k: minus the decay rate of a velocity along ``kick`` (n,) as seen by y = row . x."""
+    """Return cA^2k: minus the decay rate of a velocity along ``kick`` (n,) as seen by y = row . x."""
     n, total = len(row), 0.0
     for i in range(n):
         for j in range(n):
@@ -236,10 +243,10 @@ def damping_along(acceleration, row, kick):
 
 @kernel
 def mode_number_of_state(elements, z):
-    """Number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
+    """Return the number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
 
-    A contact on a rigid stop with v = 0, to ROUNDING, is held; friction sticks at sliding velocity zero. Forces that
-    contradict this take effect at once, see events.follow_jumps.
+    A contact on a rigid stop with v = 0, to ROUNDING, sticks. Friction sticks at sliding velocity zero. Forces that
+    contradict this mode change it at once, see events.follow_jumps.
     """
     n = elements.row.shape[1]
     states = np.zeros(elements.row.shape[0], dtype=np.int64)
@@ -266,9 +273,9 @@ def mode_number_of_state(elements, z):
 
 @kernel
 def snap_to_mode(elements, number, z):
-    """Remove deviations of rounding size from a physical state z (2n,) in this mode: see shown_number.
+    """Remove deviations of rounding size from a physical state z (2n,) in this mode, see ``mode_number_of_state``.
 
-    A held contact is on its stop with v = 0; sticking friction does not slide.
+    A sticking contact is put on its stop with v = 0; sticking friction does not slide.
     """
     C, F, n = len(elements.row), len(elements.friction_rows), elements.row.shape[1]
     states, slips = np.zeros(C, dtype=np.int64), np.zeros(F, dtype=np.int64)
@@ -291,10 +298,11 @@ def snap_to_mode(elements, number, z):
 
 @kernel
 def satisfy_rows(rows, values, x):
-    """Set one coordinate of x (n,) for each row (r, n), the one with the largest weight, so that rows x = values.
+    """Set one coordinate of x (n,) for each row of ``rows`` (r, n), so that rows x = values.
 
-    Exact for rows that are coordinates with weights +-1, or differences of two. Rows that depend on earlier ones, such
-    as friction on the row of a contact, are left out.
+    The coordinate is the one with the largest weight. The result is exact for rows that are coordinates with weights
+    +-1, or differences of two. Rows that depend on earlier ones, such as friction on the row of a contact, are left
+    out.
     """
     A, right, pivots = rows.copy(), values.copy(), np.full(len(rows), -1)
     for i in range(len(rows)):

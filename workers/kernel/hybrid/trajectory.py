@@ -1,4 +1,4 @@
-"""A motion of a hybrid machine between its events: the start of a period and of a leg, and the end of a leg."""
+"""A trajectory of a machine with modes between its events: start of a period and of a leg, and end of a leg."""
 
 import math
 from typing import NamedTuple
@@ -69,18 +69,19 @@ from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
 
 AT_SECTION = 1e-13
-"""Share of a period around a section within which an event counts as at the section and past it. Otherwise rounding
+"""Share of a period around a section within which an event counts as at the section and passed. Otherwise rounding
 would decide, from turn to turn, the mode of an orbit that changes its mode there."""
 
 
 class TrajectoryTimes(NamedTuple):
-    """Numbers of a trip.
+    """Real numbers of a trajectory, the columns of ``clock``.
 
-    time, phase   since the section, and of the force, where the leg begins
-    until         end of the phase of the machine, or of the trip
+    time          time since the section at the start of the leg
+    phase         forcing phase at the start of the leg
+    until         end of the phase of the machine, or of the trajectory
     horizon       longest time in which to seek the leg's first event
-    rate          of the signal that the leg begins with
-    end1 ... end3 the last estimates of a chatter's end, see chatter.chatter_end
+    rate          rate of the signal that the leg begins with
+    end1 ... end3 last estimates of a chatter's end, see chatter.chatter_end
     chatter       remaining time of hops, if the leg begins at the end of a chatter
     hop           speed of the rebound at the start of the leg in a chatter, else 0
     """
@@ -98,12 +99,14 @@ class TrajectoryTimes(NamedTuple):
 
 
 class TrajectoryIndices(NamedTuple):
-    """Whole numbers of a trip.
+    """Whole numbers of a trajectory, the columns of ``place``.
 
-    mode, number  slot of the mode in the table, or why there is none, see events.mode_of; its number
-    where         the phase of the machine
-    hit, side     signal whose event begins the leg, -1 for none, and the end of its range
-    legs          legs so far
+    mode    slot of the mode in the table; negative if there is no mode, see events.mode_of
+    number  number of the mode
+    where   phase of the machine
+    hit     signal whose event begins the leg, -1 for none
+    side    end of the range of that signal
+    legs    number of legs so far
     """
 
     mode: int
@@ -123,19 +126,20 @@ named_constants(TrajectoryTimes, TrajectoryIndices)
 
 
 class HybridTrajectory(NamedTuple):
-    """A motion of n coordinates on its way from a section, with m tangent vectors; G signals.
+    """A motion of n coordinates on its way from a section, with m tangent vectors and G signals.
 
-    clock, place              see TripClock and TripPlace
-    h (n, 2), V (m, n, 2)     at the start of the leg, in the blocks of its mode
-    flow (n, 6)               of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
-    z (2n,), W (m, 2n)        at an event, physical
-    turn (H, 2)               of the force there, see state.turned
-    before, after (2n,)       rates of z there
-    slopes (m,)               time by which each vector is early there
-    states (C,), slips (F,)   of contacts and of friction
-    begun (G,)                start of each signal, see events.py
+    clock                     times, see TrajectoryTimes
+    place                     indices, see TrajectoryIndices
+    h (n, 2), V (m, n, 2)     state and tangent vectors at the start of the leg, in the blocks of its mode
+    flow (n, 6)               flow of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
+    z (2n,), W (m, 2n)        physical state and tangent vectors at an event
+    turn (H, 2)               harmonics of the force at the event, see state.harmonics_at
+    before, after (2n,)       rates of z before and after the event
+    slopes (m,)               time by which each vector is early at the event
+    states (C,), slips (F,)   states of contacts and of friction
+    begun (G,)                start of each signal, see ``events.py``
     growth (m,), triangle     see tangent.orthonormalise; empty for vectors that stay as they are
-    tally (TALLIES,)          see motion.Motion
+    tally (TALLIES,)          counts, see motion.Motion
     """
 
     clock: Array
@@ -160,14 +164,17 @@ class HybridTrajectory(NamedTuple):
 TRIPS = record_type(
     HybridTrajectory, 2, INTEGERS[2], 3, 4, 3, 2, 3, 3, 2, 2, 2, INTEGERS[2], INTEGERS[2], INTEGERS[2], 2, 3, 2
 )
-"""The type of a record of many trips in kernels."""
+"""Type of a batch of trajectories in kernels."""
 
 
 @inline_always
 def make_trajectories(table, N, n, m, framed, square):
-    """Trips (N, ...) of n coordinates with m tangent vectors, for machines like the one of ``table``; see Trip.
+    """Return trajectories (N, ...) for machines like the one of ``table``, see HybridTrajectory.
 
-    ``framed`` and ``square`` say whether they have growth and triangle.
+    n       number of coordinates
+    m       number of tangent vectors
+    framed  whether they have growth
+    square  whether they have a triangle
     """
     C, F, G = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.pieces.ends.shape[1]
     size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
@@ -183,7 +190,7 @@ def make_trajectories(table, N, n, m, framed, square):
 
 @inline_always
 def stop_at(table, tally, k, number):
-    """Set the status of a motion without a next mode, see events.mode_of."""
+    """Set the status of a motion that has no next mode, see events.mode_of."""
     if k == MISSING:
         tally[STATUS] = MODE_MISSING
         table.missing[0] = number
@@ -193,10 +200,10 @@ def stop_at(table, tally, k, number):
 
 @inlined
 def fly(modes, k, s, traj, drifts, flown):
-    """Advance the block state and tangent vectors by s in mode k; ``flown`` says that trip.flow holds this flow.
+    """Advance the block state and the tangent vectors by s in mode k; with ``flown``, traj.flow already is this flow.
 
-    The frame is made orthonormal before the flight: directions removed by an event are detected before the flight turns
-    rounding into directions, and multipliers are known to rounding.
+    The frame is made orthonormal before the flight. Directions removed by an event are therefore detected before the
+    flight turns rounding into directions, and multipliers are known to rounding.
     """
     blocks, h, V, growth, flows = modes.blocks[k, 0], traj.h, traj.V, traj.growth, traj.flow
     if growth.shape[0] > 0:
@@ -220,7 +227,7 @@ def fly(modes, k, s, traj, drifts, flown):
 
 @inline_always
 def count_rest(elements, states, lost, s, chatter, tally):
-    """Count a flight of duration s in a mode with lost dimensions as rest, except the end of a chatter in it."""
+    """Count a flight of duration s in a mode with lost dimensions as sticking, except the end of a chatter in it."""
     held = 0.0
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -228,12 +235,12 @@ def count_rest(elements, states, lost, s, chatter, tally):
     if held > 0.0:
         tally[MIN_SPEED] = 0.0
     if lost > 0.0:
-        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # a rest counts, however short
+        tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # sticking counts, however short
 
 
 @inline_always
 def keep_held(elements, states, slips, z):
-    """Remove rounding from held and sticking coordinates."""
+    """Remove rounding from coordinates that stick on a stop or by friction."""
     n = len(z) // 2
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
@@ -257,7 +264,7 @@ def follow(table, traj):
 
 @kernel
 def begin_trajectory(table, traj, number):
-    """Begin a trip at a section, from its physical state and tangent vectors, in the mode of this number."""
+    """Begin a trajectory at a section, from its physical state and tangent vectors, in the mode of this number."""
     clock, place = traj.clock, traj.place
     read_number(table.elements, number, traj.states, traj.slips)
     traj.begun[:] = 0
@@ -273,9 +280,9 @@ def begin_trajectory(table, traj, number):
 
 @inlined
 def begin_leg(table, traj, duration):
-    """Begin a leg of a trip of this duration; sets the horizon for its first event.
+    """Begin a leg of a trajectory of this duration and return the horizon for its first event.
 
-    tally[STATUS] tells a trip that cannot continue.
+    If the trajectory cannot continue, set tally[STATUS] and return 0.
     """
     clock, place, tally = traj.clock, traj.place, traj.tally
     k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
@@ -296,7 +303,7 @@ def begin_leg(table, traj, duration):
 
 @kernel
 def end_hop(table, traj, end, s):
-    """(duration, speed at its end) of a hop in a chatter, found to last s; see chatter.hop."""
+    """Return the duration of a hop in a chatter and the speed at its end; the search found s. See chatter.hop."""
     clock, pieces, k, g = traj.clock, table.pieces, traj.place[PLACE.mode], traj.place[PLACE.hit]
     blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
     fastest = fastest_rate(blocks, waves, table.omega)
@@ -305,7 +312,7 @@ def end_hop(table, traj, end, s):
 
 @kernel
 def record_leg(traj, legs, s):
-    """Note a leg of duration s, see notes.note."""
+    """Record a leg of duration s, see leg_record.write_leg."""
     clock, place = traj.clock, traj.place
     write_leg(
         legs[place[PLACE.legs]], clock[CLOCK.time], place[PLACE.hit], place[PLACE.side], clock[CLOCK.rate],
@@ -316,9 +323,14 @@ def record_leg(traj, legs, s):
 
 @inlined
 def leave_leg(table, traj, s, reached, end, duration, legs, flown):
-    """End a leg after s, with signal ``reached`` at this end of its range, -1 for none; see motion.through_modes.
+    """End a leg after s, before the event at its end; return True if the trajectory is over.
 
-    Returns whether the trip is over. The event itself follows, see strike_soft. flown: trip.flow is the flow over s.
+    reached  signal that has reached an end of its range, -1 for none
+    end      the end of its range
+    legs     records of legs, see motion.through_modes
+    flown    whether traj.flow is the flow over s
+
+    The event itself follows, see ``strike_soft`` and ``strike_hard``.
     """
     clock, place, tally, pieces, h = traj.clock, traj.place, traj.tally, table.pieces, traj.h
     k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
@@ -357,7 +369,7 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
 
 @inlined
 def is_soft(table, reached):
-    """Whether a signal belongs to a soft contact."""
+    """Return True if a signal belongs to a soft contact."""
     c = reached // SIGNALS
     return c < len(table.elements.soft) and table.elements.soft[c] > 0.0
 
@@ -376,7 +388,7 @@ def strike_soft(table, traj, contacts):
 
 @inline_always
 def strike_hard(table, traj, contacts):
-    """Pass the event of friction or of a rigid contact; returns whether the next mode is still to be found."""
+    """Pass the event of friction or of a rigid contact; return True if the next mode is still to be found."""
     elements, clock, place = table.elements, traj.clock, traj.place
     g, side, C = place[PLACE.hit], place[PLACE.side], len(traj.states)
     c = g // SIGNALS
@@ -428,7 +440,7 @@ def strike_stop(table, traj, g, c, side, contacts):
 
 @kernel
 def carry(table, traj, mode):
-    """Carry tangent vectors from ``mode`` through the passed event by its saltation matrix."""
+    """Carry tangent vectors from ``mode`` through the event just passed by its saltation matrix."""
     place, pieces = traj.place, table.pieces
     f, after, k, g = traj.before, traj.after, place[PLACE.mode], place[PLACE.hit]
     if k < 0:
@@ -449,9 +461,14 @@ def carry(table, traj, mode):
     FLOATS[2], types.boolean, result=types.boolean, modes=True,
 )  # fmt: skip
 def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs, flown):
-    """End the leg of machine r on this trip after s and pass the event at its end, if any: see leave_leg.
+    """End the leg of machine r on its trajectory after s, pass the event at its end if any, and find the next mode.
 
-    Returns whether the trip is over; hits and legs as of motion.through_modes. flown: trip.flow is the flow over s.
+    slot            row of the trajectory in ``trajs``
+    reached, end    signal that has reached an end of its range, -1 for none, and that end
+    contacts, legs  records, see motion.through_modes
+    flown           whether the trajectory's flow is the flow over s
+
+    Return True if the trajectory is over.
     """
     table, trip, contacts, legs = row_in(tables, r), row_in(trajs, slot), by_value(contacts), by_value(legs)
     mode, follows = trip.place[PLACE.mode], True

@@ -1,10 +1,11 @@
-"""The tangent frames of a batch's lanes: flights, impacts and orthonormalisation.
+"""The tangent frames of the lanes of a batch: flights, impacts and orthonormalisation.
 
 Every round loops over the first n lanes. A lane still in flight keeps its frame by a mask, which costs less than
-gathering the others. u are the fields of one vector, see entry.
-Sums over blocks take two blocks at a time: those before the last two add up in ``partial``; the last two complete the
-sum and use it at once, the others use it after them. Two blocks make one loop. The number of blocks is even: see
-layout.padded_blocks. Frames of four vectors of two blocks are handled by two_blocks.py.
+gathering the others. ``u`` are the fields of one vector, see ``entry``.
+
+Sums over blocks take two blocks at a time. Those before the last two add up in ``partial``. The last two complete the
+sum and use it at once; the others use it after them. Two blocks make one loop. The number of blocks is even, see
+layout.padded_blocks. Frames of four vectors of two blocks are handled by ``two_blocks.py``.
 """
 
 import math
@@ -39,10 +40,14 @@ MAX_SPREAD_OF_ONE = 100.0
 
 
 class Workspace(NamedTuple):
-    """Work arrays in which the frames of some lanes are made orthonormal by normalise_pass; ``lanes`` lists the lanes.
+    """Work arrays in which ``normalise_pass`` makes the frames of some lanes orthonormal.
 
-    frames (m, 2 n STRIDE) and growths (m, STRIDE) as those of the lanes, metric (2 n STRIDE,), rank (STRIDE,);
-    partial (2 STRIDE,) for two sums over blocks.
+    frames  (m, 2 n STRIDE)  vectors, as those of the lanes
+    growths (m, STRIDE)      growth of each vector
+    metric  (2 n STRIDE,)    metric of each block, at the first number of the block
+    rank    (STRIDE,)        number of directions that exist
+    lanes   (STRIDE,)        numbers of the lanes
+    partial (2 STRIDE,)      room for two sums over blocks
     """
 
     frames: Array
@@ -55,16 +60,16 @@ class Workspace(NamedTuple):
 
 @inlined
 def entry(j, c, i):
-    """Index of number c (0 or 1) of block j of frame i within the numbers of one vector of many frames.
+    """Return the index of number c (0 or 1) of block j of frame i within the numbers of one vector of many frames.
 
-    Unsigned: a check for negative indices would prevent vector instructions in a loop over i.
+    The index is unsigned: a check for negative indices would prevent vector instructions in a loop over i.
     """
     return np.uint64((2 * j + c) * STRIDE + i)
 
 
 @inlined
 def last_two(u):
-    """The first of the last two blocks."""
+    """Return the index of the first of the last two blocks."""
     return len(u) // (2 * STRIDE) - 2
 
 
@@ -77,7 +82,7 @@ def clear(partial, count):
 
 @inlined
 def product_of_two(metric, u, w, j, i, total):
-    """Add blocks j and j + 1 of the product of ``tangent.inner`` to the total."""
+    """Return the total plus blocks j and j + 1 of the product of ``tangent.inner``."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     total = fma(u[e1], w[e1], fma(metric[e0] * u[e0], w[e0], total))
     return fma(u[e3], w[e3], fma(metric[e2] * u[e2], w[e2], total))
@@ -85,7 +90,7 @@ def product_of_two(metric, u, w, j, i, total):
 
 @inlined
 def scale_two(u, j, i, factor):
-    """Multiply blocks j and j + 1 of vector i."""
+    """Multiply blocks j and j + 1 of vector i by ``factor``."""
     u[entry(j, 0, i)] *= factor
     u[entry(j, 1, i)] *= factor
     u[entry(j, 2, i)] *= factor
@@ -94,7 +99,7 @@ def scale_two(u, j, i, factor):
 
 @inlined
 def subtract_two(u, w, j, i, factor):
-    """Subtract a multiple of u from blocks j and j + 1 of w."""
+    """Subtract ``factor`` times u from blocks j and j + 1 of w."""
     e0, e1, e2, e3 = entry(j, 0, i), entry(j, 1, i), entry(j, 2, i), entry(j, 3, i)
     w[e0] = fma(-factor, u[e0], w[e0])
     w[e1] = fma(-factor, u[e1], w[e1])
@@ -104,7 +109,7 @@ def subtract_two(u, w, j, i, factor):
 
 @kernel
 def products(metric, u, w, partial, count):
-    """Partial products of u and w over all blocks except the last two."""
+    """Set the partial products of u and w over all blocks except the last two."""
     clear(partial, count)
     for j in range(0, last_two(u), 2):
         for i in range(count):
@@ -113,10 +118,12 @@ def products(metric, u, w, partial, count):
 
 @kernel
 def normalise_pass(metric, rank, k, u, growth, partial, count):
-    """Make vector k of ``count`` frames a unit vector: one part of tangent.orthonormalise.
+    """Make vector k of ``count`` frames a unit vector, one step of tangent.orthonormalise.
 
-    u (2 n STRIDE,) are its numbers, see entry; metric (2 n STRIDE,) lies at the first number of each block; rank and
-    growth (STRIDE,) have one number per frame.
+    metric (2 n STRIDE,)  metric at the first number of each block
+    rank   (STRIDE,)      number of directions of each frame
+    u      (2 n STRIDE,)  numbers of the vector, see ``entry``
+    growth (STRIDE,)      growth of the vector in each frame
     """
     products(metric, u, u, partial, count)
     last = last_two(u)
@@ -134,7 +141,10 @@ def normalise_pass(metric, rank, k, u, growth, partial, count):
 
 @kernel
 def project_pass(metric, u, w, partial, count):
-    """Project the unit vector u out of the later vector w: one part of tangent.orthonormalise; see normalise_pass."""
+    """Project the unit vector u out of the later vector w, one step of tangent.orthonormalise.
+
+    The arguments are those of ``normalise_pass``.
+    """
     products(metric, u, w, partial, count)
     last = last_two(u)
     for i in range(count):
@@ -148,13 +158,13 @@ def project_pass(metric, u, w, partial, count):
 
 @inlined
 def at(j, field, i):
-    """Index of a field of block j of lane i; unsigned, as in entry."""
+    """Return the index of a field of block j of lane i; unsigned, as in ``entry``."""
     return np.uint64(LANE_SIZE + j * BLOCK_SIZE + field + i)
 
 
 @inline_always
 def workspace(m, n):
-    """A workspace for m vectors of n blocks."""
+    """Return a workspace for m vectors of n blocks."""
     size = 2 * padded_blocks(n) * STRIDE
     return Workspace(
         room_for_vectors(m * size).reshape((m, size)),
@@ -168,7 +178,10 @@ def workspace(m, n):
 
 @kernel
 def spread_pass(a, limit, n):
-    """Set the task of each frame; returns how many must be made orthonormal first, also because of a long flight."""
+    """Decide what each frame has to pass, and return how many frames must be made orthonormal first.
+
+    A long flight is another reason to make a frame orthonormal.
+    """
     count = 0
     for i in range(n):
         side, v, before = a[LANE.event + i], a[LANE.v + i], a[LANE.frame_spread + i]
@@ -195,13 +208,13 @@ def spread_pass(a, limit, n):
 
 @inlined
 def is_whole(vectors, blocks):
-    """Whether two_blocks.py handles a frame as a whole."""
+    """Return True if ``two_blocks.py`` handles a frame as a whole."""
     return vectors == VECTORS and blocks == BLOCKS
 
 
 @inline_always
 def orthonormalise_due(a, count, frames, growths, space, blocks):
-    """tangent.orthonormalise of the frames of the first ``count`` of space.lanes."""
+    """Apply tangent.orthonormalise to the frames of the first ``count`` of space.lanes."""
     U, growing, metric, rank, lanes, partial = space
     m = len(frames)
     for e in range(count):
@@ -235,7 +248,7 @@ def gather_vector(lanes, count, blocks, u, growth, w, growing):
 
 @kernel
 def scatter_vector(lanes, count, blocks, w, growing, u, growth):
-    """Inverse of gather_vector."""
+    """Undo ``gather_vector``: copy one vector and its growth from w back to these lanes."""
     for e in range(count):
         growth[lanes[e]] = growing[e]
     for j in range(blocks):
@@ -246,7 +259,7 @@ def scatter_vector(lanes, count, blocks, w, growing, u, growth):
 
 @inlined
 def fly_block(a, u, j, i, dy, dv):
-    """Carry block j of vector i through a completed flight; returns (dy, dv) plus its share, for an impact."""
+    """Carry block j of vector i through a completed flight; return (dy, dv) plus its contribution, for an impact."""
     flows, e0, e1 = a[LANE.flows + i] > 0.0, entry(j, 0, i), entry(j, 1, i)
     u0, u1 = u[e0], u[e1]
     w0 = fma(a[at(j, BLOCK.f11, i)], u0, a[at(j, BLOCK.f12, i)] * u1)
@@ -259,7 +272,7 @@ def fly_block(a, u, j, i, dy, dv):
 
 @inlined
 def kick_block(a, u, j, i, along_k, along_Ak):
-    """Add the change by an impact to block j of vector i; see contact.saltation."""
+    """Add the change by an impact to block j of vector i, see contact.saltation."""
     e0, e1 = entry(j, 0, i), entry(j, 1, i)
     u[e0] = fma(along_Ak, a[at(j, BLOCK.Ak0, i)], fma(along_k, a[at(j, BLOCK.k0, i)], u[e0]))
     u[e1] = fma(along_Ak, a[at(j, BLOCK.Ak1, i)], fma(along_k, a[at(j, BLOCK.k1, i)], u[e1]))
@@ -293,7 +306,10 @@ def transfer_pass(a, u, partial, n):
 
 @inline_always
 def fly_frame_far(a, i, blocks, frames, growths):
-    """transfer_pass for a long flight of lane i, which spreads its frame far; blocks (N, n, columns): of all cells."""
+    """Do ``transfer_pass`` for a long flight of lane i, which spreads its frame far.
+
+    blocks (N, n, columns)  blocks of all cells
+    """
     m, n = frames.shape[0], blocks.shape[1]
     constants, rank = blocks[int(a[LANE.cell + i])], int(a[LANE.rank + i])
     V, growth, no_triangle = np.empty((m, n, 2)), np.empty(m), np.zeros((0, 0))
@@ -307,7 +323,7 @@ def fly_frame_far(a, i, blocks, frames, growths):
 def move_frames(a, n, blocks, frames, growths, space):
     """Carry the tangent vectors of all lanes through the flights and impacts just completed, as period.propagate does.
 
-    blocks (N, n, columns) are those of all cells.
+    blocks (N, n, columns)  blocks of all cells
     """
     if spread_pass(a, MAX_SPREAD if len(frames) > 1 else MAX_SPREAD_OF_ONE, n) > 0:
         count = list_lanes(a, LANE.due, n, space.lanes)
@@ -324,14 +340,14 @@ def move_frames(a, n, blocks, frames, growths, space):
 
 @inlined
 def square_of_block(a, u, j, i, total):
-    """Add block j of the squared length of a vector to the total."""
+    """Return the total plus block j of the squared length of a vector."""
     u0, u1 = u[entry(j, 0, i)], u[entry(j, 1, i)]
     return fma(u1, u1, fma(a[at(j, BLOCK.metric, i)] * u0, u0, total))
 
 
 @kernel
 def measure_pass(a, u, growth, partial, n):
-    """Growth over the period of the first vector, in lanes at their section or at their first start.
+    """Set the growth over the period of the first vector, in lanes at their section or at their first start.
 
     LANE.log_length, NaN if unknown, is tangent.log_length at the last section.
     """
@@ -359,7 +375,7 @@ def load_frame(V, growth, frames, growths, i):
 
 @inlined
 def store_frame(frames, growths, i, V, growth):
-    """Write the tangent vectors of lane i to V (m, n, 2) and their growth (m,)."""
+    """Write the tangent vectors of lane i to V (m, n, 2) and their growth to growth (m,)."""
     for k in range(V.shape[0]):
         growth[k] = growths[k, i]
         for j in range(V.shape[1]):

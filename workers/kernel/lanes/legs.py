@@ -1,8 +1,8 @@
 """Legs of many motions side by side: fields of lanes, and rounds that search for each lane's first signal.
 
-Every signal of a lane has the fields of a gap, see layout.py: the same passes search it, with the ends of its range as
-stops. ``records`` (U, size) are those of U signals; the first also holds the blocks' flow and the time. Events, which
-few lanes have, are passed by the kernels of one motion.
+Every signal of a lane has the fields of a gap, see ``layout.py``. The same passes search it, with the ends of its range
+as stops. ``records`` (U, size) are the fields of U signals; the first record also holds the blocks' flow and the time.
+The kernels of one motion pass the events, which few lanes have.
 """
 
 import math
@@ -43,8 +43,8 @@ from workers.kernel.lanes.signal import (
 from workers.model.oscillator import COLUMN, NUMBER
 
 REACHED, OVER = 1.0, 2.0
-"""Events of a lane besides FLYING and LEFT: a signal has reached an end of its range; the leg ended without an
-event."""
+"""Events of a lane besides FLYING and LEFT. REACHED: a signal has reached an end of its range. OVER: the leg has ended
+without an event."""
 
 RENEWAL = float(REFRESH)
 
@@ -55,7 +55,7 @@ class LegFields(NamedTuple):
     event: int  # FLYING, REACHED, OVER, or LEFT: the search needs very many steps
     hit: int  # the first signal to reach an end of its range, -1 for none
     side: int  # the end reached, +-1
-    step: int  # the least step
+    step: int  # the least step of all signals
     oscillates: int  # 1 if all blocks are underdamped, else 0
 
 
@@ -66,7 +66,7 @@ LEG_SIZE = len(LegFields._fields) * STRIDE
 
 @inline_always
 def record_size(blocks, harmonics):
-    """Size of the record of one signal of all lanes, for these numbers of blocks and harmonics."""
+    """Return the size of the record of one signal of all lanes, for these numbers of blocks and harmonics."""
     return LANE_SIZE + padded_blocks(blocks) * BLOCK_SIZE + (harmonics - 1) * HARMONIC_SIZE
 
 
@@ -80,7 +80,7 @@ def empty_lane(records, i):
 
 @kernel
 def copy_lane(records, source, target):
-    """Copy a lane."""
+    """Copy lane ``source`` to lane ``target``."""
     records = borrow(records)
     for u in range(records.shape[0]):
         move_lane(records[u], source, target)
@@ -88,9 +88,12 @@ def copy_lane(records, source, target):
 
 @inlined
 def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts, H):
-    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); returns whether all blocks oscillate.
+    """Put a leg of at most H in mode k into lane i, from block state h (n, 2); return True if all blocks oscillate.
 
-    turn (H, 2) of the force at its phase, see state.turned.
+    signals (U,)    signals to search
+    phase           forcing phase at the start
+    turn (H, 2)     harmonics of the force at that phase, see state.harmonics_at
+    signal_starts   start of each signal, see ``hybrid/events.py``
     """
     oscillates, harmonics, n = True, len(turn), len(h)
     for u in range(len(signals)):
@@ -131,7 +134,10 @@ def load_leg(records, i, modes, signals, k, h, phase, turn, omega, signal_starts
 
 @inlined
 def read_flow(records, i, flow):
-    """Copy the flow of each block from the leg's start to the present of lane i, and the state there: see trip.Trip."""
+    """Copy the flow of each block from the leg's start to the present of lane i, and the state there.
+
+    flow (n, 6)  see HybridTrajectory
+    """
     for j in range(len(flow)):
         first = LANE_SIZE + j * BLOCK_SIZE + i
         flow[j, 0], flow[j, 1] = records[0, first + BLOCK.f11], records[0, first + BLOCK.f12]
@@ -155,9 +161,9 @@ def least_pass(legs, a, u, n):
 
 @kernel
 def move_pass(legs, a, n):
-    """Next event and time of each lane; a are the fields of the first signal.
+    """Set the next event and time of each lane, and return how many lanes need new bounds there.
 
-    Returns how many lanes need new bounds there.
+    ``a`` are the fields of the first signal.
     """
     renewing = 0
     for i in range(n):
@@ -193,7 +199,10 @@ def copy_pass(a, first, n):
 
 @kernel
 def share_pass(a, q, flown, n):
-    """Add the share of a block to a signal; ``flown`` are the fields of the block in the first signal, at LANE.time."""
+    """Add the contribution of a block to a signal.
+
+    ``flown`` are the fields of the block in the first signal, at LANE.time.
+    """
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, loaded_output_of(q, i, h0, h1))
@@ -201,7 +210,7 @@ def share_pass(a, q, flown, n):
 
 @kernel
 def oscillating_share_pass(a, q, flown, n):
-    """share_pass for a block that is underdamped in every lane."""
+    """Do ``share_pass`` for a block that is underdamped in every lane."""
     for i in range(n):
         h0, h1 = flown[BLOCK.h0 + i], flown[BLOCK.h1 + i]
         add_share(a, q, i, h0, h1, output_of(q, i, h0, h1))
@@ -209,10 +218,14 @@ def oscillating_share_pass(a, q, flown, n):
 
 @inline_always
 def run_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes: the next certified step, or the arrival, of each.
+    """Take the first n lanes through one round: the next certified step, or the arrival, of each.
 
-    oscillates: all blocks of all lanes are underdamped; renews: a lane may need new bounds. Returns whether one needs
-    new bounds in the next round. Both ways to treat an underdamped block give the same bits.
+    oscillates  whether all blocks of all lanes are underdamped
+    renews      whether a lane may need new bounds
+    chosen, c   overwritten
+
+    Return True if a lane needs new bounds in the next round. Both ways to treat an underdamped block give the same
+    bits.
     """
     signals, first = records.shape[0], records[0]
     for i in range(n):

@@ -1,7 +1,7 @@
-"""Many motions of hybrid machines at once: a lane whose cell has finished takes the next cell of the queue.
+"""Many motions of machines with modes at once: a lane whose cell has finished takes the next cell of the queue.
 
-Lanes search for the events of legs; trip.py passes the events, one motion at a time. A leg is searched as in motion.py
-if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
+Lanes search for the events of legs; ``hybrid/trajectory.py`` passes the events, one motion at a time. A leg is searched
+as in ``hybrid/motion.py`` if it begins at rest at an end of a signal's range, hops in a chatter, or may grow.
 """
 
 from typing import NamedTuple
@@ -40,17 +40,21 @@ from workers.kernel.tangent import log_length
 from workers.model.oscillator import Array, Rows
 
 BEGINS, ARRIVES = 0, 1
-"""Start of a lane's turn: at the beginning of a period, or after its search."""
+"""Stages at which ``turn`` continues a lane: at the beginning of a period, or after its search."""
 
 
 class LegSearch(NamedTuple):
     """Work arrays for the search for events of legs, for machines with n coordinates.
 
-    records, legs   fields of the lanes, see legs.py
+    records, legs   fields of the lanes, see ``legs.py``
     signals (U,)    numbers of the signals that end a mode
-    held, slots     the cell of each lane (LANES,), and the slot of its trip
-    before          log of the length of the first tangent vector of each trip, at its last section
-    gathered, chosen, scratch (n, 2), none (0, 0): overwritten
+    held (LANES,)   cell of each lane
+    slots (LANES,)  slot of its trajectory
+    before (LANES,) log of the length of the first tangent vector of each trajectory, at its last section
+    gathered        overwritten
+    chosen (LANES,) overwritten
+    scratch (n, 2)  overwritten
+    none (0, 0)     records of legs, not wanted
     """
 
     records: Array
@@ -66,11 +70,14 @@ class LegSearch(NamedTuple):
 
 
 def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: int, lanes: int) -> None:
-    """Advance these cells of a batch by their periods, or until their motion or their work ends.
+    """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
-    Changes the arrays of the batch, see lanes.run.Batch. signals (U,): signals of the machines that end a mode, at
-    least one. At most ``lanes`` <= LANES cells are active; once fewer than ``enough`` are, each stops at its next
-    section. A motion that misses a mode stays at its section; the mode is built before the next call.
+    batch         its arrays change, see lanes.run.MotionBatch
+    signals (U,)  signals of the machines that end a mode, at least one
+    enough        minimum number of active cells; once fewer are active, each stops at its next section
+    lanes         maximum number of active cells, at most LANES
+
+    A motion that misses a mode stays at its section; the mode is built before the next call.
     """
     n, m = batch.motions.h.shape[1], batch.motions.V.shape[1]
     framed = batch.motions.growth.shape[1] > 0
@@ -81,7 +88,7 @@ def run_through_modes(batch: MotionBatch, cells: Rows, signals: Rows, enough: in
 
 
 def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
-    """A search of empty lanes."""
+    """Return a search of empty lanes."""
     U, size = len(signals), record_size.py_func(n, harmonics)
     return LegSearch(
         room_for_vectors.py_func(U * size).reshape((U, size)), room_for_vectors.py_func(LEG_SIZE), signals,
@@ -92,7 +99,7 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 
 @kernel
 def take_along(batch, cells, trajs, search, enough, lanes, more):
-    """run_through_modes with work arrays."""
+    """Do ``run_through_modes`` with work arrays."""
     batch, trajs, search = by_reference(batch), by_reference(trajs), by_reference(search)
     periods, done, tally = batch.periods, batch.done, batch.motions.tally
     legs, held, slots = search.legs, search.held, search.slots
@@ -142,7 +149,7 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
 
 @kernel
 def length_of(batch, r):
-    """tangent.log_length of cell r at its section."""
+    """Return tangent.log_length of cell r at its section."""
     motions = batch.motions
     return log_length(batch.oscillators.gap.blocks[r], motions.V[r], motions.growth[r])
 
@@ -158,14 +165,14 @@ def begin_period(batch, trajs, r, slot, more):
 
 @inline_always
 def pass_alone(batch, trajs, search, r, slot):
-    """Take cell r through its current leg on its own; returns whether its period is over."""
+    """Take cell r through its current leg on its own; return True if its period is over."""
     tables, hits, none = batch.oscillators.table, batch.motions.impacts[r], search.none
     return advance_leg(tables, r, trajs, slot, hits, none, search.scratch, 2.0 * np.pi / tables.omega[r])
 
 
 @inline_always
 def pass_found(batch, trajs, search, r, slot, i):
-    """Take cell r through the end of the leg that lane i has found; returns whether its period is over."""
+    """Take cell r through the end of the leg that lane i has found; return True if its period is over."""
     tables, legs = batch.oscillators.table, search.legs
     hit, s, period = legs[LEG_FIELD.hit + i], search.records[0, LANE.time + i], 2.0 * np.pi / tables.omega[r]
     reached = search.signals[int(hit)] if hit >= 0.0 else np.int64(-1)
@@ -177,7 +184,7 @@ def pass_found(batch, trajs, search, r, slot, i):
 
 @kernel
 def end_period(batch, trajs, r, slot, ending, before, more):
-    """Take cell r to the section at the end of its trip and begin its next period; returns whether there is one."""
+    """Take cell r to the section at the end of its trajectory; return True if its next period has begun."""
     oscillators, periods, done = batch.oscillators, batch.periods, batch.done
     motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), done[r]
     table = oscillators.table
@@ -196,9 +203,11 @@ def end_period(batch, trajs, r, slot, ending, before, more):
 
 @kernel
 def turn(batch, trajs, search, r, i, stage, ending, more):
-    """Advance cell r from the end of the leg that lane i has searched until its next leg to search has begun.
+    """Advance cell r until its next leg to search has begun; return True if there is such a leg.
 
-    Or from the beginning of a period, see BEGINS. Returns whether there is such a leg. ``ending``: stop at a section.
+    i       lane that has searched the current leg
+    stage   where to continue, see BEGINS
+    ending  whether to stop at a section
     """
     slot, through = search.slots[i], False
     trip, table = row_in(trajs, slot), row_in(batch.oscillators.table, r)
@@ -229,7 +238,7 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
 
 @inline_always
 def begins_at_rest(traj):
-    """Whether a leg hops in a chatter, or a signal begins at an end of its range with zero rate."""
+    """Return True if a leg hops in a chatter, or a signal begins at an end of its range with zero rate."""
     rests = traj.clock[CLOCK.hop] > 0.0
     for order in traj.begun:
         rests = rests or abs(order) > 1
@@ -238,5 +247,5 @@ def begins_at_rest(traj):
 
 @inlined
 def grows(modes, k):
-    """Whether a block of mode k grows: its bounds hold only for a while, see crossing.next_crossing."""
+    """Return True if a block of mode k grows: its bounds hold only for a while, see crossing.next_crossing."""
     return growth_rate(modes.blocks[k, 0]) > 0.0

@@ -23,14 +23,15 @@ from workers.kernel.lanes.signal import (
 RENEWAL = float(REFRESH)
 
 MAX_EVALUATIONS_PER_PERIOD = 2000.0
-"""Evaluations in one period after which the kernels of one cell take over a lane; they complete every period."""
+"""Maximum number of evaluations of a lane in one period. Then the kernels of one cell take over; they complete every
+period."""
 
 
 @kernel
 def arrival_pass(a, n):
     """Process the event that each lane has reached: kick and counts of an impact, and the start of the next flight.
 
-    Returns how many lanes stop at a section or have left, and how many need new bounds.
+    Return how many lanes stop at a section or have left, and how many need new bounds.
     """
     stopping, renewing = 0, 0
     for i in range(n):
@@ -92,10 +93,14 @@ def arrival_pass(a, n):
 
 @inline_always
 def run_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
-    """One round of the first n lanes, a multiple of VECTOR_WIDTH; ``harmonics`` counts those after the first.
+    """Take the first n lanes, a multiple of VECTOR_WIDTH, through one round and return the counts of ``arrival_pass``.
 
-    oscillates: all blocks of all cells are underdamped; renews: a lane may need new bounds; chosen and c are
-    overwritten. Returns the counts of arrival_pass.
+    a           fields of all lanes
+    blocks      number of blocks
+    harmonics   number of harmonics after the first
+    oscillates  whether all blocks of all cells are underdamped
+    renews      whether a lane may need new bounds
+    chosen, c   overwritten
     """
     if renews:
         renewal_pass(a, blocks, oscillates, n)

@@ -56,10 +56,13 @@ NUMBERS = len(NUMBER)
 class MotionBatch(NamedTuple):
     """N cells to advance by some periods each: every field stacked along its first axis.
 
-    oscillators, motions  records of many
-    periods      (N,)     wanted; done (N,) completed, before and after
-    levels       (N, LEVELS, 4), weighted (N, 2): the averages of growth, as in add_growth
-    sections     (N, K, n, 2)             the last K section states
+    oscillators  batch of oscillators
+    motions      batch of motions
+    periods      (N,)               number of periods wanted
+    done         (N,)               number of periods completed, before and after
+    levels       (N, LEVELS, 4)     averages of growth, see averages.add_growth
+    weighted     (N, 2)             weighted averages of growth, see averages.add_growth
+    sections     (N, K, n, 2)       the last K section states
     """
 
     oscillators: Oscillator
@@ -134,7 +137,7 @@ def record(a, i, impacts):
 
 @inlined
 def keep_section(h, r, k, periods, sections):
-    """Keep the state after period k if it is among the last ones wanted."""
+    """Store the state after period k if it is among the last ones wanted."""
     row = k - (periods - sections.shape[1])
     if row >= 0:
         for j in range(h.shape[1]):
@@ -143,7 +146,7 @@ def keep_section(h, r, k, periods, sections):
 
 @kernel
 def move_lane(a, source, target):
-    """Copy a lane."""
+    """Copy lane ``source`` to lane ``target``."""
     for f in range(len(a) // STRIDE):
         a[f * STRIDE + target] = a[f * STRIDE + source]
 
@@ -158,13 +161,13 @@ def park(a, i):
 
 @inlined
 def is_finished(r, done, periods, tally):
-    """Whether cell r is finished: its periods, its motion or its work have ended."""
+    """Return True if cell r is finished: its periods, its motion or its evaluations have ended."""
     return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
 
 @inline_always
 def go_alone(batch, r):
-    """Take cell r through a period in which it rests or needs very many steps, and on until it is free at a section."""
+    """Take cell r through a period in which it sticks or needs many steps, and on until it is free at a section."""
     motion, osc = row_of(batch.motions, r), row_of(without_mode_table(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
@@ -185,7 +188,7 @@ def go_alone(batch, r):
 
 @kernel
 def run_alone(batch, cells):
-    """run_batch for cells that may grow, one after the other."""
+    """Do ``run_batch`` for cells that may grow, one after the other."""
     batch = by_reference(batch)
     for r in cells:
         if batch.done[r] == 0:
@@ -196,10 +199,12 @@ def run_alone(batch, cells):
 
 @kernel
 def run_batch(batch, cells, enough, lanes, oscillates):
-    """Advance these cells of a batch by their periods, or until their motion or their work ends.
+    """Advance these cells of a batch by their periods, or until their motion or their evaluations end.
 
-    Changes the arrays of the batch, see Batch. At most ``lanes`` <= LANES cells are active; once fewer than ``enough``
-    are, each stops at its next section. oscillates: all blocks of all these cells are underdamped.
+    batch       its arrays change, see MotionBatch
+    enough      minimum number of active cells; once fewer are active, each stops at its next section
+    lanes       maximum number of active cells, at most LANES
+    oscillates  whether all blocks of all these cells are underdamped
     """
     batch = by_reference(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau

@@ -1,7 +1,7 @@
-"""The next time of every lane, certified or an arrival: one turn of the loop of crossing.next_crossing.
+"""The next time of every lane, certified or an arrival: one step of the loop of crossing.next_crossing.
 
-Each function is a loop over the first n lanes; a holds the fields of all lanes (see layout.py). Work for few lanes is
-gathered in c (see GapFields).
+Each function is a loop over the first n lanes; ``a`` holds the fields of all lanes, see ``layout.py``. Work for few
+lanes is gathered in ``c``, see GapFields.
 """
 
 import numpy as np
@@ -11,17 +11,18 @@ from workers.kernel.jit import inline_always, inlined, kernel
 from workers.kernel.lanes.layout import AT_SECTION, FLYING, GAP, LANE, LEFT, VECTOR_WIDTH
 
 MAX_MARCH_STEPS = 64
-"""Steps of one flight after which the kernels of one cell take over a lane."""
+"""Maximum number of steps of one flight; then the kernels of one cell take over the lane."""
 
 LANE_TRIALS = 2
-"""Trial lengths at the end of a safe step: except at a graze, crossing.TRIALS trials cost more than they save."""
+"""Number of trial lengths at the end of a safe step. Except at a graze, crossing.TRIALS trials cost more than they
+save."""
 
 
 @kernel
 def approach_pass(a, n):
-    """The stop ahead of each mass: the time of certain contact if known, else a safe one.
+    """Set the time of certain contact with the stop ahead of each mass, if known, else a safe time.
 
-    Sets the gap, and bounds of the longest step that is safe from the stop.
+    The gap and bounds of the longest step that is safe from the stop are set too.
     """
     for i in range(n):
         upper, lower = a[LANE.upper + i], a[LANE.lower + i]
@@ -46,7 +47,7 @@ def approach_pass(a, n):
 
 @kernel
 def retreat_pass(a, n):
-    """The stop behind each mass: the gap and a safe time; returns how many lanes seek a longer one."""
+    """Set the gap and a safe time for the stop behind each mass; return how many lanes seek a longer time."""
     count = 0
     for i in range(n):
         step, ahead, upper, lower = a[LANE.step + i], a[LANE.side + i], a[LANE.upper + i], a[LANE.lower + i]
@@ -68,13 +69,16 @@ def retreat_pass(a, n):
 
 @inlined
 def padded_count(count):
-    """The next multiple of VECTOR_WIDTH: the length of loops over ``count`` lanes."""
+    """Return the next multiple of VECTOR_WIDTH: the length of loops over ``count`` lanes."""
     return -(-count // VECTOR_WIDTH) * VECTOR_WIDTH
 
 
 @kernel
 def list_lanes(a, field, n, chosen):
-    """Number and list of the lanes with this field set: branch-free, since the processor would often mispredict."""
+    """List the lanes with this field set in ``chosen`` and return their number.
+
+    The loop is branch-free, since the processor would often mispredict a branch.
+    """
     count = 0
     for i in range(n):
         chosen[count] = i
@@ -84,7 +88,7 @@ def list_lanes(a, field, n, chosen):
 
 @inline_always
 def gather(a, chosen, count, c):
-    """Gather the gaps of lanes chosen[:count] to their stops as GapFields in c; the length of loops over them."""
+    """Gather the gaps of lanes chosen[:count] to their stops as GapFields in c; return the length of their loops."""
     for e in range(count):
         i = chosen[e]
         side = a[LANE.side + i]
@@ -99,7 +103,7 @@ def gather(a, chosen, count, c):
 
 @kernel
 def advance_pass(a, n):
-    """The longest step found between those bounds."""
+    """Set the longest step found between the bounds of ``approach_pass``."""
     for i in range(n):
         ahead, g, L, U = a[LANE.side + i], a[LANE.gap + i], a[LANE.safe_time + i], a[LANE.limit + i]
         v, push, jerk = ahead * a[LANE.v + i], ahead * a[LANE.a + i], ahead * a[LANE.jerk + i]
@@ -109,7 +113,7 @@ def advance_pass(a, n):
 
 @kernel
 def close_in_pass(c, n):
-    """The time for which each gap stays open, within its bounds."""
+    """Set the time for which each gathered gap stays open, within its bounds."""
     for e in range(n):
         g, v, push, jerk = c[GAP.gap + e], c[GAP.v + e], c[GAP.a + e], c[GAP.jerk + e]
         M2_, M3_, M4_ = c[GAP.bound2 + e], c[GAP.bound3 + e], c[GAP.bound4 + e]
@@ -118,14 +122,14 @@ def close_in_pass(c, n):
 
 @inline_always
 def scatter(a, chosen, count, c):
-    """Take the times found as the lanes' steps."""
+    """Take the gathered times as the steps of their lanes."""
     for e in range(count):
         a[LANE.step + chosen[e]] = c[GAP.low + e]
 
 
 @inline_always
 def safe_steps(a, n, chosen, c):
-    """A step that is safe from both stops, for every lane without certain contact."""
+    """Set a step that is safe from both stops, for every lane without certain contact."""
     approach_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
@@ -136,7 +140,7 @@ def safe_steps(a, n, chosen, c):
 
 @kernel
 def step_pass(a, n):
-    """The next event and time of each lane."""
+    """Set the next event and time of each lane."""
     for i in range(n):
         s, step, contact, ahead = a[LANE.time + i], a[LANE.step + i], a[LANE.contact_time + i], -a[LANE.side + i]
         reach = a[LANE.bound0 + i] * (1.0 + 1e-12)

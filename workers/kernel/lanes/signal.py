@@ -1,7 +1,7 @@
 """The signal y(t) of every lane with its derivatives, and bounds of them for all later times: sums over blocks.
 
-Each function is a loop over the first n lanes; a holds the fields of all lanes, q the fields of one block (see
-layout.py).
+Each function is a loop over the first n lanes. ``a`` holds the fields of all lanes, ``q`` those of one block, see
+``layout.py``.
 """
 
 from workers.kernel.flow import fall, flow_entries, oscillating_flow
@@ -13,13 +13,13 @@ from workers.kernel.signal import amplitude_bounds, block_bounds, block_output, 
 
 @kernel
 def fields_of(a, j):
-    """The fields of block j of all lanes."""
+    """Return the fields of block j of all lanes."""
     return a[LANE_SIZE + j * BLOCK_SIZE : LANE_SIZE + (j + 1) * BLOCK_SIZE]
 
 
 @kernel
 def fields_of_harmonic(a, blocks, k):
-    """The fields of harmonic k + 2 of all lanes, which lie behind the fields of all ``blocks``."""
+    """Return the fields of harmonic k + 2 of all lanes, which lie behind the fields of all ``blocks``."""
     first = LANE_SIZE + blocks * BLOCK_SIZE
     return a[first + k * HARMONIC_SIZE : first + (k + 1) * HARMONIC_SIZE]
 
@@ -44,7 +44,7 @@ def forced_pass(a, n):
 
 @inlined
 def absent(q, n):
-    """Whether no lane has this harmonic: a force lacks most orders below its highest."""
+    """Return True if no lane has this harmonic: a force lacks most orders below its highest."""
     for i in range(n):  # noqa: SIM110 - a kernel has no generators
         if q[HARMONIC.sin_part + i] != 0.0 or q[HARMONIC.cos_part + i] != 0.0:
             return False
@@ -53,7 +53,7 @@ def absent(q, n):
 
 @kernel
 def harmonic_pass(a, q, order, n):
-    """Add the harmonic of this order, with fields q, to those sums."""
+    """Add the harmonic of this order, with fields q, to the sums that ``forced_pass`` began."""
     if absent(q, n):
         return
     for i in range(n):
@@ -73,7 +73,7 @@ def harmonic_pass(a, q, order, n):
 
 @inlined
 def output_of(q, i, h0, h1):
-    """signal.block_output of a state of one block of lane i."""
+    """Return signal.block_output of a state of one block of lane i."""
     eta, lam = q[BLOCK.eta + i], q[BLOCK.lam + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return block_output(h0, h1, eta, lam, c0, c1, cA0, cA1)
@@ -81,7 +81,7 @@ def output_of(q, i, h0, h1):
 
 @inlined
 def loaded_output_of(q, i, h0, h1):
-    """signal.loaded_output of a state of one block of lane i."""
+    """Return signal.loaded_output of a state of one block of lane i."""
     eta, lam, load = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.load + i]
     c0, c1, cA0, cA1 = q[BLOCK.c0 + i], q[BLOCK.c1 + i], q[BLOCK.cA0 + i], q[BLOCK.cA1 + i]
     return loaded_output(h0, h1, eta, lam, c0, c1, cA0, cA1, load)
@@ -89,7 +89,7 @@ def loaded_output_of(q, i, h0, h1):
 
 @inlined
 def state_after(q, i, flow):
-    """State of one block of lane i after a flow from the flight's start; stores the flow."""
+    """Return the state of one block of lane i after a flow from the start of the flight; store the flow."""
     f11, f12, f21, f22 = flow
     q[BLOCK.f11 + i] = f11
     q[BLOCK.f12 + i] = f12
@@ -101,7 +101,7 @@ def state_after(q, i, flow):
 
 @inlined
 def add_share(a, q, i, h0, h1, share):
-    """Keep the state of one block of lane i and add its share of the signal."""
+    """Store the state of one block of lane i and add its contribution to the signal."""
     q0, q1, q2, q3 = share
     q[BLOCK.h0 + i] = h0
     q[BLOCK.h1 + i] = h1
@@ -114,7 +114,7 @@ def add_share(a, q, i, h0, h1, share):
 
 @kernel
 def oscillating_block_pass(a, q, n):
-    """Advance one block to LANE.time and add its share of the signal; underdamped in every lane."""
+    """Advance one block, underdamped in every lane, to LANE.time and add its contribution to the signal."""
     for i in range(n):
         eta, lam, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
         h0, h1 = state_after(q, i, oscillating_flow(a[LANE.time + i], eta, lam, w, inv_w))
@@ -123,7 +123,7 @@ def oscillating_block_pass(a, q, n):
 
 @kernel
 def block_pass(a, q, n):
-    """Advance one block to LANE.time and add its share of the signal, for any damping and load."""
+    """Advance one block to LANE.time and add its contribution to the signal, for any damping and load."""
     for i in range(n):
         s, load = a[LANE.time + i], q[BLOCK.load + i]
         eta, lam, d, w, inv_w = q[BLOCK.eta + i], q[BLOCK.lam + i], q[BLOCK.d + i], q[BLOCK.w + i], q[BLOCK.inv_w + i]
@@ -135,7 +135,7 @@ def block_pass(a, q, n):
 
 @kernel
 def restart_pass(a, n):
-    """Restart the sums of signal and bounds: the signal at the start of a flight, the bounds there and at renewals."""
+    """Restart the sums of the signal at the start of a flight, and those of its bounds there and at renewals."""
     for i in range(n):
         y, v, second, third = (
             a[LANE.forced + i],
@@ -160,7 +160,7 @@ def restart_pass(a, n):
 
 @inlined
 def state_at_start(a, q, i):
-    """State of a block for new bounds; at the start of a flight after the kick of the impact."""
+    """Return the state of a block for new bounds; at the start of a flight the state after the kick of the impact."""
     fresh = a[LANE.starts + i] > 0.0
     g0, g1, start0, start1 = q[BLOCK.h0 + i], q[BLOCK.h1 + i], q[BLOCK.start0 + i], q[BLOCK.start1 + i]
     dv, dy = a[LANE.kick + i], a[LANE.shift + i]
@@ -174,7 +174,7 @@ def state_at_start(a, q, i):
 
 @inlined
 def share_at_start(a, i, share):
-    """Add a block's share to the sums at the start of a flight."""
+    """Add a block's contribution to the sums at the start of a flight."""
     fresh = a[LANE.starts + i] > 0.0
     q0, q1, q2, q3 = share
     a[LANE.y + i] = a[LANE.y + i] + q0 if fresh else a[LANE.y + i]
@@ -186,7 +186,7 @@ def share_at_start(a, i, share):
 
 @inlined
 def amplitude_factors(q, i):
-    """Factors of kernel.signal.amplitude_bounds for one block of lane i."""
+    """Return the factors of kernel.signal.amplitude_bounds for one block of lane i."""
     return q[BLOCK.tilt + i], q[BLOCK.weight + i], q[BLOCK.grow2 + i], q[BLOCK.grow3 + i], q[BLOCK.grow4 + i]
 
 
@@ -203,7 +203,7 @@ def add_bounds(a, i, bounds):
 
 @kernel
 def oscillating_bounds_pass(a, q, n):
-    """Add one block's share to the sums that restart_pass began; underdamped in every lane."""
+    """Add the contribution of one block, underdamped in every lane, to the sums that ``restart_pass`` began."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = output_of(q, i, h0, h1)
@@ -214,7 +214,7 @@ def oscillating_bounds_pass(a, q, n):
 
 @kernel
 def bounds_pass(a, q, n):
-    """Add one block's share to the sums that restart_pass began, for any damping."""
+    """Add the contribution of one block, for any damping, to the sums that ``restart_pass`` began."""
     for i in range(n):
         h0, h1 = state_at_start(a, q, i)
         share = loaded_output_of(q, i, h0, h1)
@@ -228,7 +228,7 @@ def bounds_pass(a, q, n):
 
 @inline_always
 def renewal_pass(a, blocks, oscillates, n):
-    """The signal at the start of a flight, and its bounds there and at renewals; see rounds.take_round."""
+    """Set the signal at the start of a flight, and its bounds there and at renewals; see rounds.run_round."""
     restart_pass(a, n)
     for j in range(blocks):
         if oscillates:

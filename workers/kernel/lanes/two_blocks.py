@@ -1,7 +1,7 @@
-"""Frames of four vectors of two blocks (two masses): a whole frame at a time, its numbers in registers.
+"""Tangent frames of four vectors of two blocks (two masses): a whole frame at a time, its numbers in registers.
 
-Each function is a loop over lanes, or over gathered frames, with the same bits as the passes of frames.py, which take
-one vector at a time. Arrays are flat with constant offsets, see layout.py.
+Each function is a loop over lanes, or over gathered frames. The results have the same bits as the passes of
+``frames.py``, which take one vector at a time. Arrays are flat with constant offsets, see ``layout.py``.
 """
 
 import math
@@ -14,30 +14,30 @@ from workers.kernel.lanes.layout import BLOCK, BLOCK_SIZE, LANE, LANE_SIZE, STRI
 BLOCKS, VECTORS = 2, 4
 
 VECTOR = 4 * STRIDE
-"""Numbers from one vector of many frames to the next."""
+"""Distance, in numbers, from one vector of many frames to the next."""
 
 
 @inlined
 def read(U, e):
-    """Read the numbers of a vector of a frame, beginning with number e."""
+    """Return the numbers of a vector of a frame, beginning with number e."""
     return U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE]
 
 
 @inlined
 def write(U, e, u):
-    """Write the numbers of a vector of a frame, beginning with number e."""
+    """Write the numbers u of a vector of a frame, beginning with number e."""
     U[e], U[e + STRIDE], U[e + 2 * STRIDE], U[e + 3 * STRIDE] = u
 
 
 @inlined
 def product(p, q, u, w):
-    """``tangent.inner`` of two vectors, with p and q the metric of the blocks."""
+    """Return ``tangent.inner`` of two vectors, with p and q the metric of the blocks."""
     return fma(u[3], w[3], fma(q * u[2], w[2], fma(u[1], w[1], fma(p * u[0], w[0], 0.0))))
 
 
 @inlined
 def without(p, q, u, w):
-    """The vector w without its part along the unit vector u."""
+    """Return the vector w without its component along the unit vector u."""
     overlap = product(p, q, u, w)
     return (
         fma(-overlap, u[0], w[0]), fma(-overlap, u[1], w[1]), fma(-overlap, u[2], w[2]), fma(-overlap, u[3], w[3])
@@ -46,7 +46,7 @@ def without(p, q, u, w):
 
 @inlined
 def unit(p, q, u, exists):
-    """The unit vector along u, or zero where it does not exist, and the logarithm of its length."""
+    """Return the unit vector along u, or zero if it does not exist, and the logarithm of its length."""
     norm = math.sqrt(product(p, q, u, u))
     inverse = 1.0 / norm if exists else 0.0
     return (u[0] * inverse, u[1] * inverse, u[2] * inverse, u[3] * inverse), log(norm if exists else 0.0)
@@ -54,7 +54,7 @@ def unit(p, q, u, exists):
 
 @kernel
 def orthonormalise_frames(metric, rank, U, growth, count):
-    """tangent.orthonormalise of ``count`` frames at once; see frames.normalise_pass."""
+    """Apply tangent.orthonormalise to ``count`` frames at once, see frames.normalise_pass."""
     for i in range(count):
         p, q, directions = metric[i], metric[2 * STRIDE + i], rank[i]
         u, v, w, x = read(U, i), read(U, VECTOR + i), read(U, 2 * VECTOR + i), read(U, 3 * VECTOR + i)
@@ -77,7 +77,7 @@ def orthonormalise_frames(metric, rank, U, growth, count):
 
 @inlined
 def flown(a, i, flows, u):
-    """The vector u after the flight of lane i, if one has completed."""
+    """Return the vector u after the flight of lane i, if one has completed."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     w0 = fma(a[first + BLOCK.f11], u[0], a[first + BLOCK.f12] * u[1])
     w1 = fma(a[first + BLOCK.f21], u[0], a[first + BLOCK.f22] * u[1])
@@ -88,7 +88,7 @@ def flown(a, i, flows, u):
 
 @inlined
 def along(a, i, column0, column1, w):
-    """Product of the vector w with a row of the gap's guard, given by the block columns of the row."""
+    """Return the product of the vector w with a row of the gap's guard, given by the block columns of the row."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     total = fma(a[first + column1], w[1], fma(a[first + column0], w[0], 0.0))
     return fma(a[second + column1], w[3], fma(a[second + column0], w[2], total))
@@ -96,7 +96,7 @@ def along(a, i, column0, column1, w):
 
 @inlined
 def kicked(a, i, w):
-    """The vector w after the impact of lane i, as in contact.saltation; unchanged without an impact."""
+    """Return the vector w after the impact of lane i, as in contact.saltation; unchanged without an impact."""
     first, second = LANE_SIZE + i, LANE_SIZE + BLOCK_SIZE + i
     dy, dv = along(a, i, BLOCK.c0, BLOCK.c1, w), along(a, i, BLOCK.cA0, BLOCK.cA1, w)
     along_k = -a[LANE.loss + i] * fma(-a[LANE.ratio + i], dy, dv)
@@ -111,7 +111,7 @@ def kicked(a, i, w):
 
 @kernel
 def transfer_frames(a, frames, n):
-    """frames.transfer_pass of all four vectors of the first n lanes: the fields of a lane are read once."""
+    """Do frames.transfer_pass for all four vectors of the first n lanes: the fields of a lane are read once."""
     for i in range(n):
         flows = a[LANE.flows + i] > 0.0
         u, v = read(frames, i), read(frames, VECTOR + i)
