@@ -123,8 +123,8 @@ def explore(
                         f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none"
                     )
                 click.echo(running.url)
-                if running.backend != running.url:
-                    print_status(f"by the proxy of JupyterHub: {running.backend}")
+                if running.proxied_url != running.url:
+                    print_status(f"by the proxy of JupyterHub: {running.proxied_url}")
                 if browser:
                     webbrowser.open(running.url)
                 while True:

@@ -132,7 +132,7 @@ def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneP
 def _lay(canvas: Arrays, stages: NDArray[np.uint8], viewport: Viewport, key: TileKey, arrays: Arrays) -> None:
     if not canvas.keys() <= arrays.keys() or not viewport.contains(key):
         return
-    rows, columns = viewport.backend(key)
+    rows, columns = viewport.slices_of(key)
     up = key.rows.position_of(viewport.y.level, viewport.y.index[rows])
     across = key.columns.position_of(viewport.x.level, viewport.x.index[columns])
     for name, values in canvas.items():

@@ -199,9 +199,9 @@ class ExplorerPage:
     def _note_picture(self, picture: RenderedPicture | str) -> None:
         """Take note of a picture of the plane, or of why there is none."""
         if isinstance(picture, str):
-            self._store.set(lacking=picture, shares=())
+            self._store.set(missing_parts=picture, shares=())
             return
-        self._store.set(lacking=picture.note, shares=picture.shares)
+        self._store.set(missing_parts=picture.note, shares=picture.shares)
         self._details.show(self._store.now.view)  # a cell of the address, once there is a view to find it in
 
     def _say_progress(self) -> None:

@@ -58,7 +58,7 @@ class PageModel:
             chosen = replace(chosen, follow=None)
         if chosen != before:
             stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
-            self.set(chosen=chosen, rests=rests, trouble="", box=old.box if stays else None)
+            self.set(view=chosen, at_rest=rests, trouble="", box=old.box if stays else None)
 
     def escape(self) -> None:
         """Follow an orbit no further, or else close the cut."""

@@ -65,14 +65,14 @@ class ExplorerSession:
             page.wait()
 
     @property
-    def backend(self) -> str:
+    def proxied_url(self) -> str:
         """The address of a new page as a notebook of JupyterHub reaches it, by the hub's proxy; elsewhere ``url``."""
         if not self._proxy:
             return self.url
         return f"{self._proxy}/proxy/{self._server.port}/?{self._query}"
 
     def _repr_html_(self) -> str:
-        return f'<iframe src="{self.backend}" width="100%" height="720" style="border: 0"></iframe>'
+        return f'<iframe src="{self.proxied_url}" width="100%" height="720" style="border: 0"></iframe>'
 
 
 def explore(

@@ -47,7 +47,7 @@ class CellRange:
         first, last = (((end + half) >> stage) // TILE_CELLS for end in (self.first, self.last))
         return range(first, last + 1)
 
-    def backend(self, other: "CellRange") -> slice:
+    def slice_of(self, other: "CellRange") -> slice:
         """Which of its cells another one covers, of its level or a coarser one; perhaps none."""
         step = 1 << (self.level - other.level)
         begin, end = (step * number - step // 2 - self.first for number in (other.first, other.first + other.count))
@@ -127,8 +127,8 @@ class Viewport(NamedTuple):
         """Whether a tile is of this density or a coarser one, and has a cell in view."""
         if key.level_x > self.x.level or key.level_y > self.y.level:
             return False
-        return all(part.start < part.stop for part in self.backend(key))
+        return all(part.start < part.stop for part in self.slices_of(key))
 
-    def backend(self, key: TileKey) -> tuple[slice, slice]:
+    def slices_of(self, key: TileKey) -> tuple[slice, slice]:
         """Rows and columns of the view that a tile of this density or a coarser one covers, perhaps none."""
-        return self.y.backend(key.rows), self.x.backend(key.columns)
+        return self.y.slice_of(key.rows), self.x.slice_of(key.columns)

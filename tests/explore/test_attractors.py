@@ -110,8 +110,8 @@ def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finishe
     found = stored_attractors(fixed, CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
     assert found is not None and "adaptive" in attractors_table(found, fixed)
     for shown, offered in ((subject, True), (fixed, False)):
-        explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(want=lambda who, jobs: None))
-        panel = BasinsPanel(explorer, SimpleNamespace(later=lambda act: act))  # type: ignore[arg-type]
+        explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(request=lambda who, jobs: None))
+        panel = BasinsPanel(explorer, SimpleNamespace(deferred_call=lambda act: act))  # type: ignore[arg-type]
         panel.set_topic(CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
         assert panel._button.visible == offered
 

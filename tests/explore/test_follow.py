@@ -88,7 +88,7 @@ def test_the_events_beside_the_cell_are_those_of_atlas_branch_to_the_bit(
 def test_beyond_the_fold_both_events_lie_on_either_side_of_it_again(found: FollowedBranch, alone: Any) -> None:
     """In the order of the branch the parameter falls after the fold, and the impact is lost on the way down."""
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.position_at(fold.index + 3, found.values[fold.index + 3])
+    here = found.position_at(fold.point_index + 3, found.values[fold.point_index + 3])
     before, after = found.neighbouring_events(here)
     assert before == fold and after is not None and after.kind == "impact lost"
     assert after.value < here.value < fold.value
@@ -112,7 +112,7 @@ def test_what_is_in_view_has_smaller_steps_and_the_branch_goes_on_beyond_it(
 
 def test_at_an_event_the_orbit_says_so_and_the_events_beside_it_are_others(found: FollowedBranch) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    here = found.position_at(fold.index, fold.value)
+    here = found.position_at(fold.point_index, fold.value)
     before, after = found.neighbouring_events(here)
     assert here.kind == "fold" and here.multiplier == pytest.approx(1.0, abs=1e-6)
     assert before is not None and after is not None and fold not in (before, after)
@@ -148,11 +148,11 @@ def test_a_value_that_is_typed_is_solved_exactly(found: FollowedBranch, own: Bra
 
 def test_a_value_is_sought_on_the_side_of_the_fold_where_one_is(found: FollowedBranch, own: BranchPosition) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    there = found.position_at(fold.index + 5, found.values[fold.index + 5])
-    value = 0.5 * (there.value + found.values[fold.index + 6])
-    assert found.find_point(value, there) == fold.index + 5
+    there = found.position_at(fold.point_index + 5, found.values[fold.point_index + 5])
+    value = 0.5 * (there.value + found.values[fold.point_index + 6])
+    assert found.find_point(value, there) == fold.point_index + 5
     first = found.find_point(value, own)
-    assert first is not None and first < fold.index
+    assert first is not None and first < fold.point_index
     assert found.find_point(2.5, own) is None
 
 
@@ -161,7 +161,7 @@ def test_the_motion_of_stable_and_unstable_orbits_closes_and_reaches_both_stops(
     found: FollowedBranch, beyond: int
 ) -> None:
     fold = next(mark for mark in found.events if mark.kind == "fold")
-    place = fold.index + beyond - 1
+    place = fold.point_index + beyond - 1
     here = found.position_at(place, found.values[place])
     motion = found.motion(here)
     assert here.point.unstable == (1 if beyond else 0)
@@ -313,9 +313,9 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
 ) -> None:
     store, jobs = PageModel(PageState(at_cell(subject))), list[Any]()
     explorer: Any = SimpleNamespace(
-        subject=subject, patches=SimpleNamespace(want=lambda _, wanted, too=False: jobs.append(wanted))
+        subject=subject, patches=SimpleNamespace(request=lambda _, wanted, keep_earlier=False: jobs.append(wanted))
     )
-    background: Any = SimpleNamespace(later=lambda act: act)
+    background: Any = SimpleNamespace(deferred_call=lambda act: act)
     panel = FollowPanel(explorer, background, store, figure())
     store.subscribe(lambda _, now: panel.show(now.view))
     store.choose(follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"]))
@@ -337,8 +337,8 @@ def test_the_slider_and_a_typed_value_move_the_state_and_the_panel_shows_it(
 
 def test_a_link_to_a_followed_orbit_has_its_branch_found_and_shows_its_cell(subject: Subject) -> None:
     chosen, wanted, works = at_cell(subject, follow=FollowedOrbit("omega", *WINDOW, 0, CELL["omega"])), {}, list[Any]()
-    patches = SimpleNamespace(want=lambda who, jobs, too=False: wanted.update({type(who): list(jobs)}))
-    background = SimpleNamespace(later=lambda act: act, run=lambda work, refuse: works.append(work))
+    patches = SimpleNamespace(request=lambda who, jobs, keep_earlier=False: wanted.update({type(who): list(jobs)}))
+    background = SimpleNamespace(deferred_call=lambda act: act, run=lambda work, refuse: works.append(work))
     mark = ColumnDataSource({"x": [], "y": []})
     made: list[Any] = [SimpleNamespace(subject=subject, patches=patches), background, PageModel(PageState(chosen))]
     details = DetailsPanel(*made, lambda: "a sight", mark, figure())  # type: ignore[arg-type, return-value]

@@ -24,8 +24,8 @@ class Letters(Panel[str]):
         def want(who: object, jobs: list[ComputationJob], too: bool = False) -> None:
             self.wanted = [*jobs, *(self.wanted if too else ())]
 
-        explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(want=want))
-        background: Any = SimpleNamespace(later=lambda act: act, run=lambda *given: self.works.append(given))
+        explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(request=want))
+        background: Any = SimpleNamespace(deferred_call=lambda act: act, run=lambda *given: self.works.append(given))
         super().__init__(explorer, background)
 
     def start(self, about: str) -> None:

@@ -148,7 +148,7 @@ def test_what_the_disk_refuses_to_read_is_said_and_stays_and_is_read_when_the_di
     monkeypatch.setattr("atlas.explore.metatiles.RELIST_SECONDS", 0.2)
     offer(keeper, subject)
     assert all_written(keeper, subject)
-    fresh, names = MetatileCatalog(subject, open_store(subject.store.place)), [REGIME.name]  # type: ignore[union-attr]
+    fresh, names = MetatileCatalog(subject, open_store(subject.store.backend)), [REGIME.name]  # type: ignore[union-attr]
     with monkeypatch.context() as broken:
         if where == "_opened":
             broken.setattr("atlas.explore.metatiles.open_store", refuse)

@@ -111,7 +111,7 @@ def test_a_view_is_known_stage_by_stage_coarse_to_fine(finished: Path, client: C
         assert waited(lambda: explorer.patches.n_remaining("test") == 0)
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, 0.0)
         first, *_ = sight.tiles(0)
-        rows, columns = sight.backend(first)
+        rows, columns = sight.slices_of(first)
         tiles.memory.put(tiles, plane, first, tiles.full_tile(plane, first.parent) or {})
         share = (rows.stop - rows.start) * (columns.stop - columns.start) / (sight.x.count * sight.y.count)
         assert shares(known, plane, sight) == (1.0, 1.0, 1.0, pytest.approx(share))

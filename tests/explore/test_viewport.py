@@ -119,7 +119,7 @@ def test_tiles_of_the_full_density_cover_each_cell_in_view_once(subject: Subject
     for stage in range(STAGES + 1):
         covered = np.zeros(sight.shape, int)
         for key in sight.tiles(stage):
-            covered[sight.backend(key)] += 1
+            covered[sight.slices_of(key)] += 1
         assert np.all(covered == 1)
 
 
@@ -154,8 +154,8 @@ def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Sub
         tiles.put(subject.plane, key, filled(subject, key, value))
     ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
     expected = np.full(sight.shape, np.nan)
-    expected[sight.backend(coarse)] = 4.0
-    expected[sight.backend(fine)] = 1.0
+    expected[sight.slices_of(coarse)] = 4.0
+    expected[sight.slices_of(fine)] = 1.0
     assert np.array_equal(ds.largest.values, expected, equal_nan=True)
     assert np.array_equal(ds.regime.values == PENDING, np.isnan(expected))
 
@@ -168,7 +168,7 @@ def test_a_cell_of_a_coarse_tile_covers_the_fine_cells_nearest_to_it(subject: Su
     tiles = memory_alone(subject)
     tiles.put(subject.plane, key, arrays)
     ds = compose_view(subject, subject.plane, sight, tiles.visible_tiles(subject.plane, sight), ["largest"]).ds
-    off = np.abs(ds.largest.values - ds.omega.values)[sight.backend(key)] / np.diff(ds.omega.values).mean()
+    off = np.abs(ds.largest.values - ds.omega.values)[sight.slices_of(key)] / np.diff(ds.omega.values).mean()
     assert off.max() <= 1.0 + 1e-6
 
 

@@ -53,7 +53,7 @@ def old(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def retried(old: Path, client: Client) -> atlas.service.summary.Summary:
+def retried(old: Path, client: Client) -> atlas.service.summary.RunSummary:
     return atlas.retry(old, old.with_name("more.zarr"), "undetermined", max_periods=MORE, client=client)
 
 

@@ -148,7 +148,7 @@ def test_no_object_of_a_tile_is_removed_before_it_is_written_again(
 def unfinished(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """From now on attempts at tiles do not live to remove their notes; the runs of those that solved one."""
     solved: list[str] = []
-    monkeypatch.setattr(attempt, "solve_and_write", lambda job, _: solved.append(job.site.claim))
+    monkeypatch.setattr(attempt, "solve_and_write", lambda job, _: solved.append(job.store_ref.lease))
     monkeypatch.setattr(TileAttempt, "remove", lambda *_: None)
     return solved
 

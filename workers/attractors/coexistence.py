@@ -191,7 +191,7 @@ class CoexistenceSearch:
         np.add.at(self.periods_used, owner, search.cells.periods_used)
         for r, of_image in zip(going, means, strict=True):
             c, attractor = alone[r]
-            attractor.mirror, _ = nearest(self.cells[c].alike(attractor), of_image)
+            attractor.mirror, _ = nearest(self.cells[c].of_same_regime(attractor), of_image)
         for _, attractor in alone:
             if attractor.mirror is not None and attractor.mirror.mirror is not attractor:
                 attractor.mirror = None
