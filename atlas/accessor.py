@@ -119,10 +119,9 @@ class AtlasAccessor:
         return query.count_reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
-        """Return the smallest and largest values of a variable in each regime, period or impact pattern, or in all
-        cells.
+        """Return the smallest and largest values of a variable in each regime, period or impact pattern.
 
-        ``by`` is "regime", "period", "impacts" or "all". See ``extremes.extremes``.
+        ``by="all"`` takes all cells together. See ``extremes.extremes``.
         """
         return _table(extremes(self._ds, name, by, window))
 
@@ -140,11 +139,11 @@ class AtlasAccessor:
     def labels(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> xr.DataArray:
-        """Return the label of the region of each cell, 0 if a cell is in no region. See ``connected_regions.labels``."""
+        """Return the label of the region of each cell, 0 if it is in none. See ``connected_regions.labels``."""
         return connected_regions.labels(self._ds, by, value, window, min_cells)
 
     def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
-        """Return the shares, entropy and dimension of the basins of a plane of initial states. See ``basins.basins``."""
+        """Return shares, entropy and dimension of the basins of a plane of initial states. See ``basins.basins``."""
         return basins(self._ds, window)
 
     def boundary(

@@ -54,7 +54,7 @@ def validate_pixels(value: object) -> tuple[int, int] | None:
 
 
 def validate_suffix(path: Path, formats: Sequence[str]) -> str:
-    """Return the suffix of a file in lower case. Raise InputError, before long work, unless ``formats`` has the suffix."""
+    """Return the suffix of a file in lower case. Raise InputError unless ``formats`` has the suffix."""
     suffix = path.suffix.lower()
     if suffix not in formats:
         given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
@@ -80,7 +80,7 @@ def validate_flag(name: str, value: object) -> bool:
 
 
 def validate_type(name: str, value: T, kind: Any, valid_form: str) -> T:
-    """Return ``value`` if its type is ``kind`` or one of a union; else raise InputError with the text ``valid_form``."""
+    """Return ``value`` if its type is ``kind`` or in a union; else raise InputError with the text ``valid_form``."""
     if not isinstance(value, kind):
         raise InputError(f"{name}: found {brief_repr(value)}, must be {valid_form}")
     return value

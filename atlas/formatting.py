@@ -38,7 +38,7 @@ def text_repr(value: object) -> str:
 
 
 def short_repr(value: Any) -> str:
-    """Return a dataclass as a call with the fields that differ from their defaults, except fields with ``repr=False``."""
+    """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
     shown = [entry for entry in fields(value) if entry.repr]
     changed = [f"{entry.name}={given!r}" for entry in shown if (given := getattr(value, entry.name)) != entry.default]
     return f"{type(value).__name__}({', '.join(changed)})"
