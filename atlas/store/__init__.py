@@ -1,1 +1,3 @@
-"""An atlas as Zarr at a location, one tile one chunk of every array."""
+"""The store of an atlas: a Zarr hierarchy in a folder, a zip file or an object store, with one object per tile and
+array.
+"""
