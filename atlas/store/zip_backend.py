@@ -1,4 +1,6 @@
-"""An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
+"""The backend of an atlas in one zip file, read-only; its members are those of Zarr's ZipStore,
+so xarray opens it too.
+"""
 
 import errno
 import glob
@@ -21,9 +23,12 @@ from atlas.store.backend import StoreBackend
 
 SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
-"""The date of every member, so that equal atlases are equal files."""
+"""Date of every member, so that equal atlases give equal files."""
 _LARGEST_UNPACKED = 2**28
-"""Largest unpacked size of a compressed member, in bytes. Our members are not compressed; another may be a zip bomb."""
+"""Maximum unpacked size, in bytes, of a compressed member.
+
+Packed atlases are not compressed; others may be zip bombs.
+"""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 """Exceptions of zipfile for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
@@ -31,7 +36,7 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runtim
 
 @dataclass(frozen=True)
 class ZipBackend(StoreBackend):
-    """A zip file as a read-only place. A damaged file raises OSErrors."""
+    """A zip file as a read-only backend. A damaged file raises OSErrors."""
 
     path: Path
 
@@ -56,7 +61,7 @@ class ZipBackend(StoreBackend):
         yield from (key for key in (archive.keys if archive else ()) if key.startswith(prefix))
 
     def _archive(self) -> "_Archive | None":
-        """The open file, None if there is none."""
+        """Return the open file; None if it does not exist."""
         try:
             stat = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
@@ -85,7 +90,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
 
 @contextmanager
 def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
-    """Turn zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
+    """Convert zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -93,7 +98,7 @@ def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
 
 
 def check_not_packed(place: StoreBackend) -> None:
-    """InputError if a place that is to be written is read-only, such as a zip file."""
+    """Raise InputError if a backend that is to be written is read-only, such as a zip file."""
     if place.read_only_reason:
         name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipBackend) else "path or a URL"
         raise InputError(f"{place}: {place.read_only_reason} is read only; give a {name}")
@@ -101,7 +106,10 @@ def check_not_packed(place: StoreBackend) -> None:
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file, which is deleted with it; OSError if another process holds it."""
+    """Hold the lock of an unfinished file; the lock is deleted at the end.
+
+    Raise OSError if another process holds it.
+    """
     path = unfinished.with_suffix(".lock")
     path.touch()  # the lock would make a missing folder
     lock = file_lock(path)
