@@ -120,10 +120,10 @@ def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: O
 
 @contextmanager
 def _appearing(place: StoreBackend) -> Iterator[Path]:
-    """A folder whose content appears at a place at the end of the block.
+    """Yield a local folder whose content appears in a backend at the end of the block.
 
-    On a disk it appears by a rename. At a URL the root's metadata are put after all other objects, and only if there
-    are none yet; their spare follows, so both come from one run.
+    On a disk the folder is renamed. At a URL the metadata of the root are written after all other objects, and only if
+    none exist. Their backup follows, so both come from one run.
     """
     path = place.local
     if path is None:

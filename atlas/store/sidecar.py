@@ -111,7 +111,13 @@ def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError
 
 @dataclass(frozen=True)
 class TileAttempt:
-    """An attempt at a tile, the content of a note: tokens of the attempt and of its run, its number, its process."""
+    """An attempt at a tile, stored as JSON in a sidecar file by these field names.
+
+    token     token of the attempt
+    run       token of its run
+    number    number of the attempt in the run, from 1
+    process   host and process, as text
+    """
 
     token: str
     run: str

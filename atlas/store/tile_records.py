@@ -50,7 +50,7 @@ _LOOKS = 10
 class TileRecords:
     """The tile records of a store at one moment, read at their first use.
 
-    done         mask of the finished tiles, over all tiles; ``listed`` are the finished tiles, by default those of a listing
+    done         mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
     rows         rows of all tiles, zeros for a tile without a valid row
     known_mask   mask of the tiles with a valid row
     damaged      faults of records, by key
