@@ -85,7 +85,7 @@ class AtlasAccessor:
     def __repr__(self) -> str:
         cells = " x ".join(f"{self._ds.sizes[name]} {name}" for name in axis_names(self._ds))
         name = stored_name(self._ds.attrs) or "an unknown system"
-        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its questions>"
+        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its methods>"
 
     def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
         """Return all results of the cell nearest to a point, and its distance on each axis: ``at(omega=3, b=0.15)``.
@@ -113,9 +113,7 @@ class AtlasAccessor:
         return query.fractions(self._ds, window)
 
     def count_reasons(self, window: Window | None = None) -> dict[str, int]:
-        """Return the number of cells without a certain result, by the text of the reason. See
-        ``queries.count_reasons``.
-        """
+        """Return the number of cells without a certain result, by reason. See ``queries.count_reasons``."""
         return query.count_reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
@@ -149,8 +147,9 @@ class AtlasAccessor:
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
-        """Return lines between a regime and another one, or any: arrays (points, 2) of (x, y). See
-        ``queries.boundary``.
+        """Return the lines between a regime and another one, or any other.
+
+        Each line is an array (points, 2) of (x, y). See ``queries.boundary``.
         """
         return query.boundary(self._ds, regime, other, window)
 
@@ -168,13 +167,12 @@ class AtlasAccessor:
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
     ) -> "pd.DataFrame":
-        """Return the distances of an operating point to events of its orbit: ``distance_to(omega=3, b=0.15,
-        kind="fold")``.
+        """Return the distances of an operating point to events of its orbit.
 
-        The rows are the first events along each axis in both directions, of one kind or any, the nearest first. See
-        ``atlas.orbits.curves.distance.distance_to``.
+        ``distance_to(omega=3, b=0.15, kind="fold")``. The rows are the first events along each axis in both directions,
+        of one kind or any, the nearest first. See ``atlas.orbits.curves.distance.distance_to``.
         """
-        from atlas.orbits.curves.distance import distance_to  # with it Numba
+        from atlas.orbits.curves.distance import distance_to  # loads Numba
 
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 
@@ -278,8 +276,7 @@ class AtlasAccessor:
     def portrait(
         self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
     ) -> "Figure":
-        """Return the portrait of the cell nearest to a point, solved anew with its settings: ``portrait(omega=3,
-        b=0.15)``.
+        """Return the portrait of the cell nearest to a point, solved anew with its settings.
 
         In an atlas of all attractors the portrait shows the attractor with the largest share, or the selected one. The
         result is a matplotlib Figure, which a notebook shows. It is also written to ``path`` if given:

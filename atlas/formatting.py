@@ -31,9 +31,7 @@ def duration(seconds: float) -> str:
 
 
 def text_repr(value: object) -> str:
-    """Return the text of a value for a terminal, for use as ``__repr__``; a notebook shows the last value of a cell by
-    repr.
-    """
+    """Return the text of a value, for use as ``__repr__``: a notebook shows the last value of a cell by its repr."""
     return str(value)
 
 

@@ -39,7 +39,7 @@ def is_unread(stream: TextIO) -> bool:
     if not hasattr(select, "poll"):
         return True
     watch = select.poll()
-    watch.register(stream, 0)  # errors are reported unasked
+    watch.register(stream, 0)  # errors are always reported
     return bool(watch.poll(0))
 
 
@@ -108,11 +108,11 @@ def machine_name() -> str:
 
 
 def process_start(pid: int) -> str:
-    """Return the start time of a process as one word that never changes; "dead" for a process that only waits to be
-    reaped.
+    """Return the start time of a process as one word that never changes.
 
-    Raise OSError if there is no such process. On Linux the time is in clock ticks since boot: psutil converts the ticks
-    to a time of day, which moves with the clock.
+    The word is "dead" for a process that has ended and waits to be collected. Raise OSError if there is no such
+    process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of day, which moves
+    with the clock.
     """
     if sys.platform == "linux":
         state, *rest = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -144,7 +144,7 @@ def interrupts_blocked() -> Iterator[None]:
         finally:
             ctypes.windll.kernel32.SetConsoleCtrlHandler(None, False)
         return
-    # Multiprocessing starts its resource tracker with the first lock, and unblocks these signals then: so not within.
+    # Multiprocessing starts its resource tracker with the first lock and unblocks these signals, so do it before.
     multiprocessing.get_context("spawn").Lock()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

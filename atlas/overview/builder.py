@@ -67,8 +67,8 @@ class OverviewBuilder:
                     raise
                 except (OSError, ValueError) as error:
                     raise RunError(
-                        f"{self._handle.backend}: the tiles done are kept, but the overviews could not be written "
-                        f"({error}); run again to make them"
+                        f"{self._handle.backend}: finished tiles are kept, but the overviews could not be written "
+                        f"({error}); rerun the same command to build them"
                     ) from error
             made += len(missing)
         return made

@@ -68,10 +68,10 @@ Widths = tuple[NDArray[np.float64], ...]
 
 
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
-    """Return the variables of every level of an atlas with these results; ``regime`` comes last, since it is written
-    last.
+    """Return the variables of every level of an atlas with these results.
 
-    Codes of names, such as a reason, and variables with several values per cell have no mean and are omitted.
+    ``regime`` comes last, since it is written last. Codes of names, such as a reason, and variables with several values
+    per cell have no mean and are omitted.
     """
     variables: list[Variable] = []
     for variable in map(of_one, results):
@@ -172,8 +172,9 @@ def halve_widths(width: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
-    """Return the cells below each coarse cell along a new first axis, 2 per coarsened dimension;
-    ``fill`` if missing.
+    """Return the cells below each coarse cell along a new first axis, 2 per coarsened dimension.
+
+    Missing cells have the value ``fill``.
     """
     odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
     below = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]

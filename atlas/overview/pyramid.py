@@ -84,7 +84,7 @@ class Pyramid:
 
     @property
     def chunks_read(self) -> int:
-        """Chunks read so far; missing chunks are not counted."""
+        """Number of chunks read so far; missing chunks are not counted."""
         return int(self.root.store.chunks_read)
 
     @cached_property
@@ -160,8 +160,9 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def build_chunk_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
-        """Write the chunk of level 1 over a finished tile from its arrays; return False if the
-        chunk needs other tiles.
+        """Write the chunk of level 1 over a finished tile from its arrays.
+
+        Return False if the chunk needs other tiles.
         """
         if not (self.made and self.levels.is_alone_under_chunk(tile)):
             return False
@@ -239,7 +240,7 @@ def pyramid_of(handle: AtlasStore) -> Pyramid:
     with handle.cache.lock:
         pyramid = handle.cache.get(GROUP) or Pyramid(handle)
         handle.cache[GROUP] = pyramid
-    through = copy(pyramid)  # shares open arrays, with the handle of the place to write
+    through = copy(pyramid)  # shares open arrays, with the handle that writes
     through.handle = handle
     return through
 
@@ -251,7 +252,7 @@ def drop_overviews(handle: AtlasStore) -> None:
 
 @contextmanager
 def _named(handle: AtlasStore, path: str) -> Iterator[None]:
-    """Turn errors from damaged bytes into a ChunkError with the path."""
+    """Convert errors from damaged bytes into a ChunkError with the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):

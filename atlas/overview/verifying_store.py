@@ -66,7 +66,7 @@ class VerifyingStore(WrapperStore[Any]):
         try:
             data = await self._store.get(key, prototype, byte_range)
             if data is None and await self._must_exist(array, index):
-                # Again: it may have been written in the meantime, and the regime, which comes last, too.
+                # Read again: the chunk, and the regime, which comes last, may have been written in the meantime.
                 data = await self._store.get(key, prototype, byte_range)
                 if data is None:
                     raise self._error(key, "is missing")
@@ -89,8 +89,9 @@ class VerifyingStore(WrapperStore[Any]):
         return data
 
     def _checked_metadata(self, key: str, data: Any) -> Any:
-        """Return metadata. Raise ChunkError if they differ from their copy, or are nested too
-        deeply for Zarr's reader.
+        """Return ``data``, the metadata of a key, or any other object unchanged.
+
+        Raise ChunkError if metadata differ from their copy, or are nested too deeply for Zarr's reader.
         """
         if data is not None and key.endswith(ROOT):
             try:

@@ -127,7 +127,9 @@ def access_of(store: Any) -> tuple[str, StorageAccess]:
     if kind == "HTTPStore":
         return str(store.url).rstrip("/"), StorageAccess((), _frozen(store.client_options or {}))
     if kind not in _URLS:
-        raise InputError(f"{store}: is of no server; give a path, a URL, or an obstore store of S3, Google or Azure")
+        raise InputError(
+            f"{store}: not a store of a server; give a path, a URL, or an obstore store of S3, Google or Azure"
+        )
     config = dict(store.config)
     url = _URLS[kind].format(**config)
     config = {name: value for name, value in config.items() if name not in ("bucket", "container_name")}
@@ -144,7 +146,7 @@ def local_folder(store: Any) -> Path | None:
     if type(store).__name__ != "LocalStore":
         return None
     if store.prefix is None:
-        raise InputError(f"{store}: is the whole disk; give it a folder, or a path in its place")
+        raise InputError(f"{store}: is the whole disk; give a path or a LocalStore of a folder")
     return Path(store.prefix).absolute()
 
 

@@ -90,12 +90,13 @@ def copy_key(name: str) -> str:
 
 
 def _stored(place: StoreBackend, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
-    """Return the stored values of a coordinate; None if it is missing or damaged, with the damage
-    added to ``faults``.
+    """Return the stored values of a coordinate; None if it is missing or damaged.
+
+    The damage is added to ``faults``.
     """
     import zarr
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
 
     try:
         array: Any = zarr.open_array(zarr_store(place, read_only=True), path=name, mode="r", zarr_format=3)

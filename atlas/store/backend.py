@@ -32,18 +32,18 @@ class StoreBackend:
     def with_fence(self, fence: Fence | None) -> Self:
         """Return the same backend behind ``fence``, which is called before every change; None removes the fence."""
         fenced = copy(self)
-        object.__setattr__(fenced, "fence", fence)  # no field: two views of one place are equal
+        object.__setattr__(fenced, "fence", fence)  # no field: two views of one backend are equal
         return fenced
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # a place is only a name
+        return self  # a backend is only a name
 
     def subfolder(self, folder: str) -> "StoreBackend":
         """Return the backend of a store in a folder of this one, behind the same fence.
 
         Raise ValueError if this backend is read-only.
         """
-        raise ValueError(f"{self}: nothing can be kept in a store that is only read")
+        raise ValueError(f"{self}: cannot write to a read-only store")
 
     def check_fence(self) -> None:
         """Call the fence, if there is one; the fence raises an error if this backend must no longer be written."""
@@ -106,13 +106,14 @@ class StoreBackend:
             self.remove(key)
 
     def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, f"{self.read_only_reason} is read only", str(self))
+        return OSError(errno.EROFS, f"{self.read_only_reason} is read-only", str(self))
 
 
 @dataclass(frozen=True)
 class LocalBackend(StoreBackend):
-    """A local folder. An empty folder or file at the key of an object counts as absent, and an
-    object may replace it.
+    """A local folder as a backend.
+
+    An empty folder or file at the key of an object counts as absent, and an object may replace it.
     """
 
     path: Path
@@ -131,7 +132,7 @@ class LocalBackend(StoreBackend):
         except _ABSENT:
             return None
         except PermissionError:
-            if path.is_dir():  # the error of Windows for a folder
+            if path.is_dir():  # Windows raises it for a folder
                 return None
             raise
 
@@ -150,7 +151,7 @@ class LocalBackend(StoreBackend):
             stat = (self.path / key).stat()
         except _ABSENT:
             return None
-        # A write puts another file in its place.
+        # A write replaces the file by another.
         return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
     def subfolder(self, folder: str) -> "LocalBackend":
@@ -161,9 +162,7 @@ class LocalBackend(StoreBackend):
             os.replace(written, self.path / key)
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
-        """See ``StoreBackend``. On one file system the object gets a second name, since objects are replaced, never
-        changed.
-        """
+        """See ``StoreBackend``. On one file system objects are linked: objects are replaced, never changed."""
         rest = []
         for key in keys:
             try:
@@ -184,7 +183,7 @@ class LocalBackend(StoreBackend):
     def put_new(self, key: str, data: bytes) -> bool:
         with self._written(key, lambda written: _write_flushed(written, data)) as written:
             try:
-                os.link(written, self.path / key)  # it appears whole or not at all, on network disks too
+                os.link(written, self.path / key)  # appears whole or not at all, on network disks too
             except FileExistsError:
                 return False
             except OSError:  # a file system without links
@@ -208,12 +207,13 @@ class LocalBackend(StoreBackend):
         for folder, _, files in os.walk(self.path / prefix):
             above = Path(folder).relative_to(self.path).as_posix()
             begin = "" if above == "." else f"{above}/"
-            yield from (begin + name for name in files if not name.endswith(".partial"))  # of a killed write
+            yield from (begin + name for name in files if not name.endswith(".partial"))  # left by killed writes
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
-        """Yield a temporary file written by ``make`` beside an object; the file is removed unless
-        the block moves it.
+        """Yield a temporary file written by ``make`` beside an object.
+
+        The file is removed unless the block moves it.
         """
         target = self.path / key
         target.parent.mkdir(parents=True, exist_ok=True)

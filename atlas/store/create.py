@@ -61,8 +61,8 @@ def check_run(
         return
     if handle.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{place}: made by solver version {handle.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: choose another path"
+            f"{place}: computed by solver version {handle.solver_version}, installed is {SOLVER_VERSION}; "
+            "a store cannot mix solver versions, choose another path"
         )
     # Equal digests are enough: the values of the stored spec may be damaged.
     if handle.digest != spec.digest and handle.spec.digest != spec.digest:
@@ -76,7 +76,7 @@ def check_run(
     if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
-        raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
+        raise InputError(f"{place}: a store that was not made from {origin.store}; choose another path")
 
 
 def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
@@ -86,7 +86,7 @@ def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
         if key.startswith(f"{REGIME.name}/c/"):
             raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove it")
+            raise InputError(f"{place}: found {key}, which is no part of an atlas; choose another path or remove it")
 
 
 def create_store(
@@ -132,7 +132,7 @@ def _appearing(place: StoreBackend) -> Iterator[Path]:
             yield built.path
             place.put_all(built.get_all(key for key in built.list_keys() if key not in (ROOT, SPARE)))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
-                raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+                raise InputError(f"{place}: another run has just created it; rerun the same command to resume it")
             place.put(SPARE, (built.path / SPARE).read_bytes())
         return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
@@ -150,7 +150,7 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
     """Create a store without results in a local folder."""
     import zarr
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
 
     variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
     store = zarr_store(LocalBackend(path), read_only=False)
@@ -174,7 +174,9 @@ def refuse_equal_names(path: Path, spec: Spec) -> None:
     for name in (*NAMES, *_names(spec)):
         other = seen.setdefault(name.casefold(), name)
         if other != name:
-            raise InputError(f"{path}: the disk takes {name} and {other} for one name; rename {name} in the system")
+            raise InputError(
+                f"{path}: the file system ignores case, so {name} and {other} collide; rename {name} in the system"
+            )
 
 
 def _names(spec: Spec) -> set[str]:

@@ -43,8 +43,8 @@ def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
     for variable in variables:
         if (size := count * np.dtype(variable.dtype).itemsize) > LARGEST_CHUNK:
             raise InputError(
-                f"{handle.backend}: {variable.name} would take {size} bytes in one chunk, at most {LARGEST_CHUNK} are "
-                "possible; take an atlas of fewer cells"
+                f"{handle.backend}: {variable.name} needs {size} bytes in one chunk, must be at most {LARGEST_CHUNK}; "
+                "choose an atlas with fewer cells"
             )
 
 
@@ -55,7 +55,7 @@ def write_group(
     drop_group(handle, group)
     root = open_group(handle.backend, "r+")
     for name in set(_names(handle, group)).difference(arrays):
-        del root[f"{group}/{name}"]  # readers read every array in a group
+        del root[f"{group}/{name}"]  # readers read every array of a group
     for name, array in arrays.items():
         create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}
@@ -138,7 +138,7 @@ def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
         raise
     except KeyError:
         return {key: "is missing"}
-    except Exception as error:  # metadata or a codec that meet bytes nobody wrote may raise anything
+    except Exception as error:  # damaged metadata, or a codec that reads damaged bytes, may raise anything
         return {key: f"is damaged ({message_of(error)})"}
 
 

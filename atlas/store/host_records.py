@@ -21,12 +21,12 @@ def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
     import zarr
     from zarr.errors import ContainsGroupError
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
 
     path = f"{HOSTS}/{machine.name}"
     if place.exists(f"{path}/{ROOT}"):
         return
-    with suppress(ContainsGroupError):  # another worker of this kind of machine was faster
+    with suppress(ContainsGroupError):  # another worker on this kind of host was faster
         zarr.create_group(zarr_store(place, read_only=False), path=path, zarr_format=3, attributes=dict(machine.facts))
 
 
@@ -49,13 +49,14 @@ def read_host(place: StoreBackend, key: str) -> HostInfo | None:
 
 
 def mend_record(handle: AtlasStore, key: str) -> bool:
-    """Restore a damaged record from its facts; if the facts are damaged, replace it by the unknown host and return
-    False.
+    """Restore a damaged record from its facts and return True.
+
+    If the facts are damaged, replace the record by that of the unknown host and return False.
     """
     if (machine := _machine(_group(handle.backend, key), key)) is not None:
         handle.backend.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
         return True
-    record_host(handle, UNKNOWN)  # verification still has to know that there was another machine
+    record_host(handle, UNKNOWN)  # verification still has to know that there was another host
     handle.backend.remove(key)
     return False
 

@@ -55,7 +55,7 @@ def decode_backup(place: StoreBackend, root: bytes | None, data: bytes | None) -
 
 def remedy(place: StoreBackend) -> str:
     """Return the remedy for missing, damaged or wrong metadata, for a message."""
-    return REPACK_HINT if isinstance(place, ZipBackend) else f"atlas verify --repair {place} writes them again"
+    return REPACK_HINT if isinstance(place, ZipBackend) else f"atlas verify --repair {place} restores them"
 
 
 def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
@@ -74,8 +74,9 @@ def find_backup_faults(place: StoreBackend, spare: Json) -> dict[str, str]:
 
 
 def restore_from_backup(place: StoreBackend, spare: Json, keys: Mapping[str, str]) -> None:
-    """Write the metadata of these keys from the backup, and those of the root with all present
-    metadata consolidated.
+    """Write the metadata of these keys from the backup, then those of the root.
+
+    The metadata of the root get copies of all present metadata.
     """
     nodes = nodes_of(spare)
     for key in keys:
@@ -103,8 +104,9 @@ def copy_metadata(place: StoreBackend, root: Json) -> None:
 
 
 def copy_members(place: StoreBackend, group: str, names: Iterable[str]) -> None:
-    """Update the consolidated metadata of a group, if it has any, from the present metadata of its arrays; then the
-    root's.
+    """Update the consolidated metadata of a group, if it has any, and those of the root.
+
+    They are copied from the present metadata of the arrays.
     """
     own = json.loads(place.get(f"{group}/{ROOT}") or b"{}")
     if "consolidated_metadata" in own:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Given: TypeAlias = str | os.PathLike[str] | StoreBackend | ObjectStore | Store
 else:
-    Given = Any  # the type of a store given by a user; its members take a while to load
+    Given = Any  # type of a store given by a user; loading its members takes a while
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
 """Schemes that the URL of a store may have, besides ``file``: those that obstore supports."""
@@ -102,7 +102,7 @@ def _checked(place: "ObjectBackend") -> "ObjectBackend":
     except ImportError as error:
         raise InputError(f"{place}: {first_line(error)}; needs obstore: pip install obstore") from None
     except Exception as error:
-        raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
+        raise InputError(f"{place}: not a valid location for a store: {first_line(error)}") from None
     return place
 
 
@@ -111,7 +111,7 @@ def _place_of_object(store: Any, patience: float) -> StoreBackend:
     folder = local_folder(store)
     if folder is not None:
         return _place_at(folder)
-    if type(store).__name__ == "MemoryStore":  # no other process sees it
+    if type(store).__name__ == "MemoryStore":  # no other process can read it
         from zarr.storage import ObjectStore
 
         return ZarrBackend(ObjectStore(store, read_only=True))
@@ -152,7 +152,7 @@ def url_below(url: str, folder: str) -> str:
 
 def _place_at(path: Path) -> StoreBackend:
     for part in (path, *path.parents):
-        if os.path.islink(part) and not os.path.exists(part):  # of names that are too long, too
+        if os.path.islink(part) and not os.path.exists(part):  # also for names that are too long
             raise InputError(f"{path}: found a link to {part.readlink()}, which does not exist")
     return ZipBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
 
@@ -233,8 +233,9 @@ class ObjectBackend(StoreBackend):
         self._persist(once)
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """See ``StoreBackend``. The fence is called once for requests that begin together, and
-        before each repetition.
+        """See ``StoreBackend``.
+
+        The fence is called once for requests that begin together, and before each repetition.
         """
         self._change_together(objects, lambda place, key: place.put(key, objects[key]))
 
@@ -256,8 +257,9 @@ class ObjectBackend(StoreBackend):
         self._change_together(keys, take)
 
     def _change_together(self, keys: Iterable[str], change: "Callable[[ObjectBackend, str], None]") -> None:
-        """Change objects, AT_ONCE at a time. The fence is called before each batch and each repetition: an outage may
-        precede.
+        """Change objects, AT_ONCE at a time.
+
+        The fence is called before each batch and each repetition, since an outage may precede.
         """
 
         def change_one(key: str) -> None:
@@ -271,8 +273,9 @@ class ObjectBackend(StoreBackend):
                 list(pool.map(change_one, together))
 
     def _in_bucket_of(self, other: StoreBackend) -> "tuple[ObjectStore | None, str, str]":
-        """Return a client of the bucket of both backends and the prefixes of their keys; None
-        without a common bucket.
+        """Return a client of the bucket of both backends, and the prefixes of their keys.
+
+        The client is None without a common bucket.
         """
         if not isinstance(other, ObjectBackend):
             return None, "", ""
@@ -360,8 +363,9 @@ class ObjectBackend(StoreBackend):
             raise UnlistedError(said) from None
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Write an object under a condition; return False if an error of the types ``refusals`` shows that it does not
-        hold.
+        """Write an object under a condition; return False if it does not hold.
+
+        Errors of the types ``refusals`` show that the condition does not hold.
         """
         import obstore
         from obstore.exceptions import BaseError
@@ -374,7 +378,7 @@ class ObjectBackend(StoreBackend):
             try:
                 obstore.put(self.client, key, data, mode=mode, use_multipart=False)
             except refusals:
-                # An earlier attempt may have written the object, its answer lost: then the refusal is no failure.
+                # An earlier attempt may have written the object without its response arriving; then this is no failure.
                 return failed and self.get(key) == data
             except BaseError:
                 failed = True

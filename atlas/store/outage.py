@@ -81,7 +81,7 @@ class _Outage:
         line = first_line(error)
         if not _PASSING.search(line):
             if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
-                asked = "; are the credentials still valid?" if line.endswith("400 Bad Request") else ""
+                asked = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
                 raise PermissionError(errno.EACCES, line + asked) from None
             raise OSError(line) from None
         now = time.monotonic()

@@ -61,7 +61,7 @@ def sidecar_of(store: Given) -> Sidecar:
     place = open_backend(store)
     if isinstance(place, ObjectBackend):
         return object_sidecar(place)
-    path = place.path if isinstance(place, ZipBackend) else place.local  # a file is never claimed, so it has no notes
+    path = place.path if isinstance(place, ZipBackend) else place.local  # a zip file is never leased
     if path is None:
         return NullSidecar()
     path = Path(os.path.realpath(path))
@@ -151,7 +151,7 @@ def start_attempt(sidecar: Sidecar, name: str, run: str, limit: int) -> TileAtte
         number = number if isinstance(number, int) else 0
         if number >= limit:
             last = before.get("process", "an unknown one")
-            raise RunError(f"the process that solves it has died {number} times, the last was {last}")
+            raise RunError(f"its worker process has died {number} times, the last one was {last}")
         attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
         if sidecar.compare_and_set(name, attempt.pack(), expected=note):
             return attempt
@@ -188,7 +188,7 @@ class LocalSidecar:
                 text = _text((self.path / name).read_bytes())
             except (FileNotFoundError, NotADirectoryError):
                 return None
-            except PermissionError:  # Windows: it is just being replaced
+            except PermissionError:  # Windows: the file is just being replaced
                 text = None
             if text is not None:
                 return text
@@ -201,7 +201,7 @@ class LocalSidecar:
                 self.path.mkdir(parents=True, exist_ok=True)
             elif not (self.path / name).exists():
                 return False
-            with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
+            with suppress(FileNotFoundError), self._locked():  # another process may just have removed the folder
                 return self.read(name) == expected and self._write(name, _file_of(data), new=expected is None)
 
     def compare_and_remove(self, name: str, expected: bytes) -> bool:

@@ -32,8 +32,8 @@ _T = TypeVar("_T")
 FIRST_RELEASED = 13
 """First solver version that was released; stores of earlier versions may have another layout."""
 COPY_BY_XARRAY = (
-    "a copy of an atlas that is no store itself, as xarray's to_zarr makes it: read it with xarray.open_zarr; "
-    "ds.atlas answers questions and draws pictures; no run or repair can complete it"
+    "a copy made by xarray's to_zarr, which is no store of an atlas: open it with xarray.open_zarr; "
+    "ds.atlas answers queries and draws pictures; no run or repair can complete it"
 )
 READERS = 8
 """Number of tiles read at the same time: a disk or a network answers several requests as soon as one."""
@@ -52,7 +52,7 @@ class SharedCachedProperty(cached_property[_T]):
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
         name, kept = str(self.attrname), instance.cache
-        with kept.lock:  # the threads of a worker come at once
+        with kept.lock:  # the threads of a worker ask at the same time
             if name not in kept:
                 kept[name] = self.func(instance)
             value: _T = kept[name]
@@ -112,7 +112,7 @@ class AtlasStore:
     def path(self) -> Path:
         """The store's folder. Raise RunError if the store is at a URL."""
         if self.backend.local is None:
-            raise RunError(f"{self.backend}: not a folder of this machine")
+            raise RunError(f"{self.backend}: not a local folder")
         return self.backend.local
 
     @SharedCachedProperty
@@ -259,11 +259,13 @@ def _open_handle(place: StoreBackend) -> AtlasStore:
     version = attrs.get("solver_version")
     if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
         if type(version) is int and version < FIRST_RELEASED:
-            old = f"made by solver version {version}, before the first release, in a layout that is not read any more"
+            old = (
+                f"made by solver version {version}, before the first release, in a layout that this version cannot read"
+            )
             raise InputError(f"{place}: {old}")
         raise InputError(f"{place}: {COPY_BY_XARRAY}")
     if spare is None and (fault := form_fault(root)):
-        raise InputError(f"{place}: {ROOT} {fault}, and its second copy, {SPARE}, is missing or damaged, too")
+        raise InputError(f"{place}: {ROOT} {fault}, and its backup, {SPARE}, is missing or damaged, too")
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
@@ -361,8 +363,9 @@ def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def array_by(place: StoreBackend, path: str, node: Any) -> Any:
-    """Return a Zarr array of a store, for reading, that these metadata describe; damaged metadata
-    may raise anything.
+    """Return a Zarr array of a store, for reading, that the metadata ``node`` describe.
+
+    Damaged metadata may raise anything.
     """
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath

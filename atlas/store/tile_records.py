@@ -108,7 +108,7 @@ class TileRecords:
             rows = np.asarray(_compaction(self.handle)[...], dtype=np.float64)
         except OSError:
             raise
-        except Exception as error:  # a codec that meets bytes nobody wrote may raise anything
+        except Exception as error:  # a codec that reads damaged bytes may raise anything
             self.damaged[RECORDS] = f"is damaged ({message_of(error)})"
             return none
         return rows if rows.shape == none.shape else none
@@ -196,12 +196,13 @@ def write_compaction(handle: AtlasStore, rows: Rows, settled: NDArray[np.bool_])
     handle.backend.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
 
 
-EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
+EXCHANGED = "its digest does not match: its chunks were swapped with another tile's, or altered"
 
 
 def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
-    """Return True if the record of a finished tile has another digest than ``row``, the record
-    computed from its cells.
+    """Return True if the record of a finished tile has another digest than ``row``.
+
+    ``row`` is the record computed from the cells of the tile.
     """
     digest = records.rows[index][DIGEST]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])

@@ -153,7 +153,7 @@ def read_tile(
         chunk = read_chunk(array, index)
         if isinstance(chunk, str):
             faults[key] = chunk
-        # A missing chunk reads as fill values: only a chunk of fill values alone may be missing.
+        # A missing chunk reads as fill values, so each chunk of fill values alone is looked up.
         elif not variable.sparse and is_blank(chunk, variable) and (lost := _lost(handle, array, key)):
             faults[key] = lost
         else:
@@ -197,7 +197,7 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         return f"cannot be read ({error.strerror})"
     except MemoryError:
         raise
-    except Exception as error:  # a codec that meets bytes it never wrote may raise anything
+    except Exception as error:  # a codec that reads damaged bytes may raise anything
         return f"is damaged ({message_of(error)})"
 
 

@@ -42,7 +42,7 @@ def _again(
 
 async def _confirm(place: StoreBackend) -> None:
     if place.fence is not None:
-        await asyncio.to_thread(place.check_fence)  # reads a note, perhaps from a server
+        await asyncio.to_thread(place.check_fence)  # reads a sidecar file, perhaps from a server
 
 
 class RetryingObjectStore(ObjectStore[Any]):
@@ -63,7 +63,7 @@ class RetryingObjectStore(ObjectStore[Any]):
     set = _again(ObjectStore.set, changes=True)
     set_if_not_exists = _again(ObjectStore.set_if_not_exists, changes=True)
     delete = _again(ObjectStore.delete, changes=True)
-    delete_dir = _again(ObjectStore.delete_dir)  # by delete
+    delete_dir = _again(ObjectStore.delete_dir)  # calls delete
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
@@ -170,6 +170,6 @@ def zarr_store(
         return ReadOnlyStore(place.store)
     if isinstance(place, ObjectBackend):
         return RetryingObjectStore(place, read_only)
-    assert place.local is not None, "a place is a folder or an object store"
+    assert place.local is not None, "a backend is a folder or an object store"
     local = LocalStore(place.local, read_only=read_only)
     return local if read_only else FencedStore(local, place)

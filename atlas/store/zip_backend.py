@@ -1,5 +1,6 @@
-"""The backend of an atlas in one zip file, read-only; its members are those of Zarr's ZipStore,
-so xarray opens it too.
+"""The backend of an atlas in one zip file, read-only.
+
+Its members are those of Zarr's ZipStore, so xarray opens the file too.
 """
 
 import errno
@@ -84,7 +85,7 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
     file = zipfile.ZipFile(path)
     for member in file.infolist():
         if member.compress_size > size or member.file_size > max(member.compress_size, _LARGEST_UNPACKED):
-            raise zipfile.BadZipFile(f"{member.filename} says that it has {member.file_size} bytes")
+            raise zipfile.BadZipFile(f"{member.filename} states a size of {member.file_size} bytes")
     return _Archive(file, dict.fromkeys(name for name in file.namelist() if not name.endswith("/")), threading.Lock())
 
 
@@ -101,7 +102,7 @@ def check_not_packed(place: StoreBackend) -> None:
     """Raise InputError if a backend that is to be written is read-only, such as a zip file."""
     if place.read_only_reason:
         name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipBackend) else "path or a URL"
-        raise InputError(f"{place}: {place.read_only_reason} is read only; give a {name}")
+        raise InputError(f"{place}: {place.read_only_reason} is read-only; give a {name}")
 
 
 @contextmanager
@@ -111,7 +112,7 @@ def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
     Raise OSError if another process holds it.
     """
     path = unfinished.with_suffix(".lock")
-    path.touch()  # the lock would make a missing folder
+    path.touch()  # the lock would create a missing folder
     lock = file_lock(path)
     lock.acquire(timeout=timeout)
     try:
@@ -145,7 +146,7 @@ def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
                         member.external_attr = 0o644 << 16
                         archive.writestr(member, data)
                 file.flush()
-                os.fsync(file.fileno())  # or a rename could outlive the content
+                os.fsync(file.fileno())  # otherwise a crash may keep the rename and lose the content
             size = unfinished.stat().st_size
             os.replace(unfinished, target)
         finally:

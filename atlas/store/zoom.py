@@ -47,7 +47,7 @@ def list_metatiles(handle: AtlasStore) -> list[tuple[str, str]]:
     if handle.backend.read_only_reason:
         return []
     local = handle.backend.local
-    if local is not None:  # without listing the sheets' contents
+    if local is not None:  # without listing the contents of metatiles
         keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
     else:
         keys = [key for key in handle.backend.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]

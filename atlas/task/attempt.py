@@ -56,6 +56,6 @@ def run_tile_job(job: RunJob) -> TileReport:
         job = replace(job, attempt=attempt.token)
         return solve_and_write(job, job.store_ref.with_fences(handle, job.attempt_key, job.attempt))
     finally:
-        if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
+        if not isinstance(sys.exception(), NetworkError):  # removing it would only wait for the network again
             with translate_file_errors(job.store_ref.store):
                 attempt.remove(notes, job.attempt_key)

@@ -112,10 +112,9 @@ Report = Callable[[CompileProgress], None]
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
-    """Return the parts that cells of a system need with these settings, and ``more``, as arguments of the functions
-    below.
+    """Return the parts that cells of a system need with these settings, and ``more``.
 
-    The part that observes motions is the same for every system.
+    They are arguments of the functions below. The part that observes motions is the same for every system.
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
@@ -131,7 +130,7 @@ def compile_notice(*more: str) -> str:
     once = ", once for this version" if _cache() else ""
     spared = sum(SPARED.get(part, 0) for part in missing) if _cache() and processors() >= AT_A_TIME else 0
     seconds = sum(SECONDS[part] for part in missing) - spared
-    return f"compiling the kernels, about {seconds} s where nothing else runs{once}"
+    return f"compiling the kernels, about {seconds} s on an idle computer{once}"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
@@ -176,15 +175,16 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
             if report is not None:
                 report(
                     CompileProgress(min(done.total(), of - 1), of, time.monotonic() - begin)
-                )  # it ends with the last
+                )  # the estimate is reached only at the end
 
         ended = run_python_parallel("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]
 
 
 def _pieces(part: str) -> list[list[tuple[str, ...]]]:
-    """Return the stages in which the kernels of ``part`` are compiled; the pieces of a stage are
-    compiled in parallel.
+    """Return the stages in which the kernels of ``part`` are compiled.
+
+    The pieces of a stage are compiled in parallel.
     """
     return [[(APART, part)], [(BATCH, part), (SETTLE, part)]]
 
@@ -209,7 +209,7 @@ def main() -> None:
             time.sleep(TICK)
             try:
                 os.write(1, f"{counter.done}\n".encode())
-            except OSError:  # nobody listens any more
+            except OSError:  # the parent has ended
                 os._exit(1)
 
     gc.set_threshold(YOUNG_OBJECTS)

@@ -18,7 +18,7 @@ def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) ->
     """Return the handle of a store, after one check of its root's version. Raise errors like ``open_store``."""
     place = waiting(open_backend(store), patience)
     version = place.version(ROOT)
-    with _reading:  # the threads of a worker come at once
+    with _reading:  # the threads of a worker ask at the same time
         known = _headers.get((place, patience))
         if known is None or known[0] != version:
             known = _headers[place, patience] = version, open_store(place)

@@ -57,8 +57,9 @@ def complete_basins(handle: AtlasStore) -> None:
 
 
 def labelling_bytes(handle: AtlasStore) -> int:
-    """Return the maximum memory, in bytes, of ``complete_basins`` besides a tile: for a band
-    entirely beyond the table.
+    """Return the maximum memory of ``complete_basins`` besides a tile, in bytes.
+
+    The maximum is that of a band entirely beyond the table.
     """
     place = _leading(handle.tile)
     cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
@@ -66,8 +67,9 @@ def labelling_bytes(handle: AtlasStore) -> int:
 
 
 def _leading(tile: tuple[int, ...]) -> int:
-    """Return the number of leading dimensions that separate bands: in plane order one band ends
-    before the next begins.
+    """Return the number of leading dimensions that separate bands.
+
+    In plane order one band ends before the next begins.
     """
     return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
 

@@ -87,7 +87,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
         known = read_tile(origin, index, arrays=origin.readable)
         if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
-        if not handle.allowances:  # a cell with an allowance above the spec's has other results here
+        if not handle.allowances:  # a cell with a higher budget than the spec's has other results here
             for allowance in ALLOWANCES:
                 known[REGIME.name][known.pop(allowance.name) != allowance.from_spec(origin.spec)] = PENDING
         for name, values in known.items():
@@ -97,8 +97,9 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
 def _meetings(
     dimensions: tuple[SharedPositions, ...], slices: Slices, tile: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
-    """Yield the tiles of the origin that share cells with a tile: index, cells in this tile, cells in the origin's
-    tile.
+    """Yield the tiles of the origin that share cells with a tile of the store.
+
+    Each entry is the index of the origin's tile, the shared cells in the store's tile, and those in the origin's tile.
     """
     parts = []
     for (here, there), part, length in zip(dimensions, slices, tile, strict=True):
@@ -114,7 +115,7 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     assert handle.origin is not None
     done, otherwise = "extended", f"extend {handle.backend} into a new store"
     if handle.origin.retry is not None:
-        done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
+        done, otherwise = "retried", "recompute it with atlas run and retry it into a new store"
     try:
         origin = cached_handle(sibling_backend(handle.backend, handle.origin.store))
     except InputError as error:
@@ -123,12 +124,13 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
         if origin.run_id == handle.origin.run_id:
             return origin
         trouble = f"{handle.origin.store}: another store than the one that was {done}"
-    raise RunError(f"{trouble}; {handle.backend} copies cells of it: put it back, or {otherwise}")
+    raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 
 def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> int:
-    """Return the number of finished cells of the origin in an extended atlas; ``done`` are the
-    origin's finished tiles.
+    """Return the number of finished cells of the origin in an extended atlas.
+
+    ``done`` are the origin's finished tiles.
     """
     counts = [
         np.bincount(there // length, minlength=tiles)

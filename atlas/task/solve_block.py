@@ -48,7 +48,7 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
         return solve_independent(spec, params, spec.settings)
     axis, backward = spec.continuation
     if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
-        raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
+        raise RunError(f"found a part of a line along {spec.dims[axis]}, which is continued, must be whole lines")
     from workers.sweep import solve_lines
 
     return solve_lines(spec.system_def, params, spec.settings, axis=axis, backward=backward)

@@ -69,18 +69,18 @@ class StoreRef:
         evict_handle(self.store, self.patience)
 
     def _guarded(self, place: StoreBackend, name: str, attempt: str) -> StoreBackend:
-        """Return a backend behind the fences of a job: its run has the lease, and the sidecar file holds the attempt's
-        token.
+        """Return a backend behind the fences of a job.
 
-        The fences raise WorkerRefusedError if another run has the lease. They raise RunError after a later attempt,
-        since nothing is wrong with this worker.
+        They check that its run has the lease, and that the sidecar file holds the attempt's token. They raise
+        WorkerRefusedError if another run has the lease. They raise RunError after a later attempt, since nothing is
+        wrong with this worker.
         """
         fences: list[Fence] = []
         if self.lease:
-            lost = "the run of this job has lost its claim of the store; nothing more is written"
+            lost = "the run that sent this job has lost its lease; nothing more is written"
             fences.append(token_fence(place, LEASE_NAME, self.lease, WorkerRefusedError, lost))
         if attempt:
-            lost = "another attempt at this tile has begun; nothing more is written"
+            lost = "a later attempt at this tile has started; nothing more is written"
             fences.append(token_fence(place, name, attempt, RunError, lost))
 
         def fence() -> None:
@@ -126,9 +126,11 @@ def open_checked(
     except InputError as error:
         if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
             raise error.__cause__ from None
-        raise WorkerRefusedError(f"{error}; is the path the same on all hosts?") from None
+        raise WorkerRefusedError(f"{error}; check that the path is the same on every host") from None
     if handle.run_id != run_id:
-        raise WorkerRefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
+        raise WorkerRefusedError(
+            f"{store} is not the store of run {run_id}; check that the path is the same on every host"
+        )
     return handle
 
 
@@ -156,5 +158,5 @@ def stored_part(handle: AtlasStore, group: str, name: str) -> bytes:
     """Return a part that a job has stored. Raise WorkerRefusedError if it is missing."""
     data = get_part(handle, group, name)
     if data is None:
-        raise WorkerRefusedError(f"{handle.backend}: has no part {name}; is the path the same on all hosts?")
+        raise WorkerRefusedError(f"{handle.backend}: has no part {name}; check that the path is the same on every host")
     return data

@@ -29,11 +29,13 @@ LABELS = -1
 
 @dataclass(frozen=True)
 class RunJob:
-    """A task sent to a worker: one tile of a store. ``attempt.do_job`` runs it locally.
+    """A job sent to a worker, such as a tile of a store. ``attempt.execute_job`` executes it, also without a cluster.
 
-    With a ``level`` above 0 it is a chunk of that level of the overviews; at level LABELS, the last labels of basins.
-    ``attempt`` is the token of this attempt at the tile, from ``attempt.run_job``: of two live attempts the first
-    writes nothing more.
+    index       index of the tile, or of the chunk
+    store_ref   the store
+    level       0 for a tile; above 0 for a chunk of that level of the overviews; LABELS for the final labels of basins
+    attempt     token of this attempt at the tile, set by ``attempt.run_tile_job``; of two live attempts the first
+                writes nothing more
     """
 
     index: tuple[int, ...]
@@ -117,7 +119,7 @@ def label_basins(job: RunJob) -> DerivedReport:
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         complete_basins(handle)
-        # All tiles: a dead attempt may have written one again.
+        # All tiles: a dead attempt may have rewritten one.
         return DerivedReport(
             job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle))
         )
@@ -151,7 +153,7 @@ def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
 
 def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
     """Return the known arrays with the cells of the mask ``due`` solved, chunk by chunk to limit the memory."""
-    if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # a part of a line has no results of its own
+    if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # cells of a line depend on earlier ones
         return solve_missing(spec, slices, known, due)
     arrays = {name: values.copy() for name, values in known.items()}
     for part in Tiling(due.shape, (INNER_CHUNK,) * due.ndim).tiles():

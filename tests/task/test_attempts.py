@@ -86,7 +86,7 @@ def between_two_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(LocalBackend, "put", slow)
 
 
-SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
+SUPERSEDED = "a later attempt at this tile has started; nothing more is written"
 
 
 @pytest.mark.parametrize(("when", "error"), [(before_it_writes, ""), (between_two_writes, SUPERSEDED)])
