@@ -1,7 +1,7 @@
 """The coordinates of the overview levels: centres and edges of coarse cells.
 
-Coarsened dimensions have their own names. ``xarray.open_datatree`` makes a tree of datasets from a store, and a group
-below another one with an ``omega`` must not have an ``omega`` of different values.
+Coarsened dimensions have their own names. ``xarray.open_datatree`` makes a tree of datasets from a store. There a group
+must not have an ``omega`` that differs from the ``omega`` of the group above.
 """
 
 from typing import Any

@@ -36,7 +36,7 @@ else:
     Given = Any  # type of a store given by a user; loading its members takes a while
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
-"""Schemes that the URL of a store may have, besides ``file``: those that obstore supports."""
+"""Schemes of URLs of stores that obstore supports, besides ``file``."""
 _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
 """Prefixes of the environment variables that configure a client."""
 AT_ONCE = 64

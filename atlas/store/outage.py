@@ -1,7 +1,7 @@
 """Waiting for a server or a network that does not respond.
 
 obstore's own retries are not used. They count from the beginning of a request, so a request that fails late is not
-repeated, and they hide whether an earlier attempt at a conditional write took effect.
+repeated. They also hide whether an earlier attempt at a conditional write took effect.
 """
 
 import asyncio

@@ -5,8 +5,8 @@ compacts all records into one chunk and removes the single records, so that a fe
 kill leaves a wrong record of a finished tile:
 
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
-- An empty record replaces that of a damaged tile before the tile is dropped, and that of a tile of basins before the
-  tile gets its final labels. It takes precedence over the tile's row in the compaction. After a kill there the tile is
+- Before a damaged tile is dropped, an empty record replaces its record; likewise before a tile of basins gets its final
+  labels. The empty record takes precedence over the tile's row in the compaction. After a kill there the tile is
   unchanged, and is counted from its chunks.
 - A single record takes precedence over the compaction, so a kill between writing the compaction and removing single
   records does no harm. A record is removed only if no worker of the run may still write its tile. Readers list the

@@ -57,8 +57,8 @@ def solve_block(spec: Spec, slices: Slices) -> "Results":
 def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":
     """Return the known results of the cells in these slices, with the cells of the mask ``due`` solved.
 
-    A cell depends only on its parameters, the settings and the solver, so cells known from another store have the
-    values that they would get here. Budgets among the known arrays apply to each cell.
+    A cell depends only on its parameters, the settings and the solver. Cells known from another store therefore have
+    the values that they would get here. Budgets among the known arrays apply to each cell.
     """
     if due.all() and not any(allowance.name in known for allowance in ALLOWANCES):
         return solve_block(spec, slices)
