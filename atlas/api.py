@@ -122,9 +122,9 @@ def branch(
     """Return the branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
 
     The cell is solved first. Its orbit is the solution of equations for its impacts. Pseudo-arclength continuation
-    follows the orbit in both directions, until the branch leaves the window or ends. Events are located to 1e-10 or better:
-    folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. For a machine without a
-    force the branch is that of a limit cycle, with its period, or of an equilibrium, with its Hopf points.
+    follows the orbit in both directions, until the branch leaves the window or ends. Events are located to 1e-10 or
+    better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. For a machine
+    without a force the branch is that of a limit cycle, with its period, or of an equilibrium, with its Hopf points.
 
     parameters        parameters other than the defaults, as a mapping, or by name: ``omega=4.0``
     along             name of the parameter that varies

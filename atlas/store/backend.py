@@ -20,8 +20,8 @@ Fence = Callable[[], None]
 class StoreBackend:
     """Base class of the storage behind a store: objects by keys such as ``regime/c/0/1``.
 
-    A backend behind a ``fence`` calls the fence right before each write and each removal, so a process that has lost
-    its lease changes nothing more. The methods of this class are those of a read-only backend. Network errors are
+    A backend behind a ``fence`` calls the fence right before each write and each removal. A process that has lost its
+    lease therefore changes nothing more. The methods of this class are those of a read-only backend. Network errors are
     OSErrors. ``str`` is the name of the backend.
     """
 
