@@ -160,7 +160,7 @@ def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_name
     for _ in range(2):
         run_tile_job(job)
     for _ in range(2):
-        with pytest.raises(RunError, match=rf"has died 2 times, the last was .*, process {os.getpid()}$"):
+        with pytest.raises(RunError, match=rf"has died 2 times, the last one was .*, process {os.getpid()}$"):
             run_tile_job(job)
     assert len(solved) == 2
 
