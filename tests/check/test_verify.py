@@ -444,7 +444,7 @@ def exchange(path: Path, one: str, other: str, names: list[str]) -> None:
 @pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, RECORD], ["largest"], [RECORD]])
 def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, names: list[str]) -> None:
     exchange(whole, "0/0", "1/1", names)
-    exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "exchanged with another" in fault.what]
+    exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "swapped with another" in fault.what]
     assert {(0, 0), (1, 1)} <= {*exchanged}
     assert RECORD in names or exchanged == [(0, 0), (1, 1)]  # exchanged are the records of all four
 
