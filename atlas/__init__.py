@@ -1,15 +1,33 @@
 """Impact Atlas: maps of chaos in vibro-impact oscillators.
 
-``Spec`` describes an atlas, ``Settings`` the solution of a cell; ``run`` computes an atlas into a store, ``open`` gives
-the store as an xarray Dataset, whose ``.atlas`` answers questions and draws. ``plan`` estimates the cost, ``status``
-reports the progress. ``extend`` computes a larger or finer atlas, ``retry`` an atlas with some cells solved again,
-``verify`` checks that a store is complete and sound, ``pack`` makes it one file. ``RunOptions`` has the options of a
-run. ``find_curves`` finds the exact curves that bound the regions of a plane, within the budget of ``CurveSettings``;
-``label_attractors`` labels all attractors by branch from cell to cell; ``measure_attractors`` measures the stability of
-the attractors of an atlas.
-Without a store: ``point`` solves one cell, ``attractors`` finds all its attractors, ``stability`` measures their
-stability, ``saddles`` finds the unstable orbits between their basins, ``portrait`` draws its motion, ``branch`` follows
-its orbit along a parameter, ``solve_tile`` takes arrays of parameters, ``trace`` gives a motion in time.
+An atlas:
+
+Spec                 describes an atlas
+Settings             decide how a cell is solved
+RunOptions           options of a run, which decide no number
+plan                 estimates the cost
+run                  computes an atlas into a store
+status               reports the progress
+open                 returns the store as an xarray Dataset, whose ``.atlas`` answers queries and draws
+extend               computes a larger or finer atlas
+retry                computes an atlas with some cells solved again
+verify               checks that a store is complete and sound
+pack                 makes a store one file
+find_curves          finds the exact curves that bound the regions of a plane, within the budget of ``CurveSettings``
+label_attractors     labels all attractors by branch, from cell to cell
+measure_attractors   measures the stability of the attractors of an atlas
+
+Without a store:
+
+point        solves one cell
+attractors   finds all attractors of a cell
+stability    measures the stability of the attractors of a cell
+saddles      finds the unstable orbits between the basins of a cell
+portrait     draws the motion of a cell
+branch       follows the orbit of a cell along a parameter
+solve_tile   solves arrays of parameters
+trace        returns a motion in time
+
 ``errors`` has the exceptions.
 """
 
@@ -83,14 +101,14 @@ _WITH_NUMBA = {
     "label_attractors": "atlas.service.labels",
     "measure_attractors": "atlas.service.measures",
 }
-"""Where those names are that bring Numba with them: apart from the others, which do without."""
+"""Modules of the public names that load Numba; all other names are in ``atlas.api``, which loads without Numba."""
 
 
 register_accessor()
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name at its first use, so that ``import atlas`` itself takes no time."""
+    """Load a public name at its first use, so that ``import atlas`` itself takes no time."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "__version__":
@@ -105,5 +123,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What is public; modules that happen to be loaded are not."""
+    """Return the public names, without modules that happen to be loaded."""
     return __all__

@@ -1,10 +1,10 @@
-"""``python -m atlas`` runs the command ``atlas``, also where the shell does not find it."""
+"""Entry point of ``python -m atlas``: the command ``atlas``, also where the shell does not find the command."""
 
 import sys
 
 
 def main() -> None:
-    """Run the command; Ctrl-C ends it in order while its imports are still on their way."""
+    """Run the command; Ctrl-C exits with code 130 even while its imports are being loaded."""
     try:
         from atlas.cli.main import main as command
 

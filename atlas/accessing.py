@@ -1,6 +1,7 @@
-"""``ds.atlas`` for every dataset of xarray as soon as ``atlas`` and xarray are imported.
+"""Registration of the accessor ``ds.atlas`` for xarray datasets, as soon as ``atlas`` and xarray are imported.
 
-xarray takes a while to load, which ``import atlas`` does not wait for: if it comes later, it gets the accessor then.
+Loading xarray takes a while, so ``import atlas`` does not load xarray. If xarray is imported later, an import hook
+registers the accessor then.
 """
 
 import sys
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def register_accessor() -> None:
-    """Give datasets the accessor ``atlas``, now or once xarray is imported."""
+    """Register the accessor ``atlas`` of datasets, now or once xarray is imported."""
     if "xarray" in sys.modules:
         _register()
     else:
@@ -23,12 +24,12 @@ def register_accessor() -> None:
 
 
 class _AfterXarray(MetaPathFinder):
-    """Finds xarray as others do, and registers the accessor after its import."""
+    """Import hook that finds xarray by the other finders and registers the accessor after the import."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The module's spec if it is xarray: see importlib."""
+        """Return the spec of the module xarray, None for other modules; see ``importlib``."""
         if name != "xarray":
             return None
         others = (finder for finder in sys.meta_path if finder is not self)
@@ -55,7 +56,7 @@ def _register() -> None:
 
 
 def _accessor(ds: Any) -> "AtlasAccessor":
-    """The accessor of a dataset, loaded at its first use."""
+    """Return the accessor of a dataset; its class is loaded at the first use."""
     from atlas.accessor import AtlasAccessor
 
     return AtlasAccessor(ds)

@@ -1,6 +1,6 @@
-"""``ds.atlas``: queries of an atlas and pictures of it, as methods of the dataset. It holds nothing but the dataset.
+"""The accessor ``ds.atlas``: queries and pictures of an atlas as methods of its dataset.
 
-Registered with xarray by ``import atlas``, see accessing.py.
+The accessor holds nothing but the dataset. ``import atlas`` registers the accessor with xarray, see ``accessing.py``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -38,45 +38,45 @@ if TYPE_CHECKING:
 
 
 class PlottableComparison(Comparison):
-    """A comparison that can draw itself."""
+    """A comparison with a method that draws the comparison."""
 
     @accepts_options(ScaleOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[ScaleOptions]) -> "Figure":
-        """A matplotlib Figure of both maps: differences of exponents, and cells whose regimes differ.
+        """Return a matplotlib Figure of two maps: differences of exponents, and cells whose regimes differ.
 
-        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
+        A notebook shows the figure. It is also written to ``path`` if given: ``plot(width="85mm")``.
         """
         drawn: Figure = figure(self, path=path, **look)
         return drawn
 
 
 class PlottableBranches(BranchTable):
-    """Branches that can draw themselves."""
+    """Branches with a method that draws the branches."""
 
     @accepts_options(FigureOptions)
     def plot(self, path: str | Path | None = None, **look: Unpack[FigureOptions]) -> "Figure":
-        """A matplotlib Figure of section values over the parameter, stable parts solid and unstable ones dashed.
+        """Return a matplotlib Figure of section values over the parameter: stable parts solid, unstable ones dashed.
 
-        Shown by a notebook, also written to ``path`` if given: ``plot(width="85mm")``.
+        A notebook shows the figure. It is also written to ``path`` if given: ``plot(width="85mm")``.
         """
         drawn: Figure = figure(self, path=path, **look)
         return drawn
 
 
 def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
-    """A data frame of these rows."""
+    """Return a data frame of these rows."""
     import pandas as pd
 
     return pd.DataFrame(list(rows))
 
 
 class AtlasAccessor:
-    """Queries of an atlas, opened as a dataset, and its pictures.
+    """Queries and pictures of an atlas that is opened as a dataset.
 
-    In an atlas of all attractors every method but ``at`` takes the attractor with the largest share in each cell;
-    ``ds.isel(attractor=1).atlas`` takes the next one. All methods take any selection of an atlas along its axes. A
-    ``window`` limits any axis to values from low to high, given as (low, high). Bad input raises
-    ``atlas.errors.InputError`` in one line.
+    In an atlas of all attractors every method but ``at`` uses the attractor with the largest share of each cell;
+    ``ds.isel(attractor=1).atlas`` uses the next one. All methods accept any selection of an atlas along its axes. A
+    ``window`` limits any axis to the values from low to high, given as (low, high). Raise ``atlas.errors.InputError``,
+    with a message of one line, for bad input.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -85,99 +85,101 @@ class AtlasAccessor:
     def __repr__(self) -> str:
         cells = " x ".join(f"{self._ds.sizes[name]} {name}" for name in axis_names(self._ds))
         name = stored_name(self._ds.attrs) or "an unknown system"
-        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its questions>"
+        return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its methods>"
 
     def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
-        """The cell nearest to a point, ``at(omega=3, b=0.15)``: all its results, and its distance on each axis.
+        """Return all results of the cell nearest to a point, and its distance on each axis: ``at(omega=3, b=0.15)``.
 
-        Of an atlas of all attractors ``coexisting`` lists them.
-
-        See ``queries.at``.
+        In an atlas of all attractors ``coexisting`` lists the attractors of the cell. See ``queries.at``.
         """
         return query.at(self._whole, given_values(given, point))
 
     def is_(self, *regimes: str) -> xr.DataArray:
-        """Cells of these regimes, ``ds.largest.where(ds.atlas.is_("chaotic"))``: ``ds.regime`` itself holds codes.
+        """Return the mask of the cells of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
 
-        See ``queries.is_regime``.
+        ``ds.regime`` itself holds codes. See ``queries.is_regime``.
         """
         return query.is_regime(self._whole, regimes)
 
     def where_regime(self, *regimes: str) -> xr.Dataset:
-        """The atlas with the results of all other regimes masked, ``where_regime("chaotic")``.
+        """Return the atlas with the results of all other regimes masked: ``where_regime("chaotic")``.
 
         See ``queries.where_regime``.
         """
         return query.where_regime(self._ds, regimes)
 
     def fractions(self, window: Window | None = None) -> dict[str, float]:
-        """The share of the area, in the axes' own units, that belongs to each regime. See ``queries.fractions``."""
+        """Return the fraction of the area, in the units of the axes, of each regime. See ``queries.fractions``."""
         return query.fractions(self._ds, window)
 
     def count_reasons(self, window: Window | None = None) -> dict[str, int]:
-        """Numbers of cells without a certain result, by the reason in words. See ``queries.count_reasons``."""
+        """Return the number of cells without a certain result, by reason. See ``queries.count_reasons``."""
         return query.count_reasons(self._ds, window)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
-        """Smallest and largest values of a variable in each regime, period or pattern of impacts, or in "all" cells.
+        """Return the smallest and largest values of a variable in each regime, period or impact pattern.
 
-        See ``extremes.extremes``.
+        ``by="all"`` takes all cells together. See ``extremes.extremes``.
         """
         return _table(extremes(self._ds, name, by, window))
 
     def regions(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> "pd.DataFrame":
-        """Connected regions of equal regime, period or impacts, ``regions("period", 3)`` or ``regions("chaotic")``.
+        """Return the connected regions of equal regime, period or impacts: ``regions("period", 3)``.
 
-        A row each, the largest first: its centre, its cell and its box in columns such as ``centre_omega``,
-        ``cell_omega``, ``omega_from`` and ``omega_to``. See ``connected.regions``.
+        ``regions("chaotic")`` returns regions of one regime. Each row is a region, the largest first. Columns such as
+        ``centre_omega``, ``cell_omega``, ``omega_from`` and ``omega_to`` are its centre, its cell and its window. See
+        ``connected_regions.regions``.
         """
         return _table(map(connected_regions.flat, connected_regions.regions(self._ds, by, value, window, min_cells)))
 
     def labels(
         self, by: str = "regime", value: object = None, window: Window | None = None, min_cells: int = 1
     ) -> xr.DataArray:
-        """The label of the region that each cell belongs to, 0 for none. See ``connected.labels``."""
+        """Return the label of the region of each cell, 0 if it is in none. See ``connected_regions.labels``."""
         return connected_regions.labels(self._ds, by, value, window, min_cells)
 
     def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
-        """The attractors of a plane of initial states: shares, entropy and dimension. See ``basins.basins``."""
+        """Return shares, entropy and dimension of the basins of a plane of initial states. See ``basins.basins``."""
         return basins(self._ds, window)
 
     def boundary(
         self, regime: str, other: str | None = None, window: Window | None = None
     ) -> list[NDArray[np.float64]]:
-        """Lines, arrays (points, 2) of (x, y), between a regime and another one, or any. See ``queries.boundary``."""
+        """Return the lines between a regime and another one, or any other.
+
+        Each line is an array (points, 2) of (x, y). See ``queries.boundary``.
+        """
         return query.boundary(self._ds, regime, other, window)
 
     def per_unit_time(self) -> xr.Dataset:
-        """The atlas with its exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
+        """Return the atlas with exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
 
     def curves(self, kind: str | None = None) -> "pd.DataFrame":
-        """The curves that ``atlas find curves`` found here, of one kind or all, ``curves("fold")``: a row a point.
+        """Return the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold")``.
 
-        See ``atlas.orbits.curves.queries.frame``.
+        Each row is a point of a curve. See ``atlas.orbits.curves.queries.frame``.
         """
         return queries.frame(queries.curves_of(self._ds), kind)
 
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
     ) -> "pd.DataFrame":
-        """The distances of an operating point to events of its orbit, ``distance_to(omega=3, b=0.15, kind="fold")``.
+        """Return the distances of an operating point to events of its orbit.
 
-        Along each axis either way the first event, of one kind or any, the nearest first. See
-        ``atlas.orbits.curves.distance.distance_to``.
+        ``distance_to(omega=3, b=0.15, kind="fold")``. The rows are the first events along each axis in both directions,
+        of one kind or any, the nearest first. See ``atlas.orbits.curves.distance.distance_to``.
         """
-        from atlas.orbits.curves.distance import distance_to  # with it Numba
+        from atlas.orbits.curves.distance import distance_to  # loads Numba
 
         return _table(distance_to(self._ds, kind, given_values(given, point)))
 
     def compare(self, other: xr.Dataset, window: Window | None = None) -> PlottableComparison:
-        """This atlas compared with another one of the same axes: ``difference``, ``regimes``, ``numbers``, ``plot()``.
+        """Return the comparison of this atlas with another one of the same axes.
 
-        See ``compare.Comparison``.
+        The comparison has ``difference``, ``regimes``, ``numbers`` and ``plot()``. See ``compare.Comparison``.
         """
         return PlottableComparison.from_atlases(self._ds, select_dominant(other), window)
 
@@ -193,10 +195,9 @@ class AtlasAccessor:
         observe: str | None = None,
         **point: float,
     ) -> PlottableBranches:
-        """The branch of the orbit of the cell nearest to a point.
+        """Return the branch of the orbit of the cell nearest to a point.
 
-        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See
-        ``atlas.branch``.
+        ``branch(omega=3, b=0.15, along="omega", window=(2, 4))`` starts from the stored orbit. See ``atlas.branch``.
         """
         seed = seed_of_cell(self._ds, given_values(given, point))
         observable = observed_of(seed, observe)
@@ -206,20 +207,24 @@ class AtlasAccessor:
     def plot_side_by_side(
         self, *others: xr.Dataset, kind: str | None = None, window: Window | None = None, **look: Unpack[ScaleOptions]
     ) -> "Figure":
-        """Maps of this atlas and of others side by side on one scale, ``beside(other, width="85mm")``.
+        """Return a Figure of maps of this atlas and of others: ``plot_side_by_side(other, width="85mm")``.
 
-        ``kind`` is "exponent" or "period", by default the first that all atlases hold.
+        The maps share their colour limits. ``kind`` is "exponent" or "period", by default the first kind that all
+        atlases have.
         """
         drawn: Figure = figure([self._ds, *others], kind, window, **look)
         return drawn
 
     @accepts_options(AtlasFigureOptions)
     def plot(self, kind: str | None = None, window: Window | None = None, **options: Unpack[AtlasFigureOptions]) -> Any:
-        """A matplotlib Figure, shown by a notebook as the last line of a cell, or ``savefig``; or ``ax``, if given.
+        """Return a matplotlib Figure of a map; or draw into ``ax`` and return it, if given.
 
-        ``plot("period", width="85mm", overlay="grazing")``. ``kind`` is one of ``atlas.render.KINDS``, by default the
-        first that fits the axes: ``atlas plot --help`` describes them. ``window`` gives for any axis the
-        (low, high) ends of the part to draw. Options have the command's names.
+        ``plot("period", width="85mm", overlay="grazing")``. A notebook shows the figure as the last line of a cell;
+        ``savefig`` writes it.
+
+        kind      one of ``atlas.render.KINDS``, by default the first that fits the axes; see ``atlas plot --help``
+        window    (low, high) for each axis to limit
+        options   the options of the command, with the same names
         """
         return figure(self._whole, kind, window=window, **options)
 
@@ -235,13 +240,19 @@ class AtlasAccessor:
         port: int = 0,
         host: str = "127.0.0.1",
     ) -> "ExplorerSession":
-        """A page that shows this atlas anywhere, at any depth; a notebook shows it in place, ``stop()`` ends it.
+        """Open a page that shows this atlas anywhere, at any depth; a notebook shows the page in place.
 
-        Cells are solved on a Dask ``client`` of yours, on the cluster of a ``scheduler``, or on ``workers`` processes
-        of this machine, by default one a processor; ``tolerance`` is the standard error of their exponents, by default
-        0.05. With ``keep`` they stay in the store. Specs of new atlases are written into ``folder``, by default the
-        working directory. ``port`` is the port of the page, by default any free one. Its address has a token, and
-        opens for those who have it alone.
+        ``stop()`` of the result closes the page. The address of the page has a token; only those who have the token can
+        open the page.
+
+        client      Dask client whose workers solve cells
+        scheduler   address of a Dask cluster whose workers solve cells
+        workers     number of local processes that solve cells, by default one per processor
+        tolerance   standard error of the exponents of solved cells, by default 0.05
+        keep        whether solved cells are saved in the store
+        folder      folder for the specs of new atlases, by default the working directory
+        port        port of the page, by default any free one
+        host        address on which the page is served
         """
         from atlas.explore.session import explore_dataset
         from atlas.explore.subject import TOLERANCE
@@ -252,10 +263,10 @@ class AtlasAccessor:
         )  # fmt: skip
 
     def to_html(self, path: str | Path) -> Path:
-        """Write this plane as one HTML file that opens in any browser without a server, ``page("plane.html")``.
+        """Write this plane as one HTML file that any browser opens without a server: ``to_html("plane.html")``.
 
-        It has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the spec and
-        citations. See ``atlas.explore.static.page.write_page``.
+        The file has at most 20 MB: the cells with all their numbers, every kind of map, the curves of the store, the
+        spec and citations. See ``atlas.explore.static.page.write_page``.
         """
         from atlas.explore.static.page import write_page
 
@@ -265,10 +276,10 @@ class AtlasAccessor:
     def portrait(
         self, given: Mapping[str, float] | None = None, /, *, path: str | Path | None = None, **point: Any
     ) -> "Figure":
-        """The portrait of the cell nearest to a point, ``portrait(omega=3, b=0.15)``, solved anew with its settings.
+        """Return the portrait of the cell nearest to a point, solved anew with its settings.
 
-        In an atlas of all attractors it shows the attractor with the largest share, or the selected one.
-        A matplotlib Figure, shown by a notebook, also written to ``path`` if given:
+        In an atlas of all attractors the portrait shows the attractor with the largest share, or the selected one. The
+        result is a matplotlib Figure, which a notebook shows. It is also written to ``path`` if given:
         ``portrait(omega=3, b=0.15, width="85mm")``. See ``atlas.portrait``.
         """
         look, named = split_look(point)

@@ -1,4 +1,4 @@
-"""The functions of ``import atlas``, from the packages below. The package loads this at first use."""
+"""The public functions of ``import atlas``, collected from the subpackages and loaded at their first use."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -58,13 +58,15 @@ __all__ = [
 
 
 def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None) -> "xarray.Dataset":
-    """The atlas of a store as an xarray Dataset, read from disk as it is used; ``ds.atlas`` is its accessor.
+    """Return the atlas of a store as an xarray Dataset, whose values are read when used; ``ds.atlas`` is its accessor.
 
-    The store is a folder, a URL, a zip file that ``pack`` made, an obstore store, or any Zarr store object, such as
-    that of an Icechunk session. ``storage_options`` configure access to a URL beyond the environment:
-    ``{"endpoint": ..., "anon": True}``. ``chunks`` makes Dask arrays of its variables, as in
-    ``xarray.open_dataset``: ``{}`` for the store's own chunks, ``"auto"``, or sizes by dimension.
-    Raises atlas.errors.InputError where the store is not an atlas.
+    store             folder, URL, zip file made by ``pack``, obstore store, or any Zarr store object, such as that of
+                      an Icechunk session
+    chunks            makes Dask arrays of the variables, as in ``xarray.open_dataset``: ``{}`` for the chunks of the
+                      store, ``"auto"``, or sizes by dimension; None for no Dask arrays
+    storage_options   access to a URL beyond the environment: ``{"endpoint": ..., "anon": True}``
+
+    Raise atlas.errors.InputError if the store is not an atlas.
 
     >>> import atlas
     >>> ds = atlas.open("plane.zarr")
@@ -76,10 +78,10 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
 
 
 def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
-    """The cost of a spec: cells, tiles, bytes and, with ``probe``, the time, measured on a few cells.
+    """Return the cost of a spec: cells, tiles, bytes and, with ``probe``, the time, which is measured on a few cells.
 
-    ``workers`` is the number of workers of the run, by default one a processor.
-    Raises atlas.errors.InputError where a tile is too large for a store.
+    ``workers`` is the number of workers of the run, by default one per processor. Raise atlas.errors.InputError if a
+    tile is too large for a store.
 
     >>> import atlas
     >>> found = atlas.plan(atlas.Spec.from_toml("tiny"), probe=False)
@@ -93,9 +95,9 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
 
 
 def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> StoreStatus:
-    """The progress of a store: finished tiles and cells, regimes, and the run on it. Arguments as of ``open``.
+    """Return the progress of a store: finished tiles and cells, regimes, and the run that writes it.
 
-    Raises atlas.errors.InputError where the store is not an atlas.
+    The arguments are those of ``open``. Raise atlas.errors.InputError if the store is not an atlas.
 
     >>> import atlas
     >>> atlas.status("plane.zarr").fraction
@@ -117,19 +119,26 @@ def branch(
     observe: str | None = None,
     **named: Any,
 ) -> "PlottableBranches":
-    """The branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
+    """Return the branch of a cell's periodic orbit along one parameter, stable and unstable, with its events.
 
-    ``omega=4.0`` or a mapping gives parameters other than the defaults; the cell is solved first. The orbit, as the
-    solution of equations for its impacts, is followed by pseudo-arclength through the (low, high) ``window`` of the
-    parameter ``along``, both ways, until it leaves the window or ceases to exist. Events on the way are located to
-    1e-10 or better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. Of a
-    machine without a force it is that of a cycle, with its period, or of an equilibrium, with its Hopf points. With
-    ``switch_branches`` the branches from symmetry breakings and period doublings are followed too, and further branches
-    from these, ``budget`` branches in all; ``untried`` of the result lists the events that remain. ``observe`` names an
-    observable, such as "impact_phase:stop": the points have its values too, and pictures show it. The result has the
-    pandas frames ``branches``, ``points`` and ``events``, see ``branches.table.Branches``, and a method that draws it:
-    ``.plot("branch.png")``.
-    Raises InputError for bad parameters, and where the cell is not periodic.
+    The cell is solved first. Its orbit is the solution of equations for its impacts. Pseudo-arclength continuation
+    follows the orbit in both directions, until the branch leaves the window or ends. Events are located to 1e-10 or
+    better: folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes and lost impacts. For a machine
+    without a force the branch is that of a limit cycle, with its period, or of an equilibrium, with its Hopf points.
+
+    parameters        parameters other than the defaults, as a mapping, or by name: ``omega=4.0``
+    along             name of the parameter that varies
+    window            (low, high) of the parameter ``along``
+    system            name, definition or ``System`` of the machine
+    settings          settings with which the cell is solved
+    switch_branches   whether branches from symmetry breakings and period doublings are followed too, and further
+                      branches from these
+    budget            maximum number of branches; ``untried`` of the result lists the events that remain
+    observe           an observable, such as "impact_phase:stop", whose values the points and pictures show too
+
+    The result has the pandas frames ``branches``, ``points`` and ``events``, see
+    ``atlas.orbits.branches.table.BranchTable``, and a method that draws them: ``.plot("branch.png")``. Raise InputError
+    for bad parameters, or if the cell is not periodic.
 
     >>> import atlas
     >>> found = atlas.branch(omega=4.0, b=0.1, along="b", window=(0.05, 0.15))

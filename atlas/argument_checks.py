@@ -1,4 +1,4 @@
-"""Checks of the arguments of public functions: an InputError in one line names argument, value and valid form."""
+"""Checks of the arguments of public functions; an InputError of one line names argument, value and valid form."""
 
 import math
 import os
@@ -14,16 +14,16 @@ from atlas.errors import InputError, brief_repr
 
 T = TypeVar("T")
 Window = Mapping[str, tuple[float, float]]
-"""A part of a plane: the (low, high) ends of the axes that it limits."""
+"""Limits of the axes of a plane: (low, high) by axis name; other axes are unlimited."""
 
 
 def is_integer(value: object, kind: type = int) -> bool:
-    """Whether this is a whole number, of Python's or of another ``kind`` such as numbers.Integral, and no boolean."""
+    """Return True if ``value`` is an integer of type ``kind``, such as int or numbers.Integral, and no boolean."""
     return isinstance(value, kind) and not isinstance(value, bool)
 
 
 def validate_interval(name: str, value: object) -> tuple[float, float]:
-    """The two ends of a window, as numbers; they may be infinite, and in any order."""
+    """Return (low, high) as floats, which may be infinite and in any order. Raise InputError for any other value."""
     ends = _items(value)
     if len(ends) == 2 and all(isinstance(end, Real) and not isinstance(end, bool) for end in ends):
         with suppress(OverflowError):
@@ -34,7 +34,7 @@ def validate_interval(name: str, value: object) -> tuple[float, float]:
 
 
 def validate_window(value: object) -> Window:
-    """A window, its axes unchecked; None is an empty one."""
+    """Return a window with validated limits; empty if ``value`` is None. The names of the axes are not checked."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -43,7 +43,7 @@ def validate_window(value: object) -> Window:
 
 
 def validate_pixels(value: object) -> tuple[int, int] | None:
-    """The size of a plot in pixels, (x, y); None where it is not given."""
+    """Return the size of a plot in pixels, (x, y); None if ``value`` is None."""
     sizes = _items(value)
     if value is None:
         return None
@@ -54,7 +54,7 @@ def validate_pixels(value: object) -> tuple[int, int] | None:
 
 
 def validate_suffix(path: Path, formats: Sequence[str]) -> str:
-    """The suffix of a file, in lower case, which chooses among formats such as ".csv"; before long work."""
+    """Return the suffix of a file in lower case. Raise InputError unless ``formats`` has the suffix."""
     suffix = path.suffix.lower()
     if suffix not in formats:
         given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
@@ -63,37 +63,37 @@ def validate_suffix(path: Path, formats: Sequence[str]) -> str:
 
 
 def validate_path(value: object, name: str = "path") -> Path:
-    """A path of this machine; a ``~`` at its beginning is the user's home."""
+    """Return a path on this host; a ``~`` at the beginning is replaced by the user's home."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):
         return Path(os.path.expanduser(value))
     raise InputError(f"{name}: found {brief_repr(value)}, must be a path")
 
 
 def check_name(name: str, value: object) -> None:
-    """InputError unless a name is text."""
+    """Raise InputError unless ``value`` is a string."""
     validate_type(name, value, str, "a name")
 
 
 def validate_flag(name: str, value: object) -> bool:
-    """True or False; anything else would be taken for one of them."""
+    """Return ``value`` as a bool. Raise InputError for anything but True and False."""
     return bool(validate_type(name, value, bool | np.bool_, "True or False"))
 
 
 def validate_type(name: str, value: T, kind: Any, valid_form: str) -> T:
-    """``value`` if it has this type or one of a union; ``valid_form`` is the valid form in words."""
+    """Return ``value`` if its type is ``kind`` or in a union; else raise InputError with the text ``valid_form``."""
     if not isinstance(value, kind):
         raise InputError(f"{name}: found {brief_repr(value)}, must be {valid_form}")
     return value
 
 
 def validate_atlas(value: object, name: str = "atlas") -> Any:
-    """A dataset of xarray."""
+    """Return ``value`` if it is an xarray dataset; else raise InputError."""
     if not all(hasattr(value, part) for part in ("dims", "coords", "data_vars")):
         raise InputError(f"{name}: found {brief_repr(value)}, must be an atlas as atlas.open returns it")
     return value
 
 
 def _items(value: object) -> tuple[Any, ...]:
-    """The items of a sequence or array that is no text; else none."""
+    """Return the items of a sequence or one-dimensional array; empty for text and for any other value."""
     whole = isinstance(value, Sequence) or getattr(value, "ndim", 0) == 1
     return tuple(value) if whole and not isinstance(value, str | bytes) else ()  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Errors that a user can correct."""
+"""Exceptions of the package, and the form of their messages: one line of bounded length, without secrets."""
 
 import re
 import reprlib
@@ -7,54 +7,54 @@ from collections.abc import Iterable, Mapping
 from workers.model.parameter import unknown_name
 
 MAX_MESSAGE_LENGTH = 500
-"""Most characters of a message; the middle of a longer one is left out."""
+"""Maximum length of a message, in characters; the middle of a longer message is left out."""
 
 REBUILD_COMMANDS = {
     "curves": "atlas find curves",
     "labels": "atlas attractors label",
     "stability": "atlas attractors measure",
 }
-"""The commands that make a damaged group of a store anew; a run makes all other groups."""
+"""Commands that rebuild a damaged group of a store, by group; ``atlas run`` rebuilds all other groups."""
 
 REPACK_HINT = "pack the atlas again"
-"""The remedy for a damaged zip file."""
+"""Remedy for a damaged zip file."""
 
 _short = reprlib.Repr()
 _short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 class InputError(ValueError):
-    """Bad input, in one line: what was found and what is valid. The command answers it with exit code 2."""
+    """Bad input. The message is one line: what was found and what is valid. The command exits with code 2."""
 
     def __init__(self, message: str) -> None:
         super().__init__(to_one_line(message))
 
 
 class RunError(RuntimeError):
-    """A run that had to stop although its input was good. The command answers it with exit code 1."""
+    """A run that had to stop although its input was good. The command exits with code 1."""
 
 
 class NetworkError(OSError):
-    """A store at a URL that did not answer within the time it was given, in one line."""
+    """A store at a URL did not answer within its patience. The message is one line."""
 
 
 class UnlistedError(OSError):
-    """A server that does not list its objects, such as a plain web server."""
+    """A server does not list its objects, such as a plain web server."""
 
 
 _USER, _QUERY = re.compile(r"(\w://)[^/\s]*@"), re.compile(r"(\w://[^\s?]*\?)[^\s)]+")
-"""The user and the password of a URL; its query, in which a signature may be."""
+"""Patterns of the user and password of a URL, and of its query, which may contain a signature."""
 
 
 def without_secrets(text: str) -> str:
-    """The text with ``***`` in place of users, passwords and queries of URLs."""
+    """Return the text with ``***`` in place of users, passwords and queries of URLs."""
     return _QUERY.sub(r"\1***", _USER.sub(r"\1***@", text))
 
 
 def to_one_line(message: str) -> str:
-    """The message on one line of bounded length: white space as single blanks, the middle left out where too long.
+    """Return the message as one line of at most MAX_MESSAGE_LENGTH characters, without secrets of URLs.
 
-    Secrets of URLs are left out.
+    White space becomes single blanks. The middle of a longer message is left out.
     """
     line = without_secrets(" ".join(message.split()))
     if len(line) <= MAX_MESSAGE_LENGTH:
@@ -64,7 +64,7 @@ def to_one_line(message: str) -> str:
 
 
 def brief_repr(value: object) -> str:
-    """A value as Python writes it, shortened so that a message with it can be read."""
+    """Return the repr of a value, shortened so that a message with the value stays readable."""
     try:
         return _short.repr(value)
     except ValueError:  # a whole number of more digits than Python writes
@@ -72,7 +72,7 @@ def brief_repr(value: object) -> str:
 
 
 class ChunkError(RunError):
-    """Chunks of a store that are missing or damaged: ``faults`` describes the damage, by the keys of the chunks."""
+    """Chunks of a store are missing or damaged. ``faults`` describes the damage by chunk key."""
 
     def __init__(self, store: object, faults: Mapping[str, str]) -> None:
         super().__init__(store, faults)  # both, so that it can be pickled
@@ -80,7 +80,7 @@ class ChunkError(RunError):
 
     @property
     def lines(self) -> list[str]:
-        """The damaged chunks, a line for each: its key and the damage."""
+        """One line for each damaged chunk: its key and the damage."""
         return [f"{key} {fault}" for key, fault in self.faults.items()]
 
     def __str__(self) -> str:
@@ -94,12 +94,12 @@ class ChunkError(RunError):
 
 
 def message_of(error: Exception) -> str:
-    """The message of a library's error, in one line."""
+    """Return the message of a library's error, as one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
 def check_names(kind: str, given: Iterable[object], valid: Iterable[str]) -> None:
-    """Raise InputError, naming the nearest known name, at the first that is not known."""
+    """Raise InputError, naming the nearest known name, at the first name of ``given`` that is not in ``valid``."""
     names = list(valid)
     for name in given:
         if not isinstance(name, str) or name not in names:

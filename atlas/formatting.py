@@ -1,4 +1,4 @@
-"""Numbers in words and symbols in Unicode, for terminals and pages without mathematics."""
+"""Numbers as text, and symbols of mathtext in Unicode, for terminals and pages that cannot show mathematics."""
 
 import re
 import unicodedata
@@ -15,11 +15,11 @@ SIGNS = {
 }  # fmt: skip
 _BELOW = str.maketrans("0123456789aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 _UNDERSCORE = "\0"
-"""Stands for an underscore that is part of a name while subscripts are lowered."""
+"""Placeholder for an underscore that belongs to a name while subscripts are converted."""
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words: 0.4 s, 12 s, 3 min 20 s, 5 h 10 min."""
+    """Return a duration as text: 0.4 s, 12 s, 3 min 20 s, 5 h 10 min."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     whole = round(seconds)
@@ -31,29 +31,29 @@ def duration(seconds: float) -> str:
 
 
 def text_repr(value: object) -> str:
-    """The text of a value for a terminal, as its repr: a notebook shows the last value of a cell by it."""
+    """Return the text of a value, for use as ``__repr__``: a notebook shows the last value of a cell by its repr."""
     return str(value)
 
 
 def short_repr(value: Any) -> str:
-    """A dataclass as a call with the fields that differ from their defaults, those apart that its repr leaves out."""
+    """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
     shown = [entry for entry in fields(value) if entry.repr]
     changed = [f"{entry.name}={given!r}" for entry in shown if (given := getattr(value, entry.name)) != entry.default]
     return f"{type(value).__name__}({', '.join(changed)})"
 
 
 def plural(count: int, noun: str, many: str = "") -> str:
-    """A count with its noun: 1 tile, 2 tiles; ``many`` is the plural where an s does not make it."""
+    """Return a count with its noun: 1 tile, 2 tiles. ``many`` is an irregular plural."""
     return f"{count} {noun if count == 1 else many or f'{noun}s'}"
 
 
 def motion_name(period: int, upper: int, lower: int) -> str:
-    """A periodic motion as n-p-q: its forcing periods, its impacts at the upper and at the lower stop."""
+    """Return the name n-p-q of a periodic motion: forcing periods, impacts at the upper and at the lower stop."""
     return f"{period}-{upper}-{lower}"
 
 
 def count_of(number: int) -> str:
-    """A large number for a person: 8700, 12.3 thousand, 3.4 million."""
+    """Return a large number as text: 8700, 12.3 thousand, 3.4 million."""
     for size, name in ((10**6, "million"), (10**3, "thousand")):
         if number >= 10 * size or number >= 10**6:
             return f"{number / size:.3g} {name}"
@@ -61,7 +61,7 @@ def count_of(number: int) -> str:
 
 
 def byte_size(count: int) -> str:
-    """Bytes with a unit: 12 B, 3.4 kB, 1.2 GB."""
+    """Return a number of bytes with a unit: 12 B, 3.4 kB, 1.2 GB."""
     size = float(count)
     for unit in ("B", "kB", "MB", "GB"):
         if size < 1000:
@@ -71,7 +71,7 @@ def byte_size(count: int) -> str:
 
 
 def html_table(rows: Iterable[Sequence[str]]) -> str:
-    """Rows of text as a table for a notebook; the last cell of a short row reaches to the table's edge."""
+    """Return rows of text as an HTML table for a notebook; the last cell of a short row spans the remaining columns."""
     listed = [tuple(row) for row in rows]
     columns = max(map(len, listed), default=0)
 
@@ -85,14 +85,14 @@ def html_table(rows: Iterable[Sequence[str]]) -> str:
 
 
 def shares(counts: Mapping[str, int]) -> str:
-    """Counts as shares of their sum: ``periodic 62.1 %, chaotic 37.9 %``, the most frequent first."""
+    """Return counts as shares of their sum, the largest first: ``periodic 62.1 %, chaotic 37.9 %``."""
     total = sum(counts.values())
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{name} {100 * count / total:.1f} %" for name, count in ordered)
 
 
 def mathtext_to_unicode(symbol: str) -> str:
-    """A symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
+    """Return a symbol of mathtext in Unicode: ``\\mu_m`` as μₘ."""
     text = symbol.replace(r"\_", _UNDERSCORE)
     text = re.sub(r"\\dot\s*\{?\s*(\w)", "\\1\N{COMBINING DOT ABOVE}", text)
     text = re.sub(r"\\([A-Za-z]+)", lambda match: SIGNS.get(match[1], match[1]), text)

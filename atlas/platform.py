@@ -1,6 +1,6 @@
-"""Differences between operating systems: locks between processes, names of processes, memory, interrupts.
+"""Differences between operating systems: file locks, processors, memory, identity of processes, interrupts.
 
-The rest of the package is the same on all of them; tests/project/test_portable.py holds it to that.
+The rest of the package is the same on all systems; tests/project/test_portable.py checks this.
 """
 
 import ctypes
@@ -21,36 +21,37 @@ import psutil
 from filelock import FileLock
 
 _LOOKS = 0.01
-"""Seconds between two looks at a lock that another process holds."""
+"""Interval, in seconds, at which a lock held by another process is tried again."""
 
 
 def file_lock(path: Path) -> FileLock:
-    """A lock that one process, and one thread of it, has at a time; a process that dies releases it.
+    """Return a lock that one thread of one process holds at a time; the system releases the lock of a dead process.
 
-    It is a file of its own: Windows lets nobody read a file that is locked, or remove one that is open. Who removes it
-    holds it. ``acquire`` raises Timeout, an OSError, or another OSError where the file system has no locks.
+    The lock is a file of its own: Windows does not let other processes read a locked file or remove an open one. A
+    process may remove the file only while it holds the lock. ``acquire`` raises Timeout, an OSError, or another OSError
+    if the file system has no locks.
     """
     return FileLock(path, poll_interval=_LOOKS, fallback_to_soft=False)
 
 
 def is_unread(stream: TextIO) -> bool:
-    """Whether the reader of a pipe has gone, as ``head`` does once it has its lines; True where that is not known."""
+    """Return True if the reader of a pipe has closed it, as ``head`` does after its lines, or if this is unknown."""
     if not hasattr(select, "poll"):
         return True
     watch = select.poll()
-    watch.register(stream, 0)  # errors are reported unasked
+    watch.register(stream, 0)  # errors are always reported
     return bool(watch.poll(0))
 
 
 def processors() -> int:
-    """Processors that this process may use."""
+    """Return the number of processors that this process may use."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def processor_name() -> str:
-    """The processor's name, where the system tells it."""
+    """Return the name of the processor, as far as the system reports one."""
     if sys.platform == "linux":
         try:
             lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -63,9 +64,9 @@ def processor_name() -> str:
 
 
 def release_memory() -> None:
-    """Return memory that this process has freed to the system; where the C library is not glibc, nothing is done.
+    """Return freed memory of this process to the system; do nothing if the C library is not glibc.
 
-    It keeps what several threads have allocated and freed for later: gigabytes, after an hour of drawing.
+    glibc keeps memory that several threads have allocated and freed: gigabytes, after an hour of drawing.
     """
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
@@ -74,9 +75,9 @@ def release_memory() -> None:
 
 
 def peak_memory() -> int:
-    """Most bytes of memory that this process ever had.
+    """Return the peak memory of this process, in bytes.
 
-    On Linux getrusage would count what the parent had when it started this process.
+    On Linux getrusage would include the memory of the parent at the start of this process.
     """
     if sys.platform == "win32":
         return int(psutil.Process().memory_info().peak_wset)
@@ -93,10 +94,12 @@ def peak_memory() -> int:
 
 
 def machine_name() -> str:
-    """Two words: no process number means two processes, one after the other or at once, where they are the same.
+    """Return an identifier, two words, of the host and its process numbering.
 
-    OSError where that cannot be found out. On Linux the boot and the process namespace, since containers of one machine
-    count their processes apart; elsewhere the computer.
+    While the identifier stays the same, a process number never means two processes, except one after the other with
+    different start times. On Linux the words are the boot and the process namespace, since containers of one host
+    number their processes separately; elsewhere they identify the computer. Raise OSError if the identifier cannot be
+    found.
     """
     if sys.platform == "linux":
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
@@ -105,10 +108,11 @@ def machine_name() -> str:
 
 
 def process_start(pid: int) -> str:
-    """When a process began, as one word that stays the same; "dead" for one that only waits to be collected.
+    """Return the start time of a process as one word that never changes.
 
-    OSError where there is no such process. On Linux in clock ticks from boot: the time of day that psutil makes of them
-    moves with the clock.
+    The word is "dead" for a process that has ended and waits to be collected. Raise OSError if there is no such
+    process. On Linux the time is in clock ticks since boot: psutil converts the ticks to a time of day, which moves
+    with the clock.
     """
     if sys.platform == "linux":
         state, *rest = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
@@ -123,15 +127,15 @@ def process_start(pid: int) -> str:
 
 
 ORDERLY = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals by which somebody ends a process."""
+"""Signals by which a user or the system asks a process to end."""
 
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Ctrl-C reaches every process of a terminal; those started within do not hear it, and their parent ends them.
+    """Shield processes and threads that are started within the block from Ctrl-C; their parent has to end them.
 
-    Blocked is what threads and processes inherit, from whichever thread this is; ignoring is for the main thread alone.
-    On Windows processes inherit that Ctrl-C is ignored.
+    Ctrl-C reaches every process of a terminal. A blocked signal is inherited by threads and processes from any thread,
+    whereas only the main thread can ignore a signal. On Windows processes inherit that Ctrl-C is ignored.
     """
     if sys.platform == "win32":
         ctypes.windll.kernel32.SetConsoleCtrlHandler(None, True)
@@ -140,7 +144,7 @@ def interrupts_blocked() -> Iterator[None]:
         finally:
             ctypes.windll.kernel32.SetConsoleCtrlHandler(None, False)
         return
-    # Multiprocessing starts its resource tracker with the first lock, and unblocks these signals then: so not within.
+    # Multiprocessing starts its resource tracker with the first lock and unblocks these signals, so do it before.
     multiprocessing.get_context("spawn").Lock()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

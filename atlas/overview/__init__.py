@@ -1,1 +1,1 @@
-"""Coarser levels of an atlas."""
+"""The overviews of an atlas: levels of coarser cells."""

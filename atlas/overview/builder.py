@@ -1,6 +1,6 @@
-"""The overviews of a store during a run: chunks over a lost tile are dropped, missing ones made at the end.
+"""The overviews of a store during a run: chunks over lost tiles are dropped, missing chunks are built at the end.
 
-The store shows which chunks are missing and computable, so a kill needs no record.
+The store shows which chunks are missing and can be built, so a kill needs no record.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,10 @@ from workers.results import REGIME
 
 
 class OverviewBuilder:
-    """The overviews of a store during a run that writes it.
+    """The overviews of a store during a run that writes the store.
 
-    At the start it makes the groups of all levels and drops chunks over tiles that are no longer finished. ``side`` and
-    ``least`` as in ``Levels``; a store with overviews keeps its own.
+    At the start it creates the groups of all levels and drops chunks over tiles that are no longer finished. ``side``
+    and ``minimum`` are ``chunk_side`` and ``min_side`` of ``OverviewLevels``; a store with overviews keeps its own.
     """
 
     def __init__(
@@ -40,21 +40,21 @@ class OverviewBuilder:
         self._pyramid.drop(tuple(tile) for tile in np.argwhere(stale).tolist())
 
     def __bool__(self) -> bool:
-        """Whether a chunk is computable."""
+        """Return True if a missing chunk can be built."""
         return any(map(self.missing_chunks, self.levels))
 
     def missing_chunks(self, level: int) -> list[Index]:
-        """The chunks of a level that are missing, but computable: everything below them exists."""
+        """Return the missing chunks of a level that can be built: everything below them exists."""
         levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
         below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
         wanted = (index for index in levels.chunks(level) if index not in there)
         return [index for index in wanted if below.issuperset(levels.children(level, index))]
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
-        """Make all computable chunks, level by level, and return their number.
+        """Build all chunks that can be built, level by level, and return their number.
 
-        ``report`` is called before each chunk with the number made and the number of all in its level. RunError if a
-        write fails.
+        ``report`` is called before each chunk with the number of chunks built and of all missing chunks of its level.
+        Raise RunError if a write fails.
         """
         made = 0
         for level in self.levels:
@@ -67,8 +67,8 @@ class OverviewBuilder:
                     raise
                 except (OSError, ValueError) as error:
                     raise RunError(
-                        f"{self._handle.backend}: the tiles done are kept, but the overviews could not be written "
-                        f"({error}); run again to make them"
+                        f"{self._handle.backend}: finished tiles are kept, but the overviews could not be written "
+                        f"({error}); rerun the same command to build them"
                     ) from error
             made += len(missing)
         return made

@@ -1,17 +1,20 @@
-"""Coarsening by two: the values of an overview cell from the cells below it. Arrays in, arrays out.
+"""Coarsening by two: functions from the arrays of cells to the arrays of the overview cells above them.
 
-regime         the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
-regime_shown   the class in pictures: failed if any cell below is, else pending if any is, else undetermined if at least
-               SHOWN of the area is (always true up to 4 x 4 cells), else ``regime``
-regime_share   share of the area of every class
-measured numbers (exponents, errors, speeds) mean over the finite values, and ``<name>_count``, their number; -inf if
-none is finite and some are -inf
+regime             the class with the largest area; a tie goes to the later one in the table of regimes, towards doubt
+regime_shown       the class in pictures: failed if any cell below is, else pending if any is, else undetermined if at
+                   least UNDETERMINED_SHARE of the area is (always true up to 4 x 4 cells), else ``regime``
+regime_share       share of the area of every class
 largest_positive   share of the finite largest exponents that are positive
-period, impacts_upper, impacts_lower the triple most frequent among the periodic cells, found in rounds of 2 x 2, with
-``period_count`` cells behind it; a tie goes to the smallest triple. Every triple exists in a cell. 0 if no cell is
-periodic
-other numbers (flags, costs)
-               mean over the solved cells; of a flag, the share. ``cells`` is the number of solved cells
+cells              number of solved cells
+
+Other variables of a level:
+
+- Measured numbers (exponents, errors, speeds) are means over the finite values, and ``<name>_count`` is their number.
+  The mean is -inf if no value is finite and some are -inf.
+- ``period``, ``impacts_upper`` and ``impacts_lower`` are the triple most frequent among the periodic cells, found in
+  rounds of 2 x 2. ``period_count`` is the number of cells with this triple. A tie goes to the smallest triple. Every
+  triple exists in a cell. The triple is 0 if no cell is periodic.
+- Other numbers (costs) are means over the solved cells, and flags are shares of the solved cells.
 
 Means, counts and shares are exact at every level, for the cells of the atlas.
 """
@@ -41,7 +44,7 @@ from workers.results import (
 )
 
 UNDETERMINED_SHARE = 1 / 16
-"""Share of undetermined cells from which on pictures show a coarse cell as undetermined."""
+"""Share of undetermined cells at and above which pictures show a coarse cell as undetermined."""
 
 CLASSES = ("period", "impacts_upper", "impacts_lower")
 SHARE = Variable("regime_share", "float64", 0.0, "share of the area of each regime", "1", ("class",))
@@ -50,23 +53,25 @@ CELLS = Variable("cells", "int32", 0, "solved cells behind a coarse cell", "1")
 POSITIVE = Variable("largest_positive", "float64", np.nan, "share of positive values among the finite ones", "1")
 PERIOD_COUNT = Variable("period_count", "int32", 0, "cells behind period and impacts", "1")
 CODES = np.array([regime.code for regime in REGIMES], dtype=np.int8)
-"""The regime of each entry along the dimension "class"."""
+"""Regime of each entry along the dimension "class"."""
 _PLACES = {APERIODIC: CHAOTIC + 0.5, LOCKING: PERIODIC + 0.5}
 _TOWARDS_DOUBT = np.array(sorted(range(CODES.size), key=lambda i: _PLACES.get(int(CODES[i]), float(CODES[i]))))
-"""The entries in the order of the table, except later additions: ``aperiodic`` follows ``chaotic``, ``locking`` follows
-``periodic``."""
+"""Entries in the order of the table, except later additions: ``aperiodic`` follows ``chaotic``, ``locking`` follows
+``periodic``.
+"""
 
 WITHOUT_MEAN = (REASON.name, REGIME.name, LABEL.name, "own_attractor", "mirror")
-"""Codes of names, which have no mean."""
+"""Variables whose values are codes of names, which have no mean."""
 
 Cells = dict[str, NDArray[Any]]
 Widths = tuple[NDArray[np.float64], ...]
 
 
 def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
-    """The variables of every level of an atlas with these results; ``regime`` comes last, since it is written last.
+    """Return the variables of every level of an atlas with these results.
 
-    Codes of names, such as a reason, and variables with several values per cell have no mean and are omitted.
+    ``regime`` comes last, since it is written last. Codes of names, such as a reason, and variables with several values
+    per cell have no mean and are omitted.
     """
     variables: list[Variable] = []
     for variable in map(of_one, results):
@@ -86,12 +91,12 @@ def level_variables(results: Iterable[Variable]) -> tuple[Variable, ...]:
 
 
 def count_of(name: str) -> str:
-    """The name of the count of a measured number."""
+    """Return the name of the count of a measured number."""
     return f"{name}_count"
 
 
 def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
-    """All variables of a level needed to coarsen the named ones, in their order."""
+    """Return all variables of a level that coarsening the named ones needs, in their order."""
     wanted = {*names, SHARE.name, REGIME.name}
     if wanted & {*CLASSES, PERIOD_COUNT.name}:
         wanted |= {*CLASSES, PERIOD_COUNT.name}
@@ -103,7 +108,7 @@ def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> l
 
 
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
-    """Cells of the atlas in the form of a level: means of one value, shares of 0 and 1.
+    """Return cells of the atlas in the form of a level: means of one value, shares of 0 and 1.
 
     A cell without a regime has no result yet, even if a worker has written other variables.
     """
@@ -130,10 +135,11 @@ def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cell
 
 
 def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cells:
-    """The next level of a block: half as many cells along the given dimensions, rounded up.
+    """Return the next level of a block: half as many cells along the given dimensions, rounded up.
 
-    ``cells`` are closed under ``required_variables``. ``widths`` of the cells: one array per dimension, in any unit;
-    only their ratios count.
+    cells    arrays of the cells, with all variables of ``required_variables``
+    widths   widths of the cells, one array per dimension, in any unit; only their ratios count
+    along    dimensions to coarsen
     """
     area = np.ones(())
     for width in widths:
@@ -161,12 +167,15 @@ def coarsen(cells: Cells, widths: Widths, along: Sequence[int] = (0, 1)) -> Cell
 
 
 def halve_widths(width: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The widths of the next level's cells along a dimension."""
+    """Return the widths of the next level's cells along a dimension."""
     return np.add.reduceat(width, np.arange(0, width.size, 2))
 
 
 def _below(values: NDArray[Any], dims: Sequence[int], fill: float) -> NDArray[Any]:
-    """The cells below each coarse cell along a new first axis, 2 for one dimension, 4 for two; ``fill`` if missing."""
+    """Return the cells below each coarse cell along a new first axis, 2 per coarsened dimension.
+
+    Missing cells have the value ``fill``.
+    """
     odd = [(0, n % 2 if dim in dims else 0) for dim, n in enumerate(values.shape)]
     below = [np.pad(values, odd, constant_values=fill) if any(after for _, after in odd) else values]
     for dim in dims:
@@ -184,7 +193,7 @@ def _mean(values: NDArray[Any], counts: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
-    """The triple below with the most cells behind it."""
+    """Return the triple below with the most cells, and the number of its cells."""
     counts = _below(cells[PERIOD_COUNT.name], dims, 0)
     triples = np.stack([_below(cells[name], dims, 0) for name in CLASSES])
     same = (triples[:, :, None] == triples[:, None, :]).all(0)

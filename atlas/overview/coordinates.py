@@ -1,7 +1,7 @@
-"""The coordinates of the levels of overviews: middles and edges of coarse cells.
+"""The coordinates of the overview levels: centres and edges of coarse cells.
 
-Coarsened dimensions have their own names: ``xarray.open_datatree`` makes a tree of datasets from a store, and a group
-below another one with an ``omega`` may not have an ``omega`` of different values.
+Coarsened dimensions have their own names. ``xarray.open_datatree`` makes a tree of datasets from a store. There a group
+must not have an ``omega`` that differs from the ``omega`` of the group above.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from workers.results import REGIMES
 
 
 def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
-    """The coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
+    """Return the coordinates of a level by name: axes with bounds, fixed parameters, the names of the classes."""
     spec, base, arrays = handle.spec, handle.coordinates, {}
     for axis in reversed(spec.axes):
         if axis.name in spec.dims[: spec.n_uncoarsened_dims]:
@@ -36,17 +36,17 @@ def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
 
 
 def coarse_name(axis: str) -> str:
-    """The name of an axis in levels that coarsen it."""
+    """Return the name of an axis in levels that coarsen it."""
     return f"{axis}_coarse"
 
 
 def level_dims(spec: Spec) -> tuple[str, ...]:
-    """The dimensions of a cell's variables in every level."""
+    """Return the dimensions of a cell's variables in every level."""
     return (*spec.dims[: spec.n_uncoarsened_dims], *map(coarse_name, spec.dims[spec.n_uncoarsened_dims :]))
 
 
 def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
-    """The attribute of the group of all levels, level 0 first, by which viewers of pyramids find them."""
+    """Return the attribute of the group of all levels, level 0 first, by which viewers find multiscale images."""
     scales = [
         [1 if k < spec.n_uncoarsened_dims else 2**level for k in range(len(spec.dims))] for level in range(levels + 1)
     ]
@@ -56,10 +56,10 @@ def multiscales(spec: Spec, levels: int) -> list[dict[str, Any]]:
 
 
 def bounds_name(axis: str) -> str:
-    """The name of the variable with the edges of an axis's coarse cells."""
+    """Return the name of the variable with the edges of an axis's coarse cells."""
     return f"{axis}_bounds"
 
 
 def centres(edges: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """The centres of cells: midway between their edges, on a log axis the geometric mean."""
+    """Return the centres of cells: midway between their edges, on a log axis the geometric mean."""
     return np.sqrt(edges[:-1] * edges[1:]) if log else 0.5 * (edges[:-1] + edges[1:])

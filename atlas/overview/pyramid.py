@@ -1,13 +1,13 @@
-"""Overviews on disk: every level is a group of the store, ``overviews/1`` and on, that plain xarray opens.
+"""The pyramid of overviews in a store: every level is a group, ``overviews/1`` and on, that plain xarray opens.
 
-The workers of a run write them: a chunk of level 1 over a single tile with that tile, any other chunk as a job from the
-coordinator (``upkeep``). They are only a cache of finished work:
+The workers of a run write the overviews. A chunk of level 1 over a single tile is written with the tile. Any other
+chunk is a job from the coordinator (``OverviewBuilder``). Overviews are only a cache of finished work:
 
-- A chunk is written when every tile below it is done, all its arrays first and ``regime`` last. Its regimes exist,
+- A chunk is written when every tile below it is finished, all its arrays first and ``regime`` last. Its regimes exist,
   none pending, if and only if the chunk is current.
-- The chunks over a lost tile are dropped before it is written again, ``regime`` first.
+- The chunks over a lost tile are dropped before the tile is written again, ``regime`` first.
 
-A kill at any moment leaves a chunk current or missing, and a reader computes missing chunks from the previous level
+A kill at any moment leaves a chunk current or missing. A reader computes missing chunks from the previous level
 (``atlas.query.store_block``).
 """
 
@@ -45,21 +45,22 @@ from workers.results import PENDING, REGIME, Variable
 
 GROUP = OVERVIEWS
 MARKS = (REGIME, REGIME_SHOWN)
-"""Written last of a chunk, the first of them at the very end: either one marks the rest as complete."""
+"""Variables written last of a chunk, the first of them at the very end: either one marks the others as complete."""
 _LOOKS, _PAUSE = 10, 0.2
-"""A tile that an earlier run is still writing is unfinished for a moment: number of looks, and seconds between them."""
+"""Number of reads, and seconds between them: a tile that an earlier run still writes is unfinished for a moment."""
 
 _SHAPES = ("side", "least", "classes", "complete")
-"""Attributes of the group of all levels: the fields of ``OverviewLevels``, the number of regimes, and, written last,
-completeness."""
+"""Attributes of the group of all levels: ``chunk_side`` and ``min_side`` of ``OverviewLevels``, the number of regimes,
+and completeness, which is written last.
+"""
 
 
 class Pyramid:
-    """A store's cells, which are level 0, and overviews: reading, writing, dropping.
+    """The cells of a store, which are level 0, and its overviews: reading, writing, dropping.
 
-    root     its group, for reading; raises for missing or damaged chunks
-    made     true if there are overviews
-    levels   their geometry; ``side`` and ``least`` are for overviews not made yet
+    root     the store's root group, for reading; reads raise ChunkError for missing or damaged chunks
+    made     True if there are overviews
+    levels   geometry of the levels; ``side`` and ``minimum`` apply to overviews that are not created yet
     """
 
     def __init__(self, handle: AtlasStore, side: int = SIDE, minimum: int = MIN_SIDE) -> None:
@@ -83,17 +84,17 @@ class Pyramid:
 
     @property
     def chunks_read(self) -> int:
-        """Chunks read so far; missing chunks are not counted."""
+        """Number of chunks read so far; missing chunks are not counted."""
         return int(self.root.store.chunks_read)
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
-        """The variables of every level, from the results in the store."""
+        """Variables of every level, from the results in the store."""
         return level_variables(self.handle.variables)
 
     @cached_property
     def widths(self) -> list[Widths]:
-        """The widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
+        """Widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
         levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
             before, kept = levels[-1], self.levels.n_uncoarsened
@@ -101,7 +102,7 @@ class Pyramid:
         return levels
 
     def array(self, level: int, name: str) -> Any:
-        """A variable of a level as a Zarr array; ChunkError if its metadata are damaged."""
+        """Return a variable of a level as a Zarr array. Raise ChunkError if its metadata are damaged."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
             with _named(self.handle, f"{path}/{ROOT}"):
@@ -109,7 +110,7 @@ class Pyramid:
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
-        """A block of a variable of a level; ChunkError if a chunk of it is missing or damaged."""
+        """Return a block of a variable of a level. Raise ChunkError if a chunk of the block is missing or damaged."""
         array = self.array(level, name)
         with _named(self.handle, array.path):
             values = np.asarray(array[block])
@@ -118,14 +119,14 @@ class Pyramid:
         return values
 
     def stored(self, level: int, mark: Variable) -> set[Index]:
-        """Indices of the existing chunks of a level, by one of MARKS; from one listing."""
+        """Return the indices of the existing chunks of a level, by one of MARKS, from one listing."""
         root, grid = f"{GROUP}/{level}/{mark.name}/c/", self.levels.grid(level)
         keys = self.handle.backend.whole_keys(self.handle.backend.list_keys(root))
         indices = (chunk_index(key.removeprefix(root), grid) for key in keys)
         return {index for index in indices if index is not None}
 
     def create(self) -> None:
-        """Make the groups of all levels, without values, unless they exist."""
+        """Create the groups of all levels, without values, unless they exist."""
         if self.made:
             return
         self._arrays.clear()
@@ -141,7 +142,10 @@ class Pyramid:
         self.made = True
 
     def build_chunk(self, level: int, index: Index) -> None:
-        """Compute a chunk of a level from the previous one and write it, ``regime`` last; no tile below is pending."""
+        """Compute a chunk of a level from the previous level and write it, ``regime`` last.
+
+        All tiles below the chunk must be finished. Raise RunError if cells below stay pending.
+        """
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         names = [variable.name for variable in self.variables]
@@ -156,7 +160,10 @@ class Pyramid:
         self._write(level, index, from_cells(arrays, names) if level == 1 else arrays)
 
     def build_chunk_over(self, tile: Index, arrays: Mapping[str, NDArray[Any]]) -> bool:
-        """Write the chunk of level 1 over a finished tile from its arrays; False if the chunk needs other tiles."""
+        """Write the chunk of level 1 over a finished tile from its arrays.
+
+        Return False if the chunk needs other tiles.
+        """
         if not (self.made and self.levels.is_alone_under_chunk(tile)):
             return False
         names = [variable.name for variable in self.variables]
@@ -178,11 +185,11 @@ class Pyramid:
         self.handle.backend.put_all(objects)
 
     def drop(self, tiles: Iterable[Index]) -> None:
-        """Drop the overviews of these tiles, before any of them is written."""
+        """Drop the overviews of these tiles, before any of the tiles is written."""
         self.drop_chunks({(1, self.levels.chunk_over(tile)) for tile in tiles})
 
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
-        """Drop chunks of levels, given as pairs (level, index), and all chunks over them; the number dropped."""
+        """Drop chunks, given as pairs (level, index), and all chunks over them; return the number of dropped chunks."""
         wanted, dropped = set(chunks), set[tuple[int, Index]]()
         if not wanted or not self.made:
             return 0
@@ -229,11 +236,11 @@ class Pyramid:
 
 
 def pyramid_of(handle: AtlasStore) -> Pyramid:
-    """The cells and overviews of a store as they are, opened once for all views of its handle."""
+    """Return the cells and overviews of a store as they are, opened once for all views of its handle."""
     with handle.cache.lock:
         pyramid = handle.cache.get(GROUP) or Pyramid(handle)
         handle.cache[GROUP] = pyramid
-    through = copy(pyramid)  # shares open arrays, with the handle of the place to write
+    through = copy(pyramid)  # shares open arrays, with the handle that writes
     through.handle = handle
     return through
 
@@ -245,7 +252,7 @@ def drop_overviews(handle: AtlasStore) -> None:
 
 @contextmanager
 def _named(handle: AtlasStore, path: str) -> Iterator[None]:
-    """Turn errors from damaged bytes into a ChunkError with the path."""
+    """Convert errors from damaged bytes into a ChunkError with the path."""
     try:
         yield
     except (OSError, MemoryError, RunError):
@@ -255,7 +262,7 @@ def _named(handle: AtlasStore, path: str) -> Iterator[None]:
 
 
 def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """The shapes of levels stated by a store's overviews; None without sound overviews of all regimes."""
+    """Return the shapes of levels stated by a store's overviews; None without sound overviews of all regimes."""
     try:
         attributes = dict(root[GROUP].attrs) if GROUP in root else {}
         shapes = {name: int(attributes[name]) for name in _SHAPES}
@@ -267,5 +274,5 @@ def _stored_shapes(root: Any) -> dict[str, int] | None:
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:
-    """The key of a chunk of a level's variable."""
+    """Return the key of a chunk of a variable of a level."""
     return f"{GROUP}/{level}/{chunk_key(variable, index)}"

@@ -1,7 +1,7 @@
-"""A Zarr store for reading that raises an error with the chunk's name for every missing or damaged chunk.
+"""A Zarr store for reading that raises ChunkError, with the chunk's key, for every missing or damaged chunk.
 
-Zarr alone reads a missing chunk as fill values and does not name the chunk with a wrong checksum. Here chunks of
-finished tiles and current overviews must exist, and each checksum is compared when its chunk is read.
+Zarr alone reads a missing chunk as fill values and does not name a chunk with a wrong checksum. Here chunks of finished
+tiles and current overviews must exist, and each checksum is compared when its chunk is read.
 """
 
 import asyncio
@@ -35,11 +35,11 @@ _FRAME = b"\x28\xb5\x2f\xfd"
 """First bytes of a Zstandard frame."""
 _PATIENCE_SECONDS = 10.0
 _asked: ContextVar[set[tuple[StoreBackend, str]] | None] = ContextVar("asked", default=None)
-"""Of ``skip_chunk_reads``; Zarr's own thread works in the context of who asks."""
+"""Arrays requested within ``skip_chunk_reads``; Zarr's own thread works in the context of the caller."""
 
 
 class VerifyingStore(WrapperStore[Any]):
-    """Zarr's store of an atlas, read only; ``get`` raises ChunkError. Counts the chunks read."""
+    """Zarr's store of an atlas, read-only; ``get`` raises ChunkError. ``chunks_read`` counts the chunks read."""
 
     def __init__(self, handle: AtlasStore) -> None:
         super().__init__(zarr_store(handle.backend, read_only=True))
@@ -55,7 +55,7 @@ class VerifyingStore(WrapperStore[Any]):
         self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
-        """An object; None if it is absent and not required."""
+        """Return an object; None if it is absent and not required."""
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
@@ -66,7 +66,7 @@ class VerifyingStore(WrapperStore[Any]):
         try:
             data = await self._store.get(key, prototype, byte_range)
             if data is None and await self._must_exist(array, index):
-                # Again: it may have been written in the meantime, and the regime, which comes last, too.
+                # Read again: the chunk, and the regime, which comes last, may have been written in the meantime.
                 data = await self._store.get(key, prototype, byte_range)
                 if data is None:
                     raise self._error(key, "is missing")
@@ -89,7 +89,10 @@ class VerifyingStore(WrapperStore[Any]):
         return data
 
     def _checked_metadata(self, key: str, data: Any) -> Any:
-        """Metadata; ChunkError if they differ from their copy, or are nested too deeply for Zarr's reader."""
+        """Return ``data``, the metadata of a key, or any other object unchanged.
+
+        Raise ChunkError if metadata differ from their copy, or are nested too deeply for Zarr's reader.
+        """
         if data is not None and key.endswith(ROOT):
             try:
                 own = json.loads(data.to_bytes())
@@ -102,7 +105,7 @@ class VerifyingStore(WrapperStore[Any]):
         return data
 
     async def _must_exist(self, array: str, index: str) -> bool:
-        """Whether the object written after a chunk exists."""
+        """Return True if the object that is written after a chunk exists."""
         above, _, name = array.rpartition("/")
         if above in TABLES or (not above and name in self._coordinates):  # single chunks, all of which exist
             return True
@@ -121,7 +124,7 @@ class VerifyingStore(WrapperStore[Any]):
 
 @contextmanager
 def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
-    """Read no chunk inside the block, as if there were none; note the arrays that would be read, by place and path."""
+    """Read no chunk within the block, as if none existed; yield the set of arrays requested, by backend and path."""
     asked: set[tuple[StoreBackend, str]] = set()
     token = _asked.set(asked)
     try:
@@ -131,13 +134,13 @@ def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a chunk's last bytes are the CRC32C of the bytes before."""
+    """Return True if the last bytes of a chunk are the CRC32C of the bytes before."""
     inner, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
     return len(checksum) == _CHECKSUM_BYTES and google_crc32c.value(inner) == int.from_bytes(checksum, "little")
 
 
 def parts_of(metadata: Mapping[str, Any]) -> int:
-    """Chunks per shard of an array, from its metadata; 0 without shards."""
+    """Return the chunks per shard of an array, from its metadata; 0 without shards."""
     codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
     if codec.get("name") != "sharding_indexed":
         return 0
@@ -146,7 +149,7 @@ def parts_of(metadata: Mapping[str, Any]) -> int:
 
 
 def chunk_bytes(metadata: Mapping[str, Any]) -> int:
-    """Unpacked bytes of a chunk of an array, from its metadata; 0 if they vary, or with shards."""
+    """Return the unpacked size of a chunk of an array, in bytes, from its metadata; 0 if sizes vary, or with shards."""
     try:
         size = np.dtype(metadata["data_type"]).itemsize
         return 0 if parts_of(metadata) else size * math.prod(metadata["chunk_grid"]["configuration"]["chunk_shape"])
@@ -155,7 +158,7 @@ def chunk_bytes(metadata: Mapping[str, Any]) -> int:
 
 
 def unpacked_size(data: bytes) -> int | None:
-    """The unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None for anything else."""
+    """Return the unpacked size that a Zstandard frame states (RFC 8878, 3.1.1.1); None for anything else."""
     if data[:4] != _FRAME or len(data) < 5:
         return None
     single, dictionary, field = data[4] >> 5 & 1, (0, 1, 2, 4)[data[4] & 3], (0, 2, 4, 8)[data[4] >> 6]
@@ -166,7 +169,7 @@ def unpacked_size(data: bytes) -> int | None:
 
 
 def _is_whole_shard(data: bytes, parts: int) -> bool:
-    """Whether the chunks of a shard, and the index at its end, have correct checksums."""
+    """Return True if the chunks of a shard, and the index at its end, have correct checksums."""
     size = 16 * parts + _CHECKSUM_BYTES
     index, absent = data[-size:], 2**64 - 1
     if len(index) != size or not _is_whole(index):
@@ -176,7 +179,7 @@ def _is_whole_shard(data: bytes, parts: int) -> bool:
 
 
 def abandon_reads() -> None:
-    """End the pending reads after a failed one, before a process exits.
+    """Cancel the pending reads after a failed read, before the process exits.
 
     At exit Zarr closes its event loop with everything pending, and Python reports each pending read on stderr.
     """

@@ -1,1 +1,4 @@
-"""An atlas as Zarr at a location, one tile one chunk of every array."""
+"""The store of an atlas: a Zarr hierarchy in a folder, a zip file or an object store.
+
+Each array has one object per tile.
+"""

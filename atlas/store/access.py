@@ -1,7 +1,7 @@
-"""Access options of a URL, if a user gives more than the environment.
+"""Access to a store at a URL, if a user gives more options than the environment has.
 
-A user gives ``storage_options`` in the words of obstore or of fsspec, or an obstore store. A place keeps the options as
-values, which can be sent to workers, and makes its own clients from them; a client tries every request once.
+Options are ``storage_options``, in the words of obstore or of fsspec, or an obstore store. A backend keeps the options
+as values, which can be sent to workers, and creates its own clients from the values. A client tries each request once.
 """
 
 import base64
@@ -27,24 +27,24 @@ _HERE = (
     "google_base_url",
     "base_url",
 )
-"""Names of an endpoint: in the environment, and in the options of users."""
+"""Names of an endpoint: in the environment (``_ENDPOINTS``), and in the options of users (``_HERE``)."""
 SYNONYMS = {"anon": "skip_signature", "anonymous": "skip_signature"}
-"""Names of options in fsspec's file systems, with obstore's names."""
+"""Names of options of fsspec's file systems, with the names that obstore uses."""
 S3_SYNONYMS = SYNONYMS | {"key": "access_key_id", "secret": "secret_access_key", "token": "session_token"}
 _CLIENT, _PROVIDER = "client_options", "credential_provider"
 _URLS = {"S3Store": "s3://{bucket}", "GCSStore": "gs://{bucket}", "AzureStore": "az://{container_name}"}
-"""The URL of the bucket of an obstore store, by its configuration."""
+"""URL of the bucket of an obstore store, by class; the braces name entries of the store's configuration."""
 
 Pairs = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class StorageAccess:
-    """Access options beyond the environment; they may hold secrets, so they are never printed.
+    """Access options beyond the environment; they may contain secrets, so they are never printed.
 
     config     settings of the store, by obstore's names
     client     settings of its HTTP client
-    provider   provider of credentials, or None
+    provider   provider of credentials; None if there is none
     """
 
     config: Pairs = field(default=(), repr=False)
@@ -52,7 +52,7 @@ class StorageAccess:
     provider: Any = field(default=None, repr=False)
 
     def open_client(self, url: str, settings: Mapping[str, str]) -> "ObjectStore":
-        """The client of a URL, under these settings of the environment. It tries every request once."""
+        """Return a client of a URL, with these settings of the environment; the client tries each request once."""
         from obstore.store import from_url
 
         config, options = dict(self.config), _thawed(self.client)
@@ -70,10 +70,10 @@ BY_ENVIRONMENT = StorageAccess()
 
 
 def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
-    """The access by ``storage_options`` at a URL; InputError for invalid ones.
+    """Return the access given by ``storage_options`` for a URL. Raise InputError for invalid options.
 
-    Settings have obstore's names (``endpoint``, ``region``, ``access_key_id``, ``skip_signature``), or the names of
-    fsspec's file systems (``anon``; at S3 ``key``, ``secret`` and ``token``).
+    Options have obstore's names (``endpoint``, ``region``, ``access_key_id``, ``skip_signature``), or the names of
+    fsspec's file systems (``anon``; for S3 ``key``, ``secret`` and ``token``).
     """
     if not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options):
         raise InputError(f"storage_options: found {brief_repr(options)}, must be settings by name, such as anon=True")
@@ -95,9 +95,10 @@ def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
 
 
 def signed_in(url: str, access: StorageAccess) -> tuple[str, StorageAccess]:
-    """A URL without its user and password, and the access with them, as browsers and curl give them to web servers.
+    """Return a URL without user and password, and the access with both as an HTTP header.
 
-    InputError for a bucket's URL that has some, which no client reads.
+    Browsers and curl send user and password to web servers in this way. Raise InputError if the URL of a bucket has a
+    user or a password, since no client reads them there.
     """
     parts = urlsplit(url)
     user, sign, host = parts.netloc.rpartition("@")
@@ -112,21 +113,23 @@ def signed_in(url: str, access: StorageAccess) -> tuple[str, StorageAccess]:
 
 
 def is_obstore(store: object) -> bool:
-    """Whether this is one of obstore's stores, without loading obstore."""
+    """Return True if ``store`` is an obstore store, without loading obstore."""
     module = sys.modules.get("obstore.store")
     return module is not None and isinstance(store, module.ObjectStore)
 
 
 def access_of(store: Any) -> tuple[str, StorageAccess]:
-    """The URL and the access of an obstore store. InputError if it is no store of a server.
+    """Return the URL and the access of an obstore store. Raise InputError if it is not the store of a server.
 
-    Its own retries are left out: they hide whether an earlier attempt of a write took effect.
+    Retries configured in the store are left out: they hide whether an earlier attempt at a write took effect.
     """
     kind = type(store).__name__
     if kind == "HTTPStore":
         return str(store.url).rstrip("/"), StorageAccess((), _frozen(store.client_options or {}))
     if kind not in _URLS:
-        raise InputError(f"{store}: is of no server; give a path, a URL, or an obstore store of S3, Google or Azure")
+        raise InputError(
+            f"{store}: not a store of a server; give a path, a URL, or an obstore store of S3, Google or Azure"
+        )
     config = dict(store.config)
     url = _URLS[kind].format(**config)
     config = {name: value for name, value in config.items() if name not in ("bucket", "container_name")}
@@ -136,16 +139,19 @@ def access_of(store: Any) -> tuple[str, StorageAccess]:
 
 
 def local_folder(store: Any) -> Path | None:
-    """The folder of an obstore LocalStore; None for any other store. InputError for a LocalStore of the whole disk."""
+    """Return the folder of an obstore LocalStore; None for any other store.
+
+    Raise InputError for a LocalStore of the whole disk.
+    """
     if type(store).__name__ != "LocalStore":
         return None
     if store.prefix is None:
-        raise InputError(f"{store}: is the whole disk; give it a folder, or a path in its place")
+        raise InputError(f"{store}: is the whole disk; give a path or a LocalStore of a folder")
     return Path(store.prefix).absolute()
 
 
 def _frozen(given: Mapping[str, Any]) -> Pairs:
-    """Settings as sorted pairs, nested ones too: a hashable value."""
+    """Return settings, nested ones too, as sorted pairs, which are hashable."""
     pairs = ((name, _frozen(value) if isinstance(value, Mapping) else value) for name, value in given.items())
     return tuple(sorted(pairs, key=lambda pair: pair[0]))
 

@@ -1,6 +1,7 @@
-"""The values of a store's axes, or of its table of points, which lie in coordinates, not in attributes.
+"""The values of the axes of a store, or of the columns of its table of points; they are stored in coordinates.
 
-Values that are not evenly spaced cannot be computed from the attributes, so they have a copy beside their coordinate.
+Attributes have only the outline of the spec. Values that are not evenly spaced cannot be computed from the outline, so
+they have a second copy beside their coordinate.
 """
 
 import itertools
@@ -17,17 +18,21 @@ from atlas.spec.spec import Spec
 from atlas.store.object_backend import StoreBackend
 
 ROOT = "zarr.json"
-"""The name of the object with the metadata of an array or a group. A store exists once its root has one."""
+"""Name of the object with the metadata of an array or a group. A store exists once its root has this object."""
 MOST_MIXED = 64
-"""Most sets of values that are tried, some of them stored and others copied: each takes a digest of all."""
+"""Maximum number of combinations of stored, copied and computed values to try; each needs a digest of all values."""
 _DTYPE = np.dtype("<f8")
 
 
 def read_values(place: StoreBackend, outline: Mapping[str, Any], digest: str) -> Values:
-    """The values of all axes or columns of a spec's outline, the same to the bit as in its digest.
+    """Return the values of all axes or columns of a spec's outline, bit for bit those of the digest.
 
-    A damaged or changed coordinate is replaced by its copy, or computed if it was evenly spaced, as the digest shows.
-    Otherwise ChunkError, which names the damaged object.
+    place     backend of the store
+    outline   outline of the spec, without values
+    digest    digest of the resolved spec
+
+    A damaged or changed coordinate is replaced by its copy, or by computed values if it was evenly spaced; the digest
+    confirms the choice. Otherwise raise ChunkError, which names the damaged object.
     """
     faults: dict[str, str] = {}
     candidates: dict[str, list[tuple[float, ...]]] = {name: [] for name in outline_names(outline)}
@@ -51,7 +56,7 @@ def read_values(place: StoreBackend, outline: Mapping[str, Any], digest: str) ->
 
 
 def matches_coordinates(place: StoreBackend, outline: Mapping[str, Any], digest: str) -> bool:
-    """Whether a spec's outline has this digest with the coordinates stored at a place."""
+    """Return True if the outline of a spec has this digest with the coordinates stored in a backend."""
     stored = {name: _stored(place, name, {}) for name in outline_names(outline)}
     known = {name: values for name, values in stored.items() if values is not None}
     return known.keys() == stored.keys() and resolved_digest(with_values(outline, known)) == digest
@@ -60,9 +65,10 @@ def matches_coordinates(place: StoreBackend, outline: Mapping[str, Any], digest:
 def changed_values(
     place: StoreBackend, outline: Mapping[str, Any], stored: Values, read: Callable[[], Values]
 ) -> list[str]:
-    """The names of the axes or columns whose stored values are not the spec's.
+    """Return the names of the axes or columns whose stored values are not those of the spec.
 
-    Equal to the copies or to even spacing they are right. ``read``, see ``read_values``, decides all other cases.
+    Values that equal their copies or are evenly spaced as in the outline are right. In all other cases ``read``, a call
+    of ``read_values``, returns the right values.
     """
     axes = {axis["name"]: axis for axis in outline["axes"]}
     others = ((_made(axes[name]) if name in axes else None) or _copied(place, name) for name in stored)
@@ -73,21 +79,24 @@ def changed_values(
 
 
 def copies(spec: Spec) -> dict[str, bytes]:
-    """The copies of values that cannot be computed from the outline of a spec, by their keys."""
+    """Return the copies, by key, of the values that cannot be computed from the outline of a spec."""
     listed = spec.points or {axis.name: axis.values for axis in spec.axes if _made(axis.outline()) != axis.values}
     return {copy_key(name): np.array(values, dtype=_DTYPE).tobytes() for name, values in listed.items()}
 
 
 def copy_key(name: str) -> str:
-    """The key of the copy of a coordinate's values."""
+    """Return the key of the copy of a coordinate's values."""
     return f"{name}/copy"
 
 
 def _stored(place: StoreBackend, name: str, faults: dict[str, str]) -> tuple[float, ...] | None:
-    """The values of a coordinate; None if it is damaged, with the damage added to ``faults``."""
+    """Return the stored values of a coordinate; None if it is missing or damaged.
+
+    The damage is added to ``faults``.
+    """
     import zarr
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
 
     try:
         array: Any = zarr.open_array(zarr_store(place, read_only=True), path=name, mode="r", zarr_format=3)

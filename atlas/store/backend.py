@@ -1,4 +1,4 @@
-"""The interface to whole objects of a store: places in general, and folders of this machine."""
+"""The interface of storage backends to whole objects of a store, and the backend of local folders."""
 
 import errno
 import os
@@ -14,100 +14,107 @@ from typing import Self
 _ABSENT = (FileNotFoundError, NotADirectoryError, IsADirectoryError)
 """Exceptions of operating systems for a missing object."""
 Fence = Callable[[], None]
-"""A function that raises an error once a place must no longer be written."""
+"""A function that raises an error if a backend must no longer be written."""
 
 
 class StoreBackend:
-    """A root of keys such as ``regime/c/0/1``. Errors of any network are OSErrors. ``str`` is its name.
+    """Base class of the storage behind a store: objects by keys such as ``regime/c/0/1``.
 
-    A place behind a ``fence`` calls it right before each write and each removal, so a process that has lost its claim
-    changes nothing more. The methods of this class are those of a read-only place.
+    A backend behind a ``fence`` calls the fence right before each write and each removal. A process that has lost its
+    lease therefore changes nothing more. The methods of this class are those of a read-only backend. Network errors are
+    OSErrors. ``str`` is the name of the backend.
     """
 
     fence: Fence | None = None
     read_only_reason = ""
-    """The kind of place, in words, if it is read-only."""
+    """The kind of backend, for messages, if it is read-only; else empty."""
 
     def with_fence(self, fence: Fence | None) -> Self:
-        """The same place, which calls ``fence`` before it changes anything; None removes the fence."""
+        """Return the same backend behind ``fence``, which is called before every change; None removes the fence."""
         fenced = copy(self)
-        object.__setattr__(fenced, "fence", fence)  # no field: two views of one place are equal
+        object.__setattr__(fenced, "fence", fence)  # no field: two views of one backend are equal
         return fenced
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # a place is only a name
+        return self  # a backend is only a name
 
     def subfolder(self, folder: str) -> "StoreBackend":
-        """The place of a store within this one, behind the same fence. ValueError if this place is read-only."""
-        raise ValueError(f"{self}: nothing can be kept in a store that is only read")
+        """Return the backend of a store in a folder of this one, behind the same fence.
+
+        Raise ValueError if this backend is read-only.
+        """
+        raise ValueError(f"{self}: cannot write to a read-only store")
 
     def check_fence(self) -> None:
-        """Call the fence, if any: it raises an error if this place must no longer be written."""
+        """Call the fence, if there is one; the fence raises an error if this backend must no longer be written."""
         if self.fence is not None:
             self.fence()
 
     @property
     def local(self) -> Path | None:
-        """The folder, None if it is not on one of this machine's disks."""
+        """The local folder; None if the backend is not a folder of this host."""
         return None
 
     def get(self, key: str) -> bytes | None:
-        """An object's bytes, None if there is no such object."""
+        """Return the bytes of an object; None if it does not exist."""
         raise NotImplementedError
 
     def version(self, key: str) -> Hashable:
-        """A token of an object's present state, without its bytes; None if there is no such object."""
+        """Return a token of the present state of an object, without reading its bytes; None if it does not exist."""
         raise NotImplementedError
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
-        """All keys, or the keys under a prefix that ends in "/", by one listing."""
+        """Yield all keys, or the keys under a prefix that ends in "/", from one listing."""
         raise NotImplementedError
 
     def exists(self, key: str) -> bool:
-        """Whether there is such an object."""
+        """Return True if the object exists."""
         return self.version(key) is not None
 
     def whole_keys(self, keys: Iterable[str]) -> Iterator[str]:
-        """The keys of the objects among these that are not empty: a crash of a machine may leave empty files."""
+        """Yield the keys whose objects are not empty: a crash of the system may leave empty files."""
         yield from keys
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """The bytes of the objects among these that exist, by key; many at once if each takes a while."""
+        """Return the bytes of the existing objects among ``keys``, by key; slow backends read many at the same time."""
         return {key: data for key in keys if (data := self.get(key)) is not None}
 
     def put(self, key: str, data: bytes) -> None:
-        """Write an object whole, replacing an existing one."""
+        """Write a whole object, replacing an existing one."""
         raise self._read_only()
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """Write objects, in no order, all at once if each takes a while."""
+        """Write objects in any order; slow backends write many at the same time."""
         for key, data in objects.items():
             self.put(key, data)
 
     def put_new(self, key: str, data: bytes) -> bool:
-        """Write an object if there is none of that key; else write nothing and return False."""
+        """Write an object if none of that key exists; else write nothing and return False."""
         raise self._read_only()
 
     def copy_all(self, other: "StoreBackend", keys: Iterable[str]) -> None:
-        """Copy objects from another place, by links or on the server if possible; missing ones are left out."""
+        """Copy objects from another backend, by links or on the server if possible; missing objects are skipped."""
         self.put_all(other.get_all(keys))
 
     def remove(self, key: str) -> None:
-        """Remove an object; nothing happens if there is none."""
+        """Remove an object; do nothing if it does not exist."""
         raise self._read_only()
 
     def remove_all(self, keys: Iterable[str]) -> None:
-        """Remove objects, in no order, many by one request if the place has such requests."""
+        """Remove objects in any order, many by one request if the backend has such requests."""
         for key in keys:
             self.remove(key)
 
     def _read_only(self) -> OSError:
-        return OSError(errno.EROFS, f"{self.read_only_reason} is read only", str(self))
+        return OSError(errno.EROFS, f"{self.read_only_reason} is read-only", str(self))
 
 
 @dataclass(frozen=True)
 class LocalBackend(StoreBackend):
-    """A folder. An empty folder or file under the key of an object is no object, and an object may replace it."""
+    """A local folder as a backend.
+
+    An empty folder or file at the key of an object counts as absent, and an object may replace it.
+    """
 
     path: Path
 
@@ -125,7 +132,7 @@ class LocalBackend(StoreBackend):
         except _ABSENT:
             return None
         except PermissionError:
-            if path.is_dir():  # the error of Windows for a folder
+            if path.is_dir():  # Windows raises it for a folder
                 return None
             raise
 
@@ -144,7 +151,7 @@ class LocalBackend(StoreBackend):
             stat = (self.path / key).stat()
         except _ABSENT:
             return None
-        # A write puts another file in its place.
+        # A write replaces the file by another.
         return None if S_ISDIR(stat.st_mode) else (stat.st_ino, stat.st_mtime_ns, stat.st_size)
 
     def subfolder(self, folder: str) -> "LocalBackend":
@@ -155,7 +162,7 @@ class LocalBackend(StoreBackend):
             os.replace(written, self.path / key)
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
-        """See Place. On one file system the object gets a second name: no object is ever changed, only replaced."""
+        """See ``StoreBackend``. On one file system objects are linked: objects are replaced, never changed."""
         rest = []
         for key in keys:
             try:
@@ -176,7 +183,7 @@ class LocalBackend(StoreBackend):
     def put_new(self, key: str, data: bytes) -> bool:
         with self._written(key, lambda written: _write_flushed(written, data)) as written:
             try:
-                os.link(written, self.path / key)  # it appears whole or not at all, on network disks too
+                os.link(written, self.path / key)  # appears whole or not at all, on network disks too
             except FileExistsError:
                 return False
             except OSError:  # a file system without links
@@ -184,7 +191,7 @@ class LocalBackend(StoreBackend):
         return True
 
     def _reserve(self, key: str) -> bool:
-        """Make an empty file, which counts as no object; False if there is a file."""
+        """Create an empty file, which does not count as an object; return False if a file exists."""
         try:
             (self.path / key).open("xb").close()
         except FileExistsError:
@@ -200,11 +207,14 @@ class LocalBackend(StoreBackend):
         for folder, _, files in os.walk(self.path / prefix):
             above = Path(folder).relative_to(self.path).as_posix()
             begin = "" if above == "." else f"{above}/"
-            yield from (begin + name for name in files if not name.endswith(".partial"))  # of a killed write
+            yield from (begin + name for name in files if not name.endswith(".partial"))  # left by killed writes
 
     @contextmanager
     def _written(self, key: str, make: Callable[[Path], object]) -> Iterator[Path]:
-        """A file made by ``make`` next to the place of an object; it is removed unless the block moves it."""
+        """Yield a temporary file written by ``make`` beside an object.
+
+        The file is removed unless the block moves it.
+        """
         target = self.path / key
         target.parent.mkdir(parents=True, exist_ok=True)
         written = target.with_name(f"{target.name}.{uuid.uuid4().hex}.partial")
@@ -217,13 +227,13 @@ class LocalBackend(StoreBackend):
             written.unlink(missing_ok=True)
 
     def _clear(self, key: str) -> None:
-        """Remove an empty folder under the key of an object; OSError if it is not empty."""
+        """Remove an empty folder at the key of an object; raise OSError if it is not empty."""
         if (self.path / key).is_dir():
             (self.path / key).rmdir()
 
 
 def _write_flushed(path: Path, data: bytes) -> None:
-    """Write a file that is to be renamed; its content is on the disk before: else a crash may leave an empty file."""
+    """Write a file that will be renamed, and flush it to the disk: otherwise a crash may leave an empty file."""
     with path.open("wb") as file:
         file.write(data)
         file.flush()

@@ -1,4 +1,4 @@
-"""Creating a store whole or not at all, and the check whether a run may create or resume one."""
+"""Creation of a store, whole or not at all, and the check whether a run may create or resume a store."""
 
 import errno
 import glob
@@ -43,10 +43,13 @@ TRIAL = ".trial-"
 def check_run(
     place: StoreBackend, spec: Spec, handle: AtlasStore | None, origin: Origin | None = None, run_id: str = ""
 ) -> None:
-    """InputError unless a run of a spec may make the store at a place, or resume the store with this handle.
+    """Raise InputError unless a run of ``spec`` may create a store in a backend, or resume the store there.
 
-    ``origin``, if given, has to be the store whose cells it reuses; ``run_id``, if given, has to be its run, else
-    RunError.
+    place    backend of the store
+    spec     spec of the run
+    handle   handle of the existing store, None if there is none
+    origin   the origin that the existing store must have, if given
+    run_id   the run that must have created the store, if given; otherwise raise RunError
     """
     check_not_packed(place)
     if handle is None:
@@ -58,8 +61,8 @@ def check_run(
         return
     if handle.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{place}: made by solver version {handle.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: choose another path"
+            f"{place}: computed by solver version {handle.solver_version}, installed is {SOLVER_VERSION}; "
+            "a store cannot mix solver versions, choose another path"
         )
     # Equal digests are enough: the values of the stored spec may be damaged.
     if handle.digest != spec.digest and handle.spec.digest != spec.digest:
@@ -73,17 +76,17 @@ def check_run(
     if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
-        raise InputError(f"{place}: is a store already, and not this one made from {origin.store}; choose another path")
+        raise InputError(f"{place}: a store that was not made from {origin.store}; choose another path")
 
 
 def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
-    """InputError for objects at a URL that no interrupted creation has left there, such as finished tiles."""
+    """Raise InputError if a URL has objects that no interrupted creation has left there, such as finished tiles."""
     ours = {HOSTS, TILES} | _names(spec)
     for key in place.list_keys():
         if key.startswith(f"{REGIME.name}/c/"):
             raise InputError(f"{place}: holds tiles, but {ROOT} is missing: {remedy(place)}")
         if key.partition("/")[0] not in ours and not key.startswith(TRIAL):
-            raise InputError(f"{place}: holds {key} and is not an atlas; choose another place or remove it")
+            raise InputError(f"{place}: found {key}, which is no part of an atlas; choose another path or remove it")
 
 
 def create_store(
@@ -93,9 +96,13 @@ def create_store(
     origin: Origin | None = None,
     run_id: str = "",
 ) -> AtlasStore:
-    """Make a store without a result, see ``make_store``, and return its handle.
+    """Create a store without results, see ``make_store``, and return its handle.
 
-    ``origin`` is the store whose cells it reuses. Without a ``run_id`` one is drawn.
+    store    path, URL or backend of the store
+    spec     spec of the atlas
+    tile     cells of a tile along each dimension
+    origin   store whose cells the new store takes over, None if there is none
+    run_id   identifier of the run; drawn at random if empty
     """
     place = open_backend(store)
     with os_errors_as_input_errors(place, "written"):
@@ -104,7 +111,7 @@ def create_store(
 
 
 def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result, which appears at once or not at all."""
+    """Create a store without results; the store appears at once or not at all."""
     with _appearing(place) as folder:
         if place.local is not None and folder.with_name(folder.name.swapcase()).exists():
             refuse_equal_names(place.local, spec)
@@ -113,10 +120,10 @@ def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: O
 
 @contextmanager
 def _appearing(place: StoreBackend) -> Iterator[Path]:
-    """A folder whose content appears at a place at the end of the block.
+    """Yield a local folder whose content appears in a backend at the end of the block.
 
-    On a disk it appears by a rename. At a URL the root's metadata are put after all other objects, and only if there
-    are none yet; their spare follows, so both come from one run.
+    On a disk the folder is renamed. At a URL the metadata of the root are written after all other objects, and only if
+    none exist. Their backup follows, so both come from one run.
     """
     path = place.local
     if path is None:
@@ -125,7 +132,7 @@ def _appearing(place: StoreBackend) -> Iterator[Path]:
             yield built.path
             place.put_all(built.get_all(key for key in built.list_keys() if key not in (ROOT, SPARE)))
             if not place.put_new(ROOT, (built.path / ROOT).read_bytes()):
-                raise InputError(f"{place}: another run has just made a store here; start this one again to join it")
+                raise InputError(f"{place}: another run has just created it; rerun the same command to resume it")
             place.put(SPARE, (built.path / SPARE).read_bytes())
         return
     building = path.parent / f".{path.name}.{uuid.uuid4().hex}.partial"
@@ -140,10 +147,10 @@ def _appearing(place: StoreBackend) -> Iterator[Path]:
 
 
 def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:
-    """Make a store without a result in a folder of this machine."""
+    """Create a store without results in a local folder."""
     import zarr
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
 
     variables, tiling = spec.variables, Tiling(spec.shape, tuple(map(min, tile, spec.shape)))
     store = zarr_store(LocalBackend(path), read_only=False)
@@ -162,24 +169,27 @@ def _build(path: Path, spec: Spec, tile: tuple[int, ...], origin: Origin | None,
 
 
 def refuse_equal_names(path: Path, spec: Spec) -> None:
-    """InputError if names of arrays differ by case alone: a disk that ignores case would mix their chunks."""
+    """Raise InputError if names of arrays differ by case alone: a disk that ignores case would mix their chunks."""
     seen: dict[str, str] = {}
     for name in (*NAMES, *_names(spec)):
         other = seen.setdefault(name.casefold(), name)
         if other != name:
-            raise InputError(f"{path}: the disk takes {name} and {other} for one name; rename {name} in the system")
+            raise InputError(
+                f"{path}: the file system ignores case, so {name} and {other} collide; rename {name} in the system"
+            )
 
 
 def _names(spec: Spec) -> set[str]:
-    """Names of the arrays of cells and of their coordinates."""
+    """Return the names of the arrays of cells and of their coordinates."""
     return {*coordinate_names(spec)} | {variable.name for variable in spec.variables}
 
 
 @contextmanager
 def detached_root(place: StoreBackend, group: str) -> Iterator[Any]:
-    """A copy of a store's metadata as a root group, in which a group is made anew and then put at once.
+    """Yield a copy of a store's metadata as a root group, in which one group is created again, then written at the end.
 
-    The group's own metadata are put after its members, and the root's, which contain copies of them, at the end.
+    The metadata of the group are written after its members. The metadata of the root, which contain copies of them, are
+    written last.
     """
     nodes = json.loads(place.get(ROOT) or b"{}").get("consolidated_metadata", {}).get("metadata", {})
     keys = [ROOT, *(f"{name}/{ROOT}" for name in nodes if f"{name}/".partition("/")[0] != group)]
@@ -211,7 +221,10 @@ def _check_writable(place: StoreBackend) -> None:
 
 
 def remove_half_made(store: Path) -> None:
-    """Remove folders left by runs that were killed while they made this store. For the claim's holder only."""
+    """Remove folders left by runs that were killed while they created this store.
+
+    Only the lease holder may call this.
+    """
     run_id = "[0-9a-f]" * 32
     for leftover in store.absolute().parent.glob(f".{glob.escape(store.name)}.{run_id}.partial"):
         shutil.rmtree(leftover, ignore_errors=True)

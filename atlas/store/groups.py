@@ -1,7 +1,7 @@
-"""Groups of arrays beside the results of a store, each written whole, and the tables among them.
+"""Groups of arrays beside the results of a store, such as curves and tables; each group is written whole.
 
-A group's own metadata are written last, with a checksum of its contents: a kill at any moment leaves the group whole or
-absent.
+The metadata of a group are written last, with a checksum of its contents. A kill at any moment therefore leaves the
+group whole or absent.
 """
 
 import hashlib
@@ -19,29 +19,32 @@ from atlas.store.store import ROOT, AtlasStore, open_group
 from workers.results import Variable
 
 CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
-"""The groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors; stability
-measures of cells. All but the first are tables.
+"""Names of the groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors;
+stability measures of cells. All but the first are tables.
 """
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 ARRAYS, CHECKSUM = "arrays", "checksum"
-"""Attributes of a group: the names of its arrays; the checksum."""
+"""Attributes of a group: the names of its arrays, and its checksum."""
 
 
 def groups_of(handle: AtlasStore) -> tuple[str, ...]:
-    """The groups that a store of this spec may have."""
+    """Return the names of the groups that a store with this spec may have."""
     spec = handle.spec
     return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
 
 
 def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
-    """InputError if an array of a table with a value of these for every attractor of every cell would be too large."""
+    """Raise InputError if a column of a table would exceed the largest chunk.
+
+    A column has a value of one of ``variables`` for every attractor of every cell.
+    """
     spec = handle.spec
     count = math.prod(spec.shape) * (spec.attractors.keep if spec.coexistence and spec.attractors else 1)
     for variable in variables:
         if (size := count * np.dtype(variable.dtype).itemsize) > LARGEST_CHUNK:
             raise InputError(
-                f"{handle.backend}: {variable.name} would take {size} bytes in one chunk, at most {LARGEST_CHUNK} are "
-                "possible; take an atlas of fewer cells"
+                f"{handle.backend}: {variable.name} needs {size} bytes in one chunk, must be at most {LARGEST_CHUNK}; "
+                "choose an atlas with fewer cells"
             )
 
 
@@ -52,7 +55,7 @@ def write_group(
     drop_group(handle, group)
     root = open_group(handle.backend, "r+")
     for name in set(_names(handle, group)).difference(arrays):
-        del root[f"{group}/{name}"]  # readers read every array in a group
+        del root[f"{group}/{name}"]  # readers read every array of a group
     for name, array in arrays.items():
         create_whole(root, f"{group}/{name}", array)
     own = {**attributes, ARRAYS: list(arrays)}
@@ -77,12 +80,12 @@ def write_table(
 
 
 def drop_group(handle: AtlasStore, group: str) -> None:
-    """Make a group absent."""
+    """Make a group count as absent, by removing its metadata."""
     handle.backend.remove(f"{group}/{ROOT}")
 
 
 def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
-    """The attributes of a group, None if it does not exist. ChunkError if they cannot be read."""
+    """Return the attributes of a group; None if it does not exist. Raise ChunkError if they are damaged."""
     key = f"{group}/{ROOT}"
     stored = handle.backend.get(key)
     try:
@@ -92,9 +95,9 @@ def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
 
 
 def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """The arrays of a group by name, and its attributes; None if it does not exist.
+    """Return the arrays of a group by name, and its attributes; None if it does not exist.
 
-    ChunkError, which names the missing or damaged objects, if they were not written together.
+    Raise ChunkError, which names the missing or damaged objects, if the arrays were not written together.
     """
     attributes = group_attributes(handle, group)
     if attributes is None:
@@ -117,13 +120,13 @@ def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]],
 
 
 def _names(handle: AtlasStore, group: str) -> list[str]:
-    """The names of the arrays of a group, from a listing of its objects."""
+    """Return the names of the arrays of a group, from a listing of its objects."""
     keys = (key.split("/") for key in handle.backend.list_keys(f"{group}/"))
     return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
 
 
 def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
-    """An array of one chunk, or its fault, by key."""
+    """Return the values of an array of one chunk; if it is missing or damaged, return its fault by key."""
     key = f"{path}/{ROOT}"
     try:
         array: Any = open_group(handle.backend, "r")[path]
@@ -135,12 +138,12 @@ def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
         raise
     except KeyError:
         return {key: "is missing"}
-    except Exception as error:  # metadata or a codec that meet bytes nobody wrote may raise anything
+    except Exception as error:  # damaged metadata, or a codec that reads damaged bytes, may raise anything
         return {key: f"is damaged ({message_of(error)})"}
 
 
 def _checksum(handle: AtlasStore, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
-    """A digest of a group: its attributes, and all objects of its arrays."""
+    """Return a digest of the attributes of a group and of all objects of its arrays."""
     digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in names:
         for key in sorted(handle.backend.list_keys(f"{group}/{name}/")):

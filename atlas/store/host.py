@@ -1,4 +1,4 @@
-"""The description of a machine that solves cells: processor, instructions, versions of packages."""
+"""The description of a host that solves cells: processor, instructions, versions of packages."""
 
 import hashlib
 import json
@@ -12,17 +12,17 @@ from importlib.metadata import PackageNotFoundError, version
 from atlas.platform import processor_name
 
 HOSTS = "hosts"
-"""The group of the machines that solved a store's tiles; every machine is an empty group with attributes."""
+"""Name of the group of the hosts that solved tiles of a store; each host is an empty group with attributes."""
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
-"""Environment variables that make Numba compile for another processor than this machine's."""
+"""Environment variables that make Numba compile for another processor than that of this host."""
 BIT_VARIABLES = (*CPU_VARIABLES, "NUMBA_DISABLE_JIT", "NUMBA_OPT", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
-"""All environment variables that change last bits."""
+"""Environment variables that change the last bits of results."""
 
 
 @dataclass(frozen=True)
 class HostInfo:
-    """A kind of machine: its facts, and a name made from them. Machines of one name give a cell the same bits."""
+    """A kind of host: its facts, and a name derived from the facts. Hosts of one name give a cell the same bits."""
 
     name: str
     facts: Mapping[str, str] = field(compare=False)
@@ -33,7 +33,7 @@ class HostInfo:
 
 
 def host_from_facts(facts: Mapping[str, str]) -> HostInfo:
-    """The machine of these facts."""
+    """Return the host with these facts."""
     return HostInfo(hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16], facts)
 
 
@@ -42,7 +42,7 @@ UNKNOWN = host_from_facts({"processor": "unknown: its record was damaged"})
 
 @lru_cache(maxsize=1)
 def current_host() -> HostInfo:
-    """The machine that this process runs on: processor, instructions that kernels are compiled for, versions."""
+    """Return the host of this process: processor, instructions for which kernels are compiled, versions."""
     from llvmlite import binding
 
     facts = {
@@ -60,7 +60,7 @@ def current_host() -> HostInfo:
 
 
 def compiled_for() -> str:
-    """The kind of processor that kernels are compiled for, as a part of a file's name."""
+    """Return the kind of processor for which kernels are compiled, as part of a file name."""
     from llvmlite import binding
 
     name, settings = binding.get_host_cpu_name(), _settings(CPU_VARIABLES)
@@ -72,7 +72,7 @@ def _settings(names: Iterable[str]) -> str:
 
 
 def package_version(package: str) -> str:
-    """The installed version of a distribution, or "unknown"."""
+    """Return the installed version of a distribution, or "unknown"."""
     try:
         return version(package)
     except PackageNotFoundError:

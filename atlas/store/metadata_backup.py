@@ -1,7 +1,7 @@
-"""The spare of a store's metadata: a second object with the root's original metadata.
+"""The backup of a store's metadata: a second object with the original metadata of the root.
 
-Either object can be written again from the other. The spare lies in the folder of an array, which readers of Zarr
-groups do not list.
+Either object can be restored from the other. The backup lies in the folder of an array, which readers of Zarr groups do
+not list.
 """
 
 import hashlib
@@ -17,26 +17,29 @@ from atlas.store.schema import COMPONENT, ZOOM
 from atlas.store.zip_backend import ZipBackend
 
 SPARE = f"{COMPONENT}/spare"
-"""The key of the spare: a checksum in the first line, then the root's metadata."""
+"""Key of the backup: its first line is a checksum, then follow the metadata of the root."""
 FORM = {"zarr_format": 3, "node_type": "group"}
-"""The metadata of every group, beside its attributes and its copies of others."""
+"""Metadata of every group, besides its attributes and consolidated metadata."""
 Json = Mapping[str, Any]
 
 
 def encode_backup(root: bytes) -> bytes:
-    """The spare of a root's metadata."""
+    """Return the backup of a root's metadata."""
     return hashlib.sha256(root).hexdigest().encode() + b"\n" + root
 
 
 def read_backup(place: StoreBackend) -> dict[str, Any] | None:
-    """The root's metadata from the spare of a store; None if the spare is missing, damaged or another store's."""
+    """Return the metadata of the root from the backup of a store.
+
+    Return None if the backup is missing, damaged, or that of another store.
+    """
     return decode_backup(place, place.get(ROOT), place.get(SPARE))
 
 
 def decode_backup(place: StoreBackend, root: bytes | None, data: bytes | None) -> dict[str, Any] | None:
-    """``read_backup`` with the bytes of both objects: the root's metadata and their spare.
+    """``read_backup`` for given bytes of both objects: ``root``, the metadata of the root, and ``data``, their backup.
 
-    A spare with another spec than the root's is another store's if the coordinates at the place match the root.
+    A backup with another spec than the root belongs to another store if the coordinates in the backend match the root.
     """
     checksum, _, content = (data or b"").partition(b"\n")
     if hashlib.sha256(content).hexdigest().encode() != checksum:
@@ -51,18 +54,18 @@ def decode_backup(place: StoreBackend, root: bytes | None, data: bytes | None) -
 
 
 def remedy(place: StoreBackend) -> str:
-    """The remedy of missing, damaged or wrong metadata, in words."""
-    return REPACK_HINT if isinstance(place, ZipBackend) else f"atlas verify --repair {place} writes them again"
+    """Return the remedy for missing, damaged or wrong metadata, for a message."""
+    return REPACK_HINT if isinstance(place, ZipBackend) else f"atlas verify --repair {place} restores them"
 
 
 def nodes_of(root: Json) -> dict[str, dict[str, Any]]:
-    """The copies of metadata of arrays and groups in a root's metadata, by their keys."""
+    """Return the consolidated metadata in the metadata of a root: those of arrays and groups, by key."""
     nodes = (root.get("consolidated_metadata") or {}).get("metadata", {})
     return {f"{name}/{ROOT}": node for name, node in nodes.items()}
 
 
 def find_backup_faults(place: StoreBackend, spare: Json) -> dict[str, str]:
-    """The faults of a store's metadata, in words by key: missing, damaged, or unlike the spare."""
+    """Return the faults of a store's metadata, as text by key: missing, damaged, or different from the backup."""
     faults = {}
     for key, right in {ROOT: spare, **nodes_of(spare)}.items():
         if fault := next(_faults(place.get(key), right, whole=key != ROOT), ""):
@@ -71,7 +74,10 @@ def find_backup_faults(place: StoreBackend, spare: Json) -> dict[str, str]:
 
 
 def restore_from_backup(place: StoreBackend, spare: Json, keys: Mapping[str, str]) -> None:
-    """Write the metadata of these keys from the spare, and the root's with copies of all present metadata."""
+    """Write the metadata of these keys from the backup, then those of the root.
+
+    The metadata of the root get copies of all present metadata.
+    """
     nodes = nodes_of(spare)
     for key in keys:
         if key != ROOT:
@@ -80,10 +86,10 @@ def restore_from_backup(place: StoreBackend, spare: Json, keys: Mapping[str, str
 
 
 def copy_metadata(place: StoreBackend, root: Json) -> None:
-    """Write a root's metadata with copies of the present metadata of its arrays and groups.
+    """Write the metadata of a root, with copies of the present metadata of its arrays and groups.
 
-    These are the ones copied in ``root``, and all others except the zoom levels: a spare lacks groups that a search or
-    a run has added since.
+    Copied are the metadata consolidated in ``root``, and all others except the zoom levels: a backup lacks groups that
+    a search or a run has added since.
     """
     present = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
     keys = sorted({*nodes_of(root), *(key for key in present if _parents(key) <= present)})
@@ -98,7 +104,10 @@ def copy_metadata(place: StoreBackend, root: Json) -> None:
 
 
 def copy_members(place: StoreBackend, group: str, names: Iterable[str]) -> None:
-    """Write the metadata of a group, if it has copies, with copies of its arrays' present metadata, then the root's."""
+    """Update the consolidated metadata of a group, if it has any, and those of the root.
+
+    They are copied from the present metadata of the arrays.
+    """
     own = json.loads(place.get(f"{group}/{ROOT}") or b"{}")
     if "consolidated_metadata" in own:
         nodes = {name: json.loads(place.get(f"{group}/{name}/{ROOT}") or b"{}") for name in names}
@@ -107,7 +116,7 @@ def copy_members(place: StoreBackend, group: str, names: Iterable[str]) -> None:
 
 
 def _parents(key: str) -> set[str]:
-    """The keys of the metadata of all groups above an array or a group, without the root's."""
+    """Return the keys of the metadata of all groups above an array or a group, without the root."""
     parts = key.split("/")[:-1]
     return {"/".join([*parts[:n], ROOT]) for n in range(1, len(parts))}
 
@@ -117,14 +126,14 @@ def _copies(nodes: Json) -> dict[str, Any]:
 
 
 def without_consolidated(metadata: Json) -> dict[str, Any]:
-    """Metadata without copies of others."""
+    """Return metadata without consolidated metadata."""
     return {name: value for name, value in metadata.items() if name != "consolidated_metadata"}
 
 
 def form_fault(group: Any) -> str:
-    """The fault of the form of a group's metadata, in words; "" if Zarr can read them.
+    """Return the fault of the form of a group's metadata, as text; empty if Zarr can read them.
 
-    Zarr refuses metadata with an unknown key.
+    Zarr rejects metadata with an unknown key.
     """
     if not isinstance(group, dict) or not isinstance(group.get("attributes"), dict):
         return "has no attributes"
@@ -145,25 +154,28 @@ def form_fault(group: Any) -> str:
 
 
 def _is_node(copy: Any) -> bool:
-    """Whether the copy of the metadata of an array or a group says which of the two it is of."""
+    """Return True if copied metadata have the form of those of an array or of a group."""
     if not isinstance(copy, dict) or copy.get("zarr_format") != FORM["zarr_format"]:
         return False
     return copy.get("node_type") == "array" or not form_fault(copy)
 
 
 def root_fault(data: bytes | None, spare: Json) -> str:
-    """The first fault of the object of a root's metadata, in words; "" if it equals its spare."""
+    """Return the first fault of the object with a root's metadata, as text; empty if it equals its backup."""
     return next(_faults(data, spare, whole=False), "")
 
 
 def copy_difference(own: Any, copy: Json | None) -> str:
-    """The fault of metadata that differ from the root's copy, in words; "" if they are equal."""
+    """Return the fault of metadata that differ from the root's copy, as text; empty if they are equal."""
     alike = isinstance(own, dict) and copy is not None and without_consolidated(own) == without_consolidated(copy)
     return "" if alike else f"differs from its copy in {ROOT}"
 
 
 def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
-    """The faults of an object of metadata, compared as a ``whole``, or a root's by its attributes and copies."""
+    """Yield the faults of an object of metadata.
+
+    It is compared in all keys with ``whole``, otherwise, for a root, in its attributes and consolidated metadata.
+    """
     if data is None:
         yield "is missing"
         return
@@ -198,7 +210,7 @@ def _faults(data: bytes | None, right: Json, whole: bool) -> Iterator[str]:
 
 
 def _unlike(name: str, own: Any, must: Any) -> Iterator[str]:
-    """The differences of two values, in the innermost parts that both have; the spec, stored as JSON, is unpacked."""
+    """Yield the differences of two values, in their innermost common entries; a spec stored as JSON is decoded."""
     if isinstance(own, str) and isinstance(must, str) and must.startswith("{"):
         with suppress(ValueError, RecursionError):
             own, must = json.loads(own), json.loads(must)

@@ -1,7 +1,7 @@
-"""The place of a store by its path or URL, and whole objects at a URL.
+"""The backend of a store by its path or URL, and the backend of object stores.
 
-Zarr reads and writes arrays in any place by stores of its own. This module lists, puts, removes and looks for objects,
-and writes under a condition, which an object store has in place of a rename.
+Zarr reads and writes arrays by stores of its own, see ``zarr_stores``. This module lists, writes, removes and finds
+whole objects. An object store has conditional writes in place of renames.
 """
 
 import itertools
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
     Given: TypeAlias = str | os.PathLike[str] | StoreBackend | ObjectStore | Store
 else:
-    Given = Any  # the type of a store given by a user; its members take a while to load
+    Given = Any  # type of a store given by a user; loading its members takes a while
 
 SCHEMES = ("s3", "s3a", "gs", "az", "azure", "adl", "abfs", "abfss", "http", "https")
-"""Schemes of URLs that a store may have, besides ``file``: the ones that obstore supports."""
+"""Schemes of URLs of stores that obstore supports, besides ``file``."""
 _SETTINGS = ("AWS_", "GOOGLE_", "AZURE_", "OBJECT_STORE_")
-"""Prefixes of settings of a client in the environment."""
+"""Prefixes of the environment variables that configure a client."""
 AT_ONCE = 64
-"""Simultaneous requests when many objects of a server are read: it answers all as soon as one."""
+"""Number of simultaneous requests to a server, which answers all of them as soon as one."""
 _T = TypeVar("_T")
 _beyond: Mapping[str, Any] = {}
 """Default storage options of URLs in this process."""
@@ -49,11 +49,13 @@ _beyond: Mapping[str, Any] = {}
 def open_backend(
     store: Given, patience: float = SHORT_PATIENCE, storage_options: Mapping[str, Any] | None = None
 ) -> StoreBackend:
-    """The place that a user names by a path or a URL, or gives as an obstore store or as a Zarr store object.
+    """Return the backend of a store, given as a path, a URL, an obstore store or a Zarr store object.
 
-    A path that ends in .zip is an atlas packed into one file, unless it is a folder. At a URL, each call waits
-    ``patience`` seconds for a server that does not answer; for ``storage_options`` see ``access``. Zarr stores, and
-    obstore stores in memory, are read-only. InputError for an object that cannot be a place.
+    store             what the user gave; a path that ends in .zip is a packed atlas, unless it is a folder
+    patience          seconds that each call waits for a server that does not respond
+    storage_options   options of access to a URL, see ``access``
+
+    Zarr stores, and obstore stores in memory, are read-only. Raise InputError for an object that cannot be a store.
     """
     if storage_options is not None and not is_url(store):
         raise InputError(f"storage_options: need a URL, found {brief_repr(store)}")
@@ -84,7 +86,7 @@ def open_backend(
 
 @contextmanager
 def default_storage_options(storage_options: Mapping[str, Any]) -> Iterator[None]:
-    """Within the block, also in threads that it starts, these are the storage options of URLs without their own."""
+    """Use these storage options for URLs without their own, within the block and in threads started there."""
     global _beyond
     before, _beyond = _beyond, storage_options
     try:
@@ -94,22 +96,22 @@ def default_storage_options(storage_options: Mapping[str, Any]) -> Iterator[None
 
 
 def _checked(place: "ObjectBackend") -> "ObjectBackend":
-    """The place; InputError if it cannot have a client."""
+    """Return the backend; raise InputError if no client can be created for it."""
     try:
         _ = place.client
     except ImportError as error:
         raise InputError(f"{place}: {first_line(error)}; needs obstore: pip install obstore") from None
     except Exception as error:
-        raise InputError(f"{place}: not a place for a store: {first_line(error)}") from None
+        raise InputError(f"{place}: not a valid location for a store: {first_line(error)}") from None
     return place
 
 
 def _place_of_object(store: Any, patience: float) -> StoreBackend:
-    """The place of an obstore store."""
+    """Return the backend of an obstore store."""
     folder = local_folder(store)
     if folder is not None:
         return _place_at(folder)
-    if type(store).__name__ == "MemoryStore":  # no other process sees it
+    if type(store).__name__ == "MemoryStore":  # no other process can read it
         from zarr.storage import ObjectStore
 
         return ZarrBackend(ObjectStore(store, read_only=True))
@@ -117,7 +119,7 @@ def _place_of_object(store: Any, patience: float) -> StoreBackend:
 
 
 def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
-    """The place of another store, with the access of this one if both are at URLs."""
+    """Return the backend of another store, with the access of ``place`` if both are at URLs."""
     other = open_backend(store)
     if isinstance(other, ObjectBackend) and isinstance(place, ObjectBackend):
         return replace(other, access=place.access)
@@ -125,7 +127,10 @@ def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
 
 
 def picklable_backend(place: StoreBackend) -> StoreBackend:
-    """The place as it is sent to workers, without its fence; InputError if its credential provider cannot be sent."""
+    """Return the backend without its fence, as it is sent to workers.
+
+    Raise InputError if its credential provider cannot be sent.
+    """
     bare = place.with_fence(None)
     try:
         pickle.dumps(bare)
@@ -135,39 +140,39 @@ def picklable_backend(place: StoreBackend) -> StoreBackend:
 
 
 def is_url(store: object) -> TypeGuard[str]:
-    """Whether a name of a store is a URL. A scheme has two letters or more, since C: is a disk of Windows."""
+    """Return True if the name of a store is a URL. A scheme has at least two letters, since C: is a disk of Windows."""
     return isinstance(store, str) and len(store.partition("://")[0]) > 1 and "://" in store
 
 
 def url_below(url: str, folder: str) -> str:
-    """The URL of a folder of a URL, with the same query."""
+    """Return the URL of a folder below a URL, with the same query."""
     parts = urlsplit(url)
     return parts._replace(path=f"{parts.path}/{folder}").geturl()
 
 
 def _place_at(path: Path) -> StoreBackend:
     for part in (path, *path.parents):
-        if os.path.islink(part) and not os.path.exists(part):  # of names that are too long, too
+        if os.path.islink(part) and not os.path.exists(part):  # also for names that are too long
             raise InputError(f"{path}: found a link to {part.readlink()}, which does not exist")
     return ZipBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
 
 
 def waiting(place: StoreBackend, patience: float) -> StoreBackend:
-    """The same place, with another patience if it is at a URL."""
+    """Return the same backend with another patience, if it is at a URL."""
     return replace(place, patience=patience).with_fence(place.fence) if isinstance(place, ObjectBackend) else place
 
 
 @lru_cache(maxsize=16)
 def _client(url: str, access: StorageAccess, settings: tuple[tuple[str, str], ...], process: int) -> "ObjectStore":
-    """The client of a URL under these settings."""
+    """Return a client of a URL with these settings."""
     return access.open_client(url, dict(settings))
 
 
 @dataclass(frozen=True)
 class ObjectBackend(StoreBackend):
-    """A prefix of an object store, by obstore, with credentials and endpoint from ``access``, else the environment.
+    """A prefix of an object store, by obstore, with credentials and endpoint of ``access``, else of the environment.
 
-    Each call waits ``patience`` seconds for a server that does not answer, and then raises NetworkError.
+    Each call waits ``patience`` seconds for a server that does not respond, and then raises NetworkError.
     """
 
     url: str
@@ -182,7 +187,7 @@ class ObjectBackend(StoreBackend):
 
     @property
     def client(self) -> "ObjectStore":
-        """The obstore client, which Zarr uses too: one for each place in a process."""
+        """The obstore client, which Zarr uses too; one per backend and process."""
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
@@ -194,7 +199,7 @@ class ObjectBackend(StoreBackend):
         return None if tagged is None else tagged[0]
 
     def get_tagged(self, key: str) -> "tuple[bytes, UpdateVersion] | None":
-        """An object's bytes, and a version that identifies this state for ``put_if``."""
+        """Return the bytes of an object and the version of this state for ``put_if``; None if it does not exist."""
         import obstore
 
         def once() -> "tuple[bytes, UpdateVersion]":
@@ -228,11 +233,14 @@ class ObjectBackend(StoreBackend):
         self._persist(once)
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """See Place. The fence is called once for requests that begin together, and again before each repetition."""
+        """See ``StoreBackend``.
+
+        The fence is called once for requests that begin together, and before each repetition.
+        """
         self._change_together(objects, lambda place, key: place.put(key, objects[key]))
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
-        """See Place. Within a bucket the server copies objects itself."""
+        """See ``StoreBackend``. Within a bucket the server copies objects itself."""
         bucket, mine, theirs = self._in_bucket_of(other)
         if bucket is None:
             return super().copy_all(other, keys)
@@ -249,7 +257,10 @@ class ObjectBackend(StoreBackend):
         self._change_together(keys, take)
 
     def _change_together(self, keys: Iterable[str], change: "Callable[[ObjectBackend, str], None]") -> None:
-        """Change objects, AT_ONCE at a time: there may be an outage before the next ones, or before a repetition."""
+        """Change objects, AT_ONCE at a time.
+
+        The fence is called before each batch and each repetition, since an outage may precede.
+        """
 
         def change_one(key: str) -> None:
             looks = itertools.count()
@@ -262,7 +273,10 @@ class ObjectBackend(StoreBackend):
                 list(pool.map(change_one, together))
 
     def _in_bucket_of(self, other: StoreBackend) -> "tuple[ObjectStore | None, str, str]":
-        """The client of the bucket of both places, and the prefixes of their keys; None without a common bucket."""
+        """Return a client of the bucket of both backends, and the prefixes of their keys.
+
+        The client is None without a common bucket.
+        """
         if not isinstance(other, ObjectBackend):
             return None, "", ""
         ours, others = urlsplit(self.url), urlsplit(other.url)
@@ -280,7 +294,7 @@ class ObjectBackend(StoreBackend):
         return self._put_under(key, data, "create", (AlreadyExistsError,))
 
     def put_if(self, key: str, data: bytes, version: "UpdateVersion") -> bool:
-        """Replace an object that still has this version, from ``get_tagged`` (If-Match); else return False."""
+        """Replace an object if it still has this version, from ``get_tagged`` (If-Match); else return False."""
         from obstore.exceptions import PreconditionError
 
         return self._put_under(key, data, version, (PreconditionError, FileNotFoundError))
@@ -296,9 +310,9 @@ class ObjectBackend(StoreBackend):
             self._persist(once)
 
     def remove_once(self, key: str) -> bool:
-        """Remove an object by one request; False unless the server confirms it.
+        """Remove an object by one request; return False unless the server confirms the removal.
 
-        The request is not repeated: after a lost answer another process may have put a new object of that key.
+        The request is not repeated: after a lost response another process may have written a new object of that key.
         """
         import obstore
         from obstore.exceptions import BaseError
@@ -349,7 +363,10 @@ class ObjectBackend(StoreBackend):
             raise UnlistedError(said) from None
 
     def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Put an object under a condition; False if one of the errors ``refusals`` shows that it does not hold."""
+        """Write an object under a condition; return False if it does not hold.
+
+        Errors of the types ``refusals`` show that the condition does not hold.
+        """
         import obstore
         from obstore.exceptions import BaseError
 
@@ -361,7 +378,7 @@ class ObjectBackend(StoreBackend):
             try:
                 obstore.put(self.client, key, data, mode=mode, use_multipart=False)
             except refusals:
-                # An earlier attempt may have written the object, its answer lost: then the refusal is no failure.
+                # An earlier attempt may have written the object without its response arriving; then this is no failure.
                 return failed and self.get(key) == data
             except BaseError:
                 failed = True
@@ -376,7 +393,7 @@ class ObjectBackend(StoreBackend):
 
 @contextmanager
 def os_errors_as_input_errors(place: StoreBackend, what: str) -> Iterator[None]:
-    """Turn an OSError into an InputError with this cause; a server that does not answer stays a NetworkError."""
+    """Convert an OSError into an InputError with this cause; a server that does not respond remains a NetworkError."""
     try:
         yield
     except NetworkError:

@@ -1,4 +1,4 @@
-"""The store from which a new one takes over cells, and the cells that are solved again."""
+"""The origin of a store: the store whose cells it takes over, and the cells that are solved again."""
 
 import json
 from collections.abc import Mapping
@@ -16,15 +16,15 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class BudgetVariable(Variable):
-    """A variable with the value of a setting for each cell: after a retry, larger than the spec's.
+    """A variable with the value of a setting for each cell; after a retry it may exceed the setting of the spec.
 
-    Only stores that a retry made have it; its fill value there is the spec's setting.
+    Only stores made by a retry have the variable. Its fill value there is the setting of the spec.
     """
 
     setting: str = ""
 
     def from_spec(self, spec: Spec) -> int:
-        """The amount of a cell that was not retried."""
+        """Return the budget of a cell that was not retried."""
         return int(getattr(spec.settings, self.setting))
 
 
@@ -40,32 +40,32 @@ ALLOWANCES = (BUDGET, SURVIVAL)
 
 
 def budget_variables(spec: Spec) -> tuple[BudgetVariable, ...]:
-    """The allowances, with the spec's amounts as their fill values."""
+    """Return the variables of all budgets, with the settings of the spec as fill values."""
     return tuple(replace(allowance, fill=allowance.from_spec(spec)) for allowance in ALLOWANCES)
 
 
 @dataclass(frozen=True)
 class RetryRequest:
-    """A request to solve the cells of these ``regimes``, by name, again, with the settings that are not None."""
+    """A request to solve the cells of ``regimes``, by name, again, with the given settings that are not None."""
 
     regimes: tuple[str, ...]
     max_periods: int | None = None
     survival: int | None = None
 
     def least_budget(self, allowance: BudgetVariable) -> int:
-        """The least amount of an allowance for these cells; 0 if the retry does not raise it."""
+        """Return the minimum of a budget for the selected cells; 0 if the retry does not raise it."""
         return int(getattr(self, allowance.setting) or 0)
 
     def selects(self, stored: Arrays) -> NDArray[np.bool_]:
-        """The mask of the cells to solve again."""
+        """Return the mask of the cells to solve again."""
         return np.isin(stored[REGIME.name], [regime.code for regime in REGIMES if regime.name in self.regimes])
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The store whose cells a new one reuses, by its place and its run, and the cells to solve again.
+    """The origin of a new store: name and run of the store whose cells it takes over, and the cells to solve again.
 
-    Without a ``retry`` the new store is an extension, which reuses all cells that no retry has solved.
+    Without a ``retry`` the new store is an extension, which takes over all cells that no retry has solved.
     """
 
     store: str
@@ -73,13 +73,13 @@ class Origin:
     retry: RetryRequest | None = None
 
     def attributes(self) -> dict[str, str]:
-        """The attributes of the new store's root."""
+        """Return the attributes of the new store's root."""
         given = {} if self.retry is None else {"origin_retry": json.dumps(vars(self.retry))}
         return {"origin": self.store, "origin_run_id": self.run_id, **given}
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":
-        """The inverse; None without an origin."""
+        """Return the origin that is stored in attributes of a root; None if there is none."""
         if "origin" not in attributes:
             return None
         fields = json.loads(attributes.get("origin_retry", "null"))

@@ -1,7 +1,7 @@
-"""Waiting for a server or a network that does not answer.
+"""Waiting for a server or a network that does not respond.
 
 obstore's own retries are not used. They count from the beginning of a request, so a request that fails late is not
-repeated, and they hide whether an earlier attempt of a conditional write took effect.
+repeated. They also hide whether an earlier attempt at a conditional write took effect.
 """
 
 import asyncio
@@ -16,22 +16,22 @@ from typing import TypeVar
 from atlas.errors import NetworkError, without_secrets
 
 SHORT_PATIENCE = 15.0
-"""Seconds to wait for a store while a user waits for the answer: the URL may be wrong."""
+"""Seconds to wait for a store while a user waits for the response: the URL may be wrong."""
 LONG_PATIENCE = 180.0
 """Seconds that a run waits for a store that it has reached before."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 5.0
 _PASSING = re.compile(r"(?<!Generic )HTTP error|status code: (?:408|429|5(?!01)\d\d)|\(RequestTimeout\b")
 """Messages of obstore for failures that may pass: no connection, a cut one, an overloaded or broken server."""
 _REFUSED = re.compile(r"status code: 40[013]\b")
-"""Messages for requests that the server refuses, not for one object: S3 answers 400 to an expired credential."""
+"""Messages for requests that the server rejects for every object: S3 answers 400 to an expired credential."""
 _T = TypeVar("_T")
 
 
 def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
-    """The result of a call to obstore, repeated with growing pauses while the store does not answer.
+    """Return the result of a call to obstore, repeated with growing pauses while the store does not respond.
 
-    Raises NetworkError, which names the URL, after ``patience`` seconds; OSError at once for failures that do not pass.
-    A failed call may still have taken effect.
+    Raise NetworkError, which names the URL, after ``patience`` seconds. Raise OSError at once for failures that do not
+    pass. A failed call may still have taken effect.
     """
     from obstore.exceptions import BaseError
 
@@ -45,7 +45,7 @@ def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
 
 
 async def retry_call_async(call: Callable[[], Awaitable[_T]], url: str, patience: float) -> _T:
-    """As ``retry_call``, for a coroutine function."""
+    """``retry_call`` for a coroutine function."""
     from obstore.exceptions import BaseError
 
     outage = _Outage(url, patience)
@@ -58,7 +58,7 @@ async def retry_call_async(call: Callable[[], Awaitable[_T]], url: str, patience
 
 
 def first_line(error: Exception) -> str:
-    """The first line of an error, without the library's details; of the server's XML its code and message."""
+    """Return the first line of an error, without obstore's details; of a server's XML its code and message."""
     first, _, answer = str(error).partition("\n\nDebug source")[0].partition("<")
     lines = first.splitlines()
     text = (lines[0].rstrip(": ") if lines else "") or type(error).__name__
@@ -68,20 +68,20 @@ def first_line(error: Exception) -> str:
 
 
 class _Outage:
-    """The failed attempts at one call; the outage begins when the first of them fails."""
+    """The failed attempts at one call; the outage begins when the first attempt fails."""
 
     def __init__(self, url: str, patience: float) -> None:
         self.url, self.patience = url, patience
         self.begin, self.next = math.inf, _FIRST_PAUSE
 
     def pause_after(self, error: Exception) -> float:
-        """Seconds until the next attempt; raises an error to give up."""
+        """Return the seconds until the next attempt; raise an error to give up."""
         from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
         line = first_line(error)
         if not _PASSING.search(line):
             if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
-                asked = "; are the credentials still valid?" if line.endswith("400 Bad Request") else ""
+                asked = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
                 raise PermissionError(errno.EACCES, line + asked) from None
             raise OSError(line) from None
         now = time.monotonic()

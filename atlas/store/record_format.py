@@ -1,8 +1,9 @@
-"""The record of a tile: a digest of its place and contents, and the counts of its cells by regime and by reason.
+"""The format of a tile record: digest of the tile's index and contents, and counts of its cells by regime and reason.
 
-It is a row of numbers, the chunk of its tile in the array ``tiles/record``. Digests reveal swapped tiles; the
-counts say what an atlas holds without reading its cells. Columns have fixed places, with room for regimes and reasons
-of later versions: this version finds that such a row does not add up to its tile, and counts the tile from its chunks.
+A record is a row of numbers, the chunk of its tile in the array ``tiles/record``. Digests reveal swapped tiles. The
+counts tell what an atlas contains without reading its cells. Columns have fixed positions, with room for regimes and
+reasons of later versions. A row with such codes does not add up to its tile in this version, which then counts the tile
+from its chunks.
 """
 
 import hashlib
@@ -22,13 +23,13 @@ from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
 TILES = "tiles"
 RECORD, RECORDS = f"{TILES}/record", f"{TILES}/records"
 COVERED = "variables"
-"""The attribute with the names of the variables in a digest, in their order."""
+"""Attribute with the names of the variables in a digest, in their order."""
 _ROOM = {"cells": 16, "area": 16, "reason": 64}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
 AREAS = slice(18, 18 + len(REGIMES))
 BY_REASON = slice(34, 34 + len(REASONS))
-"""The columns of the digest in two halves, of cells by regime, of their areas, and of cells by reason."""
+"""Columns of the digest in two halves, of cells by regime, of their areas, and of cells by reason."""
 WIDTH = 2 + sum(_ROOM.values())
 
 Index = tuple[int, ...]
@@ -36,7 +37,7 @@ Rows = NDArray[np.float64]
 
 
 def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, Any]) -> int:
-    """The digest of a tile, 64 bits, of these variables."""
+    """Return the digest of a tile, 64 bits, from its index and these variables."""
     digest = hashlib.blake2b(repr(tuple(map(int, index))).encode(), digest_size=8)
     for variable in variables:
         dtype = np.dtype(variable.dtype).newbyteorder("<")
@@ -46,14 +47,16 @@ def digest_of(index: Index, variables: Iterable[Variable], arrays: Mapping[str, 
 
 
 def halves(digest: int) -> tuple[int, int]:
-    """The two columns of a digest in a row."""
+    """Return the two columns of a digest in a row."""
     return divmod(digest, 2**32)
 
 
 def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArray[Any]]) -> Rows:
-    """The row of a tile without its digest, from arrays of regimes and, if there are any, of reasons, one a cell.
+    """Return the row of a tile without its digest.
 
-    Areas are in units of the axes.
+    spec     spec of the atlas
+    slices   cells of the tile; their areas are in units of the axes
+    arrays   regimes and, if there are any, reasons, one per cell
     """
     codes = arrays[REGIME.name]
     area = reduce(np.multiply.outer, (width[part] for width, part in zip(widths_along(spec), slices, strict=True)))
@@ -68,19 +71,19 @@ def count_row(spec: Spec, slices: tuple[slice, ...], arrays: Mapping[str, NDArra
 
 
 def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """A mask of the rows, along the last dimension, whose counts add up to the cells of their tiles."""
+    """Return the mask of the rows, along the last dimension, whose counts add up to the cells of their tiles."""
     by_regime, by_reason = rows[..., CELLS].sum(axis=-1), rows[..., BY_REASON].sum(axis=-1)
     return np.asarray((by_regime == sizes) & (by_reason == sizes))
 
 
 def encode_row(row: Rows) -> bytes:
-    """A row as the chunk of its tile, in the form that ``create_arrays`` declares."""
+    """Return a row as the chunk of its tile, in the form that ``create_arrays`` declares."""
     data = row.astype("<f8").tobytes()
     return data + google_crc32c.value(data).to_bytes(4, "little")
 
 
 def decode_row(data: bytes) -> Rows | None:
-    """The inverse; None for bytes of any other kind."""
+    """Return the row of a chunk written by ``encode_row``; None for any other bytes."""
     inner, checksum = data[:-4], data[-4:]
     if len(inner) != 8 * WIDTH or google_crc32c.value(inner) != int.from_bytes(checksum, "little"):
         return None
@@ -88,12 +91,15 @@ def decode_row(data: bytes) -> Rows | None:
 
 
 def record_key(index: Index) -> str:
-    """The key of a tile's record. All are in one folder, so that removing them leaves no empty folders."""
+    """Return the key of a tile's record.
+
+    All records are in one folder, so that removing them leaves no empty folders.
+    """
     return f"{RECORD}/{'.'.join(['c', *map(str, index), '0'])}"
 
 
 def record_index(key: str, grid: Index) -> Index | None:
-    """The tile whose record has this key; None for any other key."""
+    """Return the index of the tile whose record has this key; None for any other key."""
     begin = f"{RECORD}/c."
     index = chunk_index(key.removeprefix(begin).replace(".", "/"), (*grid, 1)) if key.startswith(begin) else None
     return None if index is None else index[:-1]
@@ -102,7 +108,7 @@ def record_index(key: str, grid: Index) -> Index | None:
 def create_arrays(
     root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any]
 ) -> None:
-    """Make the arrays of a store's records: one with a chunk for each tile, and one with a single chunk."""
+    """Create the arrays of the tile records of a store: one with a chunk per tile, and one with a single chunk."""
     from zarr.codecs import Crc32cCodec
 
     columns = [""] * WIDTH

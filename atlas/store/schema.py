@@ -1,4 +1,4 @@
-"""Coordinates, attributes and arrays of a store, as they are made."""
+"""The schema of a store: how its coordinates, attributes and arrays are created."""
 
 import json
 import uuid
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 2
-"""The only version that this program reads."""
+"""The only version of the format that this program reads."""
 OVERVIEWS = "overviews"
-"""The group of the levels of coarser cells."""
+"""Name of the group of the overview levels."""
 LARGEST_CHUNK = 2**31 - 1
-"""Largest chunk in bytes that the codecs of a store accept."""
+"""Maximum size of a chunk, in bytes, that the codecs of a store accept."""
 ZOOM = "zoom"
-"""The group of explored cells, see ``store.zoom``."""
+"""Name of the group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""
 
 
 class StoredArray(NamedTuple):
-    """An array that is stored whole, in one chunk: a coordinate, or a column of a table."""
+    """An array that is stored in one chunk: a coordinate, or a column of a table."""
 
     values: Any
     dims: tuple[str, ...]
@@ -43,13 +43,16 @@ class StoredArray(NamedTuple):
 
 
 def coordinate_names(spec: Spec) -> list[str]:
-    """The names of ``coordinates``."""
+    """Return the names of ``coordinates``."""
     cells = [POINT, *spec.points] if spec.points else [axis.name for axis in spec.axes]
     return [*cells, *spec.parameters, COMPONENT]
 
 
 def coordinates(spec: Spec) -> dict[str, StoredArray]:
-    """The coordinates by name: axes, or the rows and columns of a table; fixed parameters; the names of the states."""
+    """Return the coordinates by name.
+
+    They are the axes, or the rows and columns of a table of points; the fixed parameters; the names of the states.
+    """
     record = spec.system_def
     names: dict[str, Any] = {"long_name": "component of the physical section state"}
     if spec.points:
@@ -70,9 +73,9 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
 
 
 def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
-    """The attributes of a store's root; a run id is drawn if none is given.
+    """Return the attributes of a store's root; a run identifier is drawn if ``run_id`` is empty.
 
-    There are at least ten, so a notebook shows them folded, and the spec does not fill the screen.
+    There are at least ten attributes, so a notebook shows them folded, and the spec does not fill the screen.
     """
     packages = ("impact-atlas", "numpy", "scipy", "numba", "zarr", "xarray", "dask")
     references = {"references": spec.system_def.source} if spec.system_def.source else {}
@@ -94,7 +97,7 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
 
 
 def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[str, Any]:
-    """CF attributes of a result variable; ``fixed`` names the coordinates that are not axes."""
+    """Return the CF attributes of a result variable; ``fixed`` names the coordinates that are not axes."""
     attributes: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units}
     if variable.codes:
         attributes["flag_values"] = [code.code for code in variable.codes]
@@ -107,7 +110,7 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
 
 
 def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
-    """Make an array of one chunk with its values, replacing an existing one."""
+    """Create an array of one chunk with its values, replacing an existing one."""
     values, dims, attributes = stored
     array: Any = group.create_array(
         name,
@@ -124,7 +127,7 @@ def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
 
 
 def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
-    """Make the array of a result, one object a tile: a chunk, or for a large tile a shard of smaller chunks."""
+    """Create the array of a result with one object per tile: a chunk, or for a large tile a shard of smaller chunks."""
     extra = tuple(spec.extra_sizes[dim] for dim in variable.extra_dims)
     part = tuple(map(part_side, tiling.tile))
     group.create_array(
@@ -141,7 +144,7 @@ def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling:
 
 
 def consolidate(group: "zarr.Group", path: str = "") -> None:
-    """Copy the metadata of all arrays below a group into its own metadata: xarray reads nothing else."""
+    """Copy the metadata of all arrays below a group into the metadata of the group: xarray reads no others."""
     import zarr
 
     with warnings.catch_warnings():
@@ -152,7 +155,7 @@ def consolidate(group: "zarr.Group", path: str = "") -> None:
 
 
 def codecs() -> list[Any]:
-    """The codecs of every chunk."""
+    """Return the codecs of every chunk."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(), Crc32cCodec()]  # the checksum finds a chunk that a disk has damaged

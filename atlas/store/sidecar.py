@@ -1,7 +1,8 @@
-"""Notes beside a store: small named texts that processes share, with a conditional write.
+"""The sidecar of a store: small named files beside it that processes share, with compare-and-set.
 
-A run claims a store by a note, and an attempt at a tile claims the tile by one. Notes are files next to a folder, and
-objects next to a store at a URL.
+A run leases a store through one sidecar file, and an attempt at a tile marks the tile with another. The sidecar of
+``plane.zarr`` is the folder or the object prefix ``.plane.zarr.run`` beside it. It lies outside the store, because a
+lease exists before its store and because Zarr owns everything inside.
 """
 
 import errno
@@ -26,41 +27,41 @@ from atlas.store.object_backend import Given, ObjectBackend, StoreBackend, open_
 from atlas.store.zip_backend import ZipBackend
 
 LEASE_NAME = "claim"
-"""The name of the note by which a run claims a store."""
+"""Name of the sidecar file that holds the lease of a store."""
 _LOCK, _PARTIAL = ".lock", ".partial"
 _READ_ATTEMPTS, _READ_PAUSE = 100, 0.01
-"""Attempts to read a note that is being written in place, and the seconds between them."""
+"""Maximum number of attempts to read a file that is being overwritten in place, and the seconds between them."""
 _LOCK_SECONDS = 10.0
-"""Seconds to wait for the lock, which is held for an instant."""
+"""Maximum wait, in seconds, for the lock, which is held for an instant."""
 _BLOCK, _END = 4096, 18
-"""Block size of a note's file in bytes, and bytes at its end: length and checksum of the text."""
+"""Block size of a sidecar file, and size of its end with length and checksum of the content, in bytes."""
 
 
 class Sidecar(Protocol):
-    """Small named notes of one store that several processes share, with a conditional write."""
+    """Small named files beside one store, shared between processes."""
 
     def read(self, name: str) -> bytes | None:
-        """A note's bytes, None if there is none."""
+        """Return the bytes of a file; None if it does not exist."""
 
     def compare_and_set(self, name: str, data: bytes, expected: bytes | None) -> bool:
-        """Write a note if it is absent (``expected`` None) or holds the expected bytes; else return False."""
+        """Write a file if it holds ``expected``, or does not exist if ``expected`` is None; else return False."""
 
     def compare_and_remove(self, name: str, expected: bytes) -> bool:
-        """Remove a note that holds the expected bytes; else return False. For the note's maker only."""
+        """Remove a file if it holds ``expected``; else return False. Only its creator may call this."""
 
     def clear(self, keep: str) -> None:
-        """Remove all notes but one. For the holder of that note only."""
+        """Remove all files but ``keep``. Only the holder of ``keep`` may call this."""
 
 
 def sidecar_of(store: Given) -> Sidecar:
-    """The notes of a store, next to it: a claim precedes the store, and Zarr owns its inside.
+    """Return the sidecar of a store, which lies beside the store.
 
-    If the store's path is a link, they are next to its target, so that a store has one claim.
+    If the path of the store is a link, the sidecar lies beside the target, so that a store has one lease.
     """
     place = open_backend(store)
     if isinstance(place, ObjectBackend):
         return object_sidecar(place)
-    path = place.path if isinstance(place, ZipBackend) else place.local  # a file is never claimed, so it has no notes
+    path = place.path if isinstance(place, ZipBackend) else place.local  # a zip file is never leased
     if path is None:
         return NullSidecar()
     path = Path(os.path.realpath(path))
@@ -68,7 +69,7 @@ def sidecar_of(store: Given) -> Sidecar:
 
 
 class NullSidecar:
-    """The notes of a read-only store, which is never claimed."""
+    """The sidecar of a read-only store, which is never leased; it has no files."""
 
     def read(self, name: str) -> bytes | None:
         return None
@@ -84,12 +85,21 @@ class NullSidecar:
 
 
 def read_lease_token(sidecar: Sidecar) -> str:
-    """The token of the run that has claimed a store, by one read; empty if there is none or it is damaged."""
+    """Return the token of the run that leases a store, by one read; empty if there is no lease or it is damaged."""
     return _token(sidecar.read(LEASE_NAME))
 
 
 def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError], reason: str) -> Fence:
-    """A fence that raises ``error`` with the text ``reason`` unless a note of a store holds a token: one read."""
+    """Return a fence that raises ``error`` unless the sidecar file ``name`` of the store holds the token.
+
+    store    backend of the store
+    name     name of the sidecar file
+    token    token that the file must hold
+    error    class of the error
+    reason   text of the error, after the name of the store
+
+    The fence takes one read.
+    """
     notes = sidecar_of(store)
 
     def check() -> None:
@@ -101,7 +111,13 @@ def token_fence(store: StoreBackend, name: str, token: str, error: type[RunError
 
 @dataclass(frozen=True)
 class TileAttempt:
-    """An attempt at a tile, the content of a note: tokens of the attempt and of its run, its number, its process."""
+    """An attempt at a tile, stored as JSON in a sidecar file by these field names.
+
+    token     token of the attempt
+    run       token of its run
+    number    number of the attempt in the run, from 1
+    process   host and process, as text
+    """
 
     token: str
     run: str
@@ -109,18 +125,24 @@ class TileAttempt:
     process: str
 
     def pack(self) -> bytes:
-        """The note's bytes."""
+        """Return the bytes of the sidecar file."""
         return json.dumps(vars(self)).encode()
 
     def remove(self, sidecar: Sidecar, name: str) -> None:
-        """Remove the attempt's note, unless a later attempt has replaced it."""
+        """Remove the sidecar file of the attempt, unless a later attempt has replaced it."""
         sidecar.compare_and_remove(name, self.pack())
 
 
 def start_attempt(sidecar: Sidecar, name: str, run: str, limit: int) -> TileAttempt:
-    """Write the note of a new attempt of a run, replacing an older note.
+    """Write the sidecar file of a new attempt of a run, replacing an older file, and return the attempt.
 
-    RunError if the older note is of attempt number ``limit`` of that run: all of them died before they removed it.
+    sidecar   sidecar of the store
+    name      name of the file
+    run       token of the run
+    limit     maximum number of attempts of one run
+
+    Raise RunError if the older file is that of attempt number ``limit`` of this run: all of these attempts died before
+    they could remove it.
     """
     note, process = None, f"{socket.gethostname()}, process {os.getpid()}"
     while True:
@@ -129,7 +151,7 @@ def start_attempt(sidecar: Sidecar, name: str, run: str, limit: int) -> TileAtte
         number = number if isinstance(number, int) else 0
         if number >= limit:
             last = before.get("process", "an unknown one")
-            raise RunError(f"the process that solves it has died {number} times, the last was {last}")
+            raise RunError(f"its worker process has died {number} times, the last one was {last}")
         attempt = TileAttempt(uuid.uuid4().hex, run, number + 1, process)
         if sidecar.compare_and_set(name, attempt.pack(), expected=note):
             return attempt
@@ -150,23 +172,23 @@ def _read_note(note: bytes | None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LocalSidecar:
-    """Notes as files of a folder. The folder's lock, held for an instant, makes a conditional write atomic.
+    """A sidecar on a disk. A lock file, held for an instant, makes compare-and-set atomic.
 
-    The length of a file is a multiple of _BLOCK, and a checksum ends it. It appears whole, by a rename; it is
-    overwritten in place if the disk has no room for a second file, or the system cannot replace an open file. Readers
-    need no lock: a text that contradicts its checksum is being written, and is read again.
+    The length of a file is a multiple of _BLOCK, and a checksum ends it. Files are replaced by a rename. If the disk is
+    too full for a second file, or the system cannot replace an open file, they are overwritten in place. Readers take
+    no lock: content that contradicts its checksum is being written, and is read again.
     """
 
     path: Path
 
     def read(self, name: str) -> bytes | None:
-        """See Notes. Empty for a note that stays damaged."""
+        """See ``Sidecar``. Empty if the file stays damaged."""
         for _ in range(_READ_ATTEMPTS):
             try:
                 text = _text((self.path / name).read_bytes())
             except (FileNotFoundError, NotADirectoryError):
                 return None
-            except PermissionError:  # Windows: it is just being replaced
+            except PermissionError:  # Windows: the file is just being replaced
                 text = None
             if text is not None:
                 return text
@@ -179,11 +201,11 @@ class LocalSidecar:
                 self.path.mkdir(parents=True, exist_ok=True)
             elif not (self.path / name).exists():
                 return False
-            with suppress(FileNotFoundError), self._locked():  # another may just have removed the folder
+            with suppress(FileNotFoundError), self._locked():  # another process may just have removed the folder
                 return self.read(name) == expected and self._write(name, _file_of(data), new=expected is None)
 
     def compare_and_remove(self, name: str, expected: bytes) -> bool:
-        """See Notes."""
+        """See ``Sidecar``."""
         if not (self.path / name).exists():
             return False
         with self._locked(tidy=True):
@@ -198,7 +220,7 @@ class LocalSidecar:
                 file.unlink(missing_ok=True)
 
     def _write(self, name: str, data: bytes, new: bool) -> bool:
-        """Write a file; False if it is to be ``new`` and exists already."""
+        """Write a file; return False if it must be ``new`` but exists."""
         target, whole = self.path / name, self.path / f"{name}.{uuid.uuid4().hex}{_PARTIAL}"
         try:
             whole.write_bytes(data)
@@ -230,8 +252,8 @@ class LocalSidecar:
     def _locked(self, tidy: bool = False) -> Iterator[None]:
         """Hold the lock of writers; on a file system without locks a race of microseconds remains.
 
-        ``tidy`` deletes the folder and its lock after its last note. TimeoutError if another process keeps the lock:
-        what a stopped process writes when it continues must not come after other writes.
+        ``tidy`` deletes the folder and its lock after the last file. Raise TimeoutError if another process keeps the
+        lock: a stopped process that continues must not write after other processes have written.
         """
         path = self.path / _LOCK
         lock = file_lock(path)
@@ -257,14 +279,14 @@ class LocalSidecar:
 
 
 def _file_of(text: bytes) -> bytes:
-    """The file of a note, which begins with its text."""
+    """Return the bytes of a file with this content: content, padding, length and checksum."""
     length = -(-(len(text) + _END) // _BLOCK) * _BLOCK
     end = f"\n{len(text):08x} {google_crc32c.value(text):08x}".encode()
     return text.ljust(length - _END) + end
 
 
 def _text(file: bytes) -> bytes | None:
-    """The inverse; None for an incomplete file."""
+    """Return the content of a file made by ``_file_of``; None if it is incomplete."""
     try:
         length, checksum = (int(part, 16) for part in file[-_END:].split())
     except ValueError:
@@ -276,10 +298,10 @@ def _text(file: bytes) -> bytes | None:
 
 @dataclass(frozen=True)
 class ObjectSidecar:
-    """Notes as small objects under one prefix.
+    """A sidecar of small objects under one prefix of an object store.
 
-    Writes to an object store can be conditional (If-None-Match, If-Match), removals cannot: a note is removed by one
-    request right after a look at it, or is left empty, which counts as absent.
+    Writes to an object store can be conditional (If-None-Match, If-Match), removals cannot. A file is removed by one
+    request right after it is read; if that fails, it is left empty, which counts as absent.
     """
 
     backend: ObjectBackend
@@ -303,7 +325,7 @@ class ObjectSidecar:
 
 
 def object_sidecar(store: ObjectBackend) -> ObjectSidecar:
-    """The notes of a store at a URL, next to it: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
+    """Return the sidecar of a store at a URL: ``s3://bucket/.plane.zarr.run/`` for ``s3://bucket/plane.zarr``."""
     parts = urlsplit(store.url)
     above, _, name = parts.path.rstrip("/").rpartition("/")
     if not name:

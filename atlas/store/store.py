@@ -1,4 +1,4 @@
-"""The handle of a store: opening it, its spec and its finished tiles."""
+"""The handle of a store: it opens the store and describes its spec, its arrays and its finished tiles."""
 
 import hashlib
 import json
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 FIRST_RELEASED = 13
-"""The first solver version that was released; stores of earlier ones may have another layout."""
+"""First solver version that was released; stores of earlier versions may have another layout."""
 COPY_BY_XARRAY = (
-    "a copy of an atlas that is no store itself, as xarray's to_zarr makes it: read it with xarray.open_zarr; "
-    "ds.atlas answers questions and draws pictures; no run or repair can complete it"
+    "a copy made by xarray's to_zarr, which is no store of an atlas: open it with xarray.open_zarr; "
+    "ds.atlas answers queries and draws pictures; no run or repair can complete it"
 )
 READERS = 8
-"""Tiles read at the same time: a disk or a network answers several requests as soon as one."""
+"""Number of tiles read at the same time: a disk or a network answers several requests as soon as one."""
 
 
 class _SharedCache(dict[str, Any]):
-    """Objects read and opened by the views of a handle, by name; ``lock`` is held meanwhile."""
+    """What the views of a handle have read and opened, by name. ``lock`` is held while an entry is computed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,11 +48,11 @@ class _SharedCache(dict[str, Any]):
 
 
 class SharedCachedProperty(cached_property[_T]):
-    """A property that is made once for all views of a handle."""
+    """A property that is computed once for all views of a handle."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
         name, kept = str(self.attrname), instance.cache
-        with kept.lock:  # the threads of a worker come at once
+        with kept.lock:  # the threads of a worker ask at the same time
             if name not in kept:
                 kept[name] = self.func(instance)
             value: _T = kept[name]
@@ -61,11 +61,17 @@ class SharedCachedProperty(cached_property[_T]):
 
 @dataclass(frozen=True)
 class AtlasStore:
-    """The handle of a store: its place, spec, solver version and contents.
+    """The handle of a store: its backend, spec, solver version and contents.
 
-    ``outline`` is its spec, without the values of axes and points. ``nodes`` are the root's copies of the metadata of
-    its arrays and groups, by path. ``state`` is a digest of the root's metadata when they were read. Everything else
-    is read or opened at its first use, and ``kept`` in this process.
+    backend          backend of the store
+    outline          outline of the spec, without the values of axes and points
+    digest           digest of the resolved spec
+    run_id           identifier of the run that created the store
+    solver_version   solver version of its cells
+    nodes            consolidated metadata of the root: those of its arrays and groups, by path
+    origin           store whose cells it took over, None if there is none
+    state            digest of the root's metadata when they were read
+    cache            everything else, read or opened at its first use and kept in this process
     """
 
     backend: StoreBackend
@@ -88,48 +94,48 @@ class AtlasStore:
         return self  # a handle never changes
 
     def current(self) -> "AtlasStore":
-        """This handle if the store's root has not changed since, else a new one; errors as for ``open_store``.
+        """Return this handle if the store's root is unchanged, else a new one. Raise errors like ``open_store``.
 
-        It takes one request, fewer than opening the store.
+        This takes one request, fewer than opening the store.
         """
         with os_errors_as_input_errors(self.backend, "read"):
             same = self.state and _state(self.backend.get(ROOT)) == self.state
         return self if same else open_store(self.backend)
 
     def with_backend(self, place: StoreBackend) -> "AtlasStore":
-        """The same handle for another view of its place; both share everything that is read and opened."""
+        """Return the same handle for another view of its backend; both share everything that is read and opened."""
         other = object.__new__(AtlasStore)
         vars(other).update(vars(self), backend=place)
         return other
 
     @property
     def path(self) -> Path:
-        """The store's folder; RunError if it lies at a URL."""
+        """The store's folder. Raise RunError if the store is at a URL."""
         if self.backend.local is None:
-            raise RunError(f"{self.backend}: not a folder of this machine")
+            raise RunError(f"{self.backend}: not a local folder")
         return self.backend.local
 
     @SharedCachedProperty
     def arrays(self) -> Mapping[str, Mapping[str, Any]]:
-        """The metadata of the root's arrays, by name."""
+        """Metadata of the root's arrays, by name."""
         return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """The metadata of the array of the tiles' records."""
+        """Metadata of the array of the tile records."""
         return self.nodes[RECORD]
 
     @property
     def groups(self) -> frozenset[str]:
-        """The names of the root's groups."""
+        """Names of the root's groups."""
         return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
 
     @SharedCachedProperty
     def spec(self) -> Spec:
         """The spec of the store.
 
-        The values of its axes are read at their first use, with ChunkError if they are damaged. InputError if this
-        version cannot read the spec, or if the store's cells differ from the spec's.
+        The values of its axes are read at their first use, with ChunkError if they are damaged. Raise InputError if
+        this version cannot read the spec, or if the store has other cells than the spec.
         """
         try:
             spec = Spec.from_outline(self.outline, lambda: self.values)
@@ -143,22 +149,22 @@ class AtlasStore:
 
     @SharedCachedProperty
     def values(self) -> Values:
-        """The values of the axes, or of the columns of the points, by name. ChunkError if they are damaged."""
+        """Values of the axes, or of the columns of the points, by name. Raise ChunkError if they are damaged."""
         return read_values(self.backend, self.outline, self.digest)
 
     @property
     def copies(self) -> dict[str, bytes]:
-        """The copies of coordinates in the store, by their keys: see ``store.axes``."""
+        """Copies of coordinates in the store, by key; see ``store.axes``."""
         return copies(self.spec)
 
     @property
     def resolved(self) -> Mapping[str, Any]:
-        """The resolved spec of the store. ChunkError if its values are damaged."""
+        """The resolved spec of the store. Raise ChunkError if its values are damaged."""
         return with_values(self.outline, self.values)
 
     @property
     def tile(self) -> tuple[int, ...]:
-        """Cells of a tile along each dimension. ValueError if the metadata have no such numbers."""
+        """Cells of a tile along each dimension. Raise ValueError if the metadata have no valid numbers."""
         regime = self.arrays[REGIME.name]
         sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
         cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
@@ -176,49 +182,49 @@ class AtlasStore:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """The result variables of the store, ``regime`` last."""
+        """Result variables of the store, ``regime`` last."""
         return self.spec.variables
 
     @SharedCachedProperty
     def allowances(self) -> tuple[BudgetVariable, ...]:
-        """The allowances that a retry may have raised, if a retry made the store."""
+        """Variables of the budgets that a retry may have raised; empty unless a retry made the store."""
         return budget_variables(self.spec) if self.origin is not None and self.origin.retry is not None else ()
 
     @property
     def regime(self) -> Variable:
-        """The result that is written last; a tile is done once it exists."""
+        """The variable that is written last; a tile is finished once its ``regime`` exists."""
         return next(variable for variable in self.spec.variables if variable.name == REGIME.name)
 
     def dominant_arrays(self, arrays: Mapping[str, Any]) -> dict[str, Any]:
-        """Arrays with one result for each cell: the first of all attractors."""
+        """Return arrays with one result per cell, that of the first attractor."""
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @SharedCachedProperty
     def readable(self) -> Mapping[str, Any]:
-        """The Zarr arrays of cells and coordinates by name, opened once; errors as for ``open_arrays``."""
+        """Zarr arrays of cells and coordinates by name, opened once. Raise errors like ``open_arrays``."""
         return open_arrays(self)
 
     @SharedCachedProperty
     def declared(self) -> Mapping[str, Any]:
-        """The same arrays by the root's copies of their metadata, without a request: for encoding chunks to write."""
+        """The same arrays by the consolidated metadata of the root, without a request; they encode chunks to write."""
         return arrays_by(self, self.nodes)
 
     @property
     def array_names(self) -> list[str]:
-        """The names of the arrays of its root that hold cells or coordinates."""
+        """Names of the root's arrays of cells and coordinates."""
         return [*(variable.name for variable in (*self.variables, *self.allowances)), *coordinate_names(self.spec)]
 
     @SharedCachedProperty
     def coordinates(self) -> dict[str, StoredArray]:
-        """The coordinates, by name."""
+        """Coordinates, by name."""
         return coordinates(self.spec)
 
 
 def open_store(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None = None) -> AtlasStore:
-    """The handle of a store, given or read; InputError without a store, or for one that is no atlas of a known format.
+    """Return the handle of a store; a handle is returned unchanged.
 
-    If the disk or the server refused, its OSError is the cause of the InputError. NetworkError if the server does not
-    answer.
+    Raise InputError if the store does not exist, is no atlas, or has an unknown format. If the disk or the server
+    refuses access, its OSError is the cause of the InputError. Raise NetworkError if the server does not respond.
     """
     if isinstance(store, AtlasStore):
         return store
@@ -253,11 +259,13 @@ def _open_handle(place: StoreBackend) -> AtlasStore:
     version = attrs.get("solver_version")
     if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
         if type(version) is int and version < FIRST_RELEASED:
-            old = f"made by solver version {version}, before the first release, in a layout that is not read any more"
+            old = (
+                f"made by solver version {version}, before the first release, in a layout that this version cannot read"
+            )
             raise InputError(f"{place}: {old}")
         raise InputError(f"{place}: {COPY_BY_XARRAY}")
     if spare is None and (fault := form_fault(root)):
-        raise InputError(f"{place}: {ROOT} {fault}, and its second copy, {SPARE}, is missing or damaged, too")
+        raise InputError(f"{place}: {ROOT} {fault}, and its backup, {SPARE}, is missing or damaged, too")
     if regime not in objects:
         raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
     try:
@@ -271,7 +279,7 @@ def _state(content: bytes | None) -> str:
 
 
 def handle_by(place: StoreBackend, root: Mapping[str, Any], regime: Mapping[str, Any]) -> AtlasStore:
-    """The handle of a store by the metadata of its root and of its regimes."""
+    """Return the handle of a store from the metadata of its root and of its regimes."""
     attrs, nodes = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
     if fault := copy_difference(regime, nodes[REGIME.name]):
         raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
@@ -289,7 +297,7 @@ def handle_by(place: StoreBackend, root: Mapping[str, Any], regime: Mapping[str,
 
 
 def find_store(store: Given) -> AtlasStore | None:
-    """The handle of a store, None if there is none yet; InputError if something else lies at its place."""
+    """Return the handle of a store; None if it does not exist yet. Raise InputError if something else exists there."""
     place = open_backend(store)
     with os_errors_as_input_errors(place, "written"):
         free = is_free(place)
@@ -297,7 +305,7 @@ def find_store(store: Given) -> AtlasStore | None:
 
 
 def is_free(place: StoreBackend) -> bool:
-    """Whether a place has no store, and on a disk nothing else either."""
+    """Return True if a backend has no store, and on a disk no other content."""
     path = place.local
     if path is None:
         return not place.exists(ROOT)
@@ -305,7 +313,7 @@ def is_free(place: StoreBackend) -> bool:
 
 
 def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[tuple[int, ...]]:
-    """Indices of the finished tiles, whose regime chunk exists, from these keys or from one listing."""
+    """Return the indices of the finished tiles, whose regime chunk exists, from ``listed`` keys or from one listing."""
     root, end = f"{REGIME.name}/c/", "/0" * len(handle.regime.extra_dims)
     keys = handle.backend.list_keys(root) if listed is None else (key for key in listed if key.startswith(root))
     keys = handle.backend.whole_keys(keys)
@@ -315,19 +323,19 @@ def done_tiles(handle: AtlasStore, listed: Iterable[str] | None = None) -> set[t
 
 
 def is_done(handle: AtlasStore, index: tuple[int, ...]) -> bool:
-    """Whether one tile is finished; see ``done_tiles`` for all of them."""
+    """Return True if one tile is finished; see ``done_tiles`` for all tiles."""
     return handle.backend.exists(chunk_key(handle.regime, index))
 
 
 def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
-    """The key of a tile's chunk in a variable's array."""
+    """Return the key of a tile's chunk in the array of a variable."""
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra_dims)])
 
 
 def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Zarr arrays of the store's root by name, results and coordinates, for reading: all, or those of these names.
+    """Return Zarr arrays of the root for reading, results and coordinates, by name: all, or those named.
 
-    ChunkError if their metadata are missing or damaged, or differ from the root's copy of them.
+    Raise ChunkError if their metadata are missing or damaged, or differ from the root's copy.
     """
     asked = handle.array_names if names is None else [name for name in handle.array_names if name in {*names}]
     own, faults = read_array_nodes(handle, asked), dict[str, str]()
@@ -340,7 +348,10 @@ def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[
 
 
 def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
-    """The Zarr arrays of the store's root by name, as these metadata describe them; ChunkError for damaged metadata."""
+    """Return the Zarr arrays of the root that these metadata describe, by name.
+
+    Raise ChunkError for damaged metadata.
+    """
     arrays = {}
     for name in handle.array_names:
         try:
@@ -352,7 +363,10 @@ def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def array_by(place: StoreBackend, path: str, node: Any) -> Any:
-    """A Zarr array of a store, for reading, as these metadata describe it; damaged metadata may raise anything."""
+    """Return a Zarr array of a store, for reading, that the metadata ``node`` describe.
+
+    Damaged metadata may raise anything.
+    """
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 
@@ -362,7 +376,7 @@ def array_by(place: StoreBackend, path: str, node: Any) -> Any:
 
 
 def read_array_nodes(handle: AtlasStore, names: Iterable[str]) -> dict[str, Any]:
-    """The own metadata of arrays of the store's root, by name. ChunkError if they are damaged."""
+    """Return the own metadata of arrays of the root, by name. Raise ChunkError if they are damaged."""
     nodes = {}
     for key, data in handle.backend.get_all(f"{name}/{ROOT}" for name in names).items():
         try:
@@ -373,7 +387,7 @@ def read_array_nodes(handle: AtlasStore, names: Iterable[str]) -> dict[str, Any]
 
 
 def open_group(place: StoreBackend, mode: Literal["r", "r+"]) -> "zarr.Group":
-    """The root group of a store, with the present metadata of each array instead of the root's copies."""
+    """Return the root group of a store, with the present metadata of each array instead of the root's copies."""
     import zarr
 
     from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load

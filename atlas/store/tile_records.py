@@ -1,16 +1,17 @@
-"""The contents of the finished tiles of a store, by their records: one per tile, and one chunk with all.
+"""The records of the finished tiles of a store: one per tile, and one chunk with all of them, the compaction.
 
-A worker puts the record of a tile right before its ``regime``, with which the tile is done. At the end of a run all
-records are collected in one chunk, the compaction, and the single ones are removed, so that a finished atlas is known
-from a handful of objects. No kill leaves a wrong record of a finished tile:
+A worker writes the record of a tile right before its ``regime``, which makes the tile finished. At its end a run
+compacts all records into one chunk and removes the single records, so that a few objects describe a finished atlas. No
+kill leaves a wrong record of a finished tile:
 
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
-- Before a damaged tile is dropped, and before one of basins gets its last labels, an empty record replaces its own, and
-  wins over the tile's row in the compaction. After a kill there the tile is as it was, and is counted from its chunks.
-- A single record wins over the compaction, so a kill between the writing of the compaction and the removal of single
+- Before a damaged tile is dropped, an empty record replaces its record; likewise before a tile of basins gets its final
+  labels. The empty record takes precedence over the tile's row in the compaction. After a kill there the tile is
+  unchanged, and is counted from its chunks.
+- A single record takes precedence over the compaction, so a kill between writing the compaction and removing single
   records does no harm. A record is removed only if no worker of the run may still write its tile. Readers list the
-  single records first, and start again if one has gone meanwhile.
-- If a compaction has rows of all tiles, and there is no single record, all tiles are done.
+  single records first, and start again if one has been removed meanwhile.
+- If a compaction has rows of all tiles, and there is no single record, all tiles are finished.
 
 A tile whose row is missing, damaged or does not add up to its cells is counted from its chunks.
 """
@@ -47,14 +48,14 @@ _LOOKS = 10
 
 
 class TileRecords:
-    """The records of a store's tiles at one moment, read at their first use.
+    """The tile records of a store at one moment, read at their first use.
 
-    done      mask of the finished tiles, over all tiles: the ``listed`` ones, by default by a look at the store
-    rows      the rows of all tiles, zeros for a tile without a valid row
-    known     mask of the tiles with a valid row
-    damaged   faults of records, by their keys
-    lost      tiles that are finished according to the compaction, but not by their chunks
-    single    tiles with a record of their own, finished or not
+    done         mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
+    rows         rows of all tiles, zeros for a tile without a valid row
+    known_mask   mask of the tiles with a valid row
+    damaged      faults of records, by key
+    lost         tiles that are finished according to the compaction, but not by their chunks
+    single       tiles with a record of their own, finished or not
 
     Reading ``rows`` sets the last three.
     """
@@ -66,7 +67,7 @@ class TileRecords:
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
-        """See the class. Two objects are enough for a finished atlas; else it takes a listing."""
+        """See the class. Two objects are enough for a finished atlas; otherwise a listing is needed."""
         if self._whole is not None:
             return np.ones(self.handle.tiling.grid, dtype=bool)
         done = np.zeros(self.handle.tiling.grid, dtype=bool)
@@ -88,7 +89,7 @@ class TileRecords:
         return np.asarray(self.rows.any(axis=-1))
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
-        """A mask of the tiles without a cell of these regimes, according to their records."""
+        """Return the mask of the tiles without a cell of these regimes, according to their records."""
         asked = np.isin([regime.code for regime in REGIMES], list(codes))
         return self.known_mask & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
 
@@ -107,13 +108,13 @@ class TileRecords:
             rows = np.asarray(_compaction(self.handle)[...], dtype=np.float64)
         except OSError:
             raise
-        except Exception as error:  # a codec that meets bytes nobody wrote may raise anything
+        except Exception as error:  # a codec that reads damaged bytes may raise anything
             self.damaged[RECORDS] = f"is damaged ({message_of(error)})"
             return none
         return rows if rows.shape == none.shape else none
 
     def _read(self) -> Rows:
-        """The rows of the compaction, with single records in their places."""
+        """Return the rows of the compaction, replaced by single records where they exist."""
         done = self.done  # read before the records: every finished tile then has a record
         for _ in range(_LOOKS):
             self.single = single_records(self.handle)
@@ -137,9 +138,10 @@ class TileRecords:
 
 
 class RunTileRecords:
-    """The records of a store during a run, in the coordinator's memory: earlier ``records``, and records of receipts.
+    """The tile records of a store during a run, in the memory of the coordinator.
 
-    ``due`` is a mask of the tiles that the workers may write.
+    They are the earlier ``records``, and the records of reports. ``unfinished`` is a mask of the tiles that workers may
+    write.
     """
 
     def __init__(self, handle: AtlasStore, records: TileRecords, unfinished: NDArray[np.bool_]) -> None:
@@ -149,14 +151,14 @@ class RunTileRecords:
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
 
     def add(self, index: Index, row: Sequence[float]) -> None:
-        """Add the record of a finished tile; empty if it is unknown."""
+        """Add the record of a finished tile; an empty ``row`` if the record is unknown."""
         new = np.array(row) if len(row) == WIDTH else np.zeros(WIDTH)
         self._total += new - self._rows[index]
         self._rows[index], self._done[index], self._open[index], self._new = new, True, False, True
 
     @property
     def counts(self) -> dict[str, Any] | None:
-        """The contents of the store: tiles done, cells by regime and by reason; None if some tiles are not counted."""
+        """Contents of the store: finished tiles, cells by regime and by reason; None if some tiles are not counted."""
         if self._uncounted.any():
             return None
         regimes, reasons = counts_by_name(self._total)
@@ -167,7 +169,10 @@ class RunTileRecords:
         return self._done & ~self._rows.any(axis=-1)
 
     def compact(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Collect all records in one chunk. Tiles without a record are counted: ``on_wait`` gets their number."""
+        """Compact all records into one chunk.
+
+        Tiles without a record are counted from their chunks; ``on_wait`` is called with their number.
+        """
         uncounted = _indices(self._uncounted & ~self._open)
         if uncounted:
             on_wait(len(uncounted))
@@ -179,7 +184,7 @@ class RunTileRecords:
 
 
 def compact_records(handle: AtlasStore) -> None:
-    """Collect all records of a store on which no run is at work."""
+    """Compact all records of a store that no run writes."""
     none = np.zeros(handle.tiling.grid, dtype=bool)
     RunTileRecords(handle, TileRecords(handle, done_tiles(handle)), none).compact()
 
@@ -191,25 +196,29 @@ def write_compaction(handle: AtlasStore, rows: Rows, settled: NDArray[np.bool_])
     handle.backend.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
 
 
-EXCHANGED = "its chunks were not written together here: they were exchanged with another tile's, or altered"
+EXCHANGED = "its digest does not match: its chunks were swapped with another tile's, or altered"
 
 
 def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
-    """Whether the record of a finished tile has another digest than ``row``, the record computed from its cells."""
+    """Return True if the record of a finished tile has another digest than ``row``.
+
+    ``row`` is the record computed from the cells of the tile.
+    """
     digest = records.rows[index][DIGEST]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
 
 
 def read_record(handle: AtlasStore, index: Index) -> Rows | None:
-    """The single record of a tile, None if there is none or it is damaged."""
+    """Return the single record of a tile; None if it is missing or damaged."""
     data = handle.backend.get(record_key(index))
     return None if data is None else decode_row(data)
 
 
 def single_records(handle: AtlasStore) -> list[Index]:
-    """The tiles with a record of their own, finished or not, from one listing.
+    """Return the indices of the tiles with a record of their own, finished or not, from one listing.
 
-    None on a server without listings: a finished atlas has no such record, and no other atlas can be counted there.
+    Return an empty list for a server without listings: a finished atlas has no single records, and no other atlas can
+    be counted there.
     """
     try:
         indices = [record_index(key, handle.tiling.grid) for key in handle.backend.list_keys(f"{RECORD}/")]
@@ -219,9 +228,9 @@ def single_records(handle: AtlasStore) -> list[Index]:
 
 
 def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
-    """The rows of finished tiles, without digests, from their chunks; the error of a damaged tile.
+    """Yield the rows of finished tiles, without digests, from their chunks, and the error of each damaged tile.
 
-    A tile that is no longer finished has a row of zeros.
+    The row of a tile that is no longer finished is zero.
     """
     if not tiles:
         return
@@ -239,7 +248,7 @@ def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | C
 
 
 def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
-    """The counts above 0 in a sum of rows, by regime and by reason in words."""
+    """Return the positive counts in a sum of rows, by name of the regime and by text of the reason."""
     cells, reasons = total[CELLS].astype(int).tolist(), total[BY_REASON].astype(int).tolist()
     regimes = {regime.name: count for regime, count in zip(REGIMES, cells, strict=True) if count}
     named = {r.text: count for r, count in zip(REASONS, reasons, strict=True) if count and r.code != NO_REASON}

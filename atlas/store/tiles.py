@@ -1,4 +1,4 @@
-"""The tiles of a store: written whole, and read with every missing or damaged chunk found."""
+"""Tiles of a store: they are written whole, and reading them finds every missing or damaged chunk."""
 
 import errno
 from collections.abc import Iterable, Mapping
@@ -27,9 +27,9 @@ from workers.results import LABEL, REGIME, Variable
 
 
 def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as whole objects and return its record. The record and then ``regime`` are last: the tile is done.
+    """Write a tile as whole objects and return its record. The record and then ``regime`` come last.
 
-    Another attempt at the tile writes the same bits.
+    The tile is finished once ``regime`` exists. Another attempt at the tile writes the same bits.
     """
     to, whole = handle.declared, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
@@ -45,9 +45,9 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
 
 
 def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile like ``write_tile``, but copy its objects from a store of the same cells and tiles.
+    """Write a tile like ``write_tile``, but copy its objects from ``origin``, a store of the same cells and tiles.
 
-    ``arrays`` are the values read from that store: its objects are whole.
+    ``arrays`` are the values read from the origin, whose objects are whole.
     """
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
@@ -58,7 +58,7 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
 
 
 def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Record the machine that writes a tile, and remove old objects where the tile has none; returns its record."""
+    """Record the host that writes a tile, remove old objects that the tile no longer has, and return its record."""
     record_host(handle, current_host())
     sparse = (variable for variable in _written(handle) if variable.sparse)
     absent = [chunk_key(variable, index) for variable in sparse if is_blank(arrays[variable.name], variable)]
@@ -68,17 +68,17 @@ def _begin_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str,
 
 
 def _with_allowances(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Arrays of a tile together with its allowances, by default the spec's settings."""
+    """Return the arrays of a tile with its budgets, by default the settings of the spec."""
     return {allowance.name: _as_in_spec(handle, index, allowance) for allowance in ALLOWANCES} | dict(arrays)
 
 
 def _written(handle: AtlasStore) -> list[Variable]:
-    """The variables of cells in the store, ``regime`` last."""
+    """Return the variables of cells in the store, ``regime`` last."""
     return [*handle.allowances, *handle.variables]
 
 
 def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write the labels in ``arrays`` into a tile of basins, once all tiles are known; all other arrays are as stored.
+    """Write the labels in ``arrays`` into a tile of basins, once all tiles are finished; other arrays stay as stored.
 
     Meanwhile its record is empty, so a kill leaves no record that contradicts the tile.
     """
@@ -89,9 +89,9 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
 
 
 def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
-    """The objects, by key, of a Zarr array with these values in a block of whole objects.
+    """Return the objects, by key, of a Zarr array with these values in a block of whole objects.
 
-    Objects of fill values alone are included unless ``sparse``, so that a missing object is a missing result.
+    Objects that hold fill values alone are included unless ``sparse``, so that a missing object is a missing result.
     """
     from zarr import Array, AsyncArray
     from zarr.storage import MemoryStore, StorePath
@@ -103,7 +103,7 @@ def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) 
 
 
 def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """The record of a tile with these arrays, ``ALLOWANCES`` among them."""
+    """Return the record of a tile with these arrays, including those of ``ALLOWANCES``."""
     row = count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(arrays))
     covered = covered_variables(handle, handle.record["attributes"])
     row[DIGEST] = halves(digest_of(index, covered, arrays))
@@ -118,7 +118,7 @@ def put_record(handle: AtlasStore, index: tuple[int, ...], row: Rows) -> None:
 def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
 
-    Its record goes first: an empty one replaces it, and takes precedence over the row in the records of all tiles.
+    First an empty record replaces its own; it takes precedence over the row of the tile in the compaction.
     """
     put_record(handle, index, np.zeros(WIDTH))
     handle.backend.remove(chunk_key(handle.regime, index))
@@ -130,11 +130,14 @@ def read_tile(
     names: Iterable[str] | None = None,
     arrays: Mapping[str, Any] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Arrays of a finished tile: the named ones, or all results and ``ALLOWANCES``.
+    """Return the arrays of a finished tile: those named, or all results and ``ALLOWANCES``.
 
-    They are read from ``arrays``, see ``open_arrays``.
+    handle   handle of the store
+    index    index of the tile
+    names    names of the variables, None for all
+    arrays   Zarr arrays to read, see ``open_arrays``; None to open them
 
-    Raises ChunkError, which names every bad chunk; OSError if the place cannot be read at all.
+    Raise ChunkError, which names every damaged chunk, or OSError if the backend cannot be read at all.
     """
     wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
     arrays = open_arrays(handle, wanted) if arrays is None else arrays
@@ -150,7 +153,7 @@ def read_tile(
         chunk = read_chunk(array, index)
         if isinstance(chunk, str):
             faults[key] = chunk
-        # A missing chunk reads as fill values: only a chunk of fill values alone may be missing.
+        # A missing chunk reads as fill values, so each chunk of fill values alone is looked up.
         elif not variable.sparse and is_blank(chunk, variable) and (lost := _lost(handle, array, key)):
             faults[key] = lost
         else:
@@ -161,19 +164,22 @@ def read_tile(
 
 
 def covered_variables(handle: AtlasStore, attributes: Mapping[str, Any]) -> list[Variable]:
-    """The variables in digests, by the attributes of the records' array; KeyError for a variable the store lacks."""
+    """Return the variables in digests, by the attributes of the records' array.
+
+    Raise KeyError for an unknown variable.
+    """
     known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
     return [known[name] for name in attributes[COVERED]]
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:
-    """The cells of a tile in an array, by the array's own objects, so that no write is misaligned."""
+    """Return the cells of a tile in an array, by the array's own objects, so that no write is misaligned."""
     sides = object_shape(array)
     return tuple(slice(i * c, min((i + 1) * c, n)) for i, c, n in zip(index, sides, array.shape, strict=False))
 
 
 def object_shape(array: Any) -> tuple[int, ...]:
-    """The shape of an array's objects in cells: shards, or chunks without shards."""
+    """Return the shape of an array's objects in cells: shards, or chunks if there are no shards."""
     return tuple(array.shards or array.chunks)
 
 
@@ -182,7 +188,7 @@ def _as_in_spec(handle: AtlasStore, index: tuple[int, ...], allowance: BudgetVar
 
 
 def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
-    """A tile's part of an array, or the fault of its chunk."""
+    """Return the values of a tile in an array, or the fault of its chunk."""
     try:
         return np.asarray(array[block(array, index)])
     except OSError as error:
@@ -191,12 +197,12 @@ def read_chunk(array: Any, index: tuple[int, ...]) -> np.ndarray | str:
         return f"cannot be read ({error.strerror})"
     except MemoryError:
         raise
-    except Exception as error:  # a codec that meets bytes it never wrote may raise anything
+    except Exception as error:  # a codec that reads damaged bytes may raise anything
         return f"is damaged ({message_of(error)})"
 
 
 def _lost(handle: AtlasStore, array: Any, key: str) -> str:
-    """The fault of an object that reads as fill values: missing, or an empty shard."""
+    """Return the fault of an object that reads as fill values: missing, or an empty shard; empty if it exists."""
     if not array.shards:
         return "" if handle.backend.exists(key) else "is missing"
     data = handle.backend.get(key)
@@ -204,6 +210,6 @@ def _lost(handle: AtlasStore, array: Any, key: str) -> str:
 
 
 def is_blank(values: np.ndarray, variable: Variable) -> bool:
-    """Whether all values are the fill value."""
+    """Return True if all values are the fill value."""
     blank = np.isnan(values) if variable.fill != variable.fill else values == variable.fill
     return bool(np.all(blank))

@@ -1,4 +1,4 @@
-"""A plane cut into tiles."""
+"""The division of a block of cells into tiles, and of large tiles into chunks."""
 
 import itertools
 import math
@@ -14,17 +14,20 @@ from atlas.spec.spec import Slices
 Index = tuple[int, ...]
 
 INNER_CHUNK = 64
-"""Cells along a side of the parts in which a larger tile is solved and read."""
+"""Maximum side, in cells, of the chunks in which a larger tile is solved and read."""
 
 
 def part_side(tile: int) -> int:
-    """The side of the stored parts of a tile: the largest divisor of its side from PART / 2 to PART, else the side."""
+    """Return the side of a tile's chunks: the largest divisor of its side from INNER_CHUNK / 2 to INNER_CHUNK.
+
+    Without such a divisor the chunk is the tile.
+    """
     return next((side for side in range(INNER_CHUNK, INNER_CHUNK // 2 - 1, -1) if tile % side == 0), tile)
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A block of cells: its index along each dimension, and the cells it covers."""
+    """A block of cells that is solved and written as one: its index along each dimension, and the cells it covers."""
 
     index: Index
     slices: Slices
@@ -36,15 +39,15 @@ class Tile:
 
     @property
     def size(self) -> int:
-        """Cells in all."""
+        """Number of cells."""
         return math.prod(self.shape)
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """A block of cells of this ``shape`` cut into tiles of shape ``tile``, slowest dimension first.
+    """A block of cells of shape ``shape``, divided into tiles of shape ``tile``; the slowest dimension comes first.
 
-    The last tiles may hold fewer cells.
+    The last tiles may have fewer cells.
     """
 
     shape: tuple[int, ...]
@@ -52,7 +55,7 @@ class Tiling:
 
     @property
     def cells(self) -> int:
-        """Cells in all."""
+        """Number of cells."""
         return math.prod(self.shape)
 
     @property
@@ -62,21 +65,21 @@ class Tiling:
 
     @property
     def count(self) -> int:
-        """Tiles in all."""
+        """Number of tiles."""
         return math.prod(self.grid)
 
     def tiles(self) -> Iterator[Tile]:
-        """All tiles, row by row."""
+        """Yield all tiles, row by row."""
         for index in itertools.product(*map(range, self.grid)):
             yield self.at(index)
 
     def at(self, index: Index) -> Tile:
-        """The tile with this index."""
+        """Return the tile with this index."""
         parts = zip(index, self.tile, self.shape, strict=True)
         return Tile(index, tuple(slice(i * t, min((i + 1) * t, n)) for i, t, n in parts))
 
     def sizes(self) -> NDArray[np.int64]:
-        """Cells of every tile, as an array over the tiles."""
+        """Return the number of cells of every tile, as an array over the tiles."""
         along = (
             np.minimum(np.arange(1, count + 1) * tile, cells) - np.arange(count) * tile
             for count, tile, cells in zip(self.grid, self.tile, self.shape, strict=True)
@@ -85,9 +88,9 @@ class Tiling:
 
 
 def chunk_index(name: str, grid: tuple[int, ...]) -> Index | None:
-    """The index in a chunk's name, such as ``3/14``; None for a name that no chunk of a grid has, such as ``03/14``.
+    """Return the index in the name of a chunk, such as ``3/14``; None for a name that no chunk has, such as ``03/14``.
 
-    A killed write may leave such names, or another program.
+    A killed write or another program may leave such names.
     """
     parts = name.split("/")
     if len(parts) != len(grid) or not all(part.isascii() and part.isdigit() for part in parts):

@@ -1,4 +1,4 @@
-"""Any Zarr store object as a read-only place: in memory, of obstore, of an Icechunk session."""
+"""The backend of a Zarr store object, read-only: in memory, of obstore, of an Icechunk session."""
 
 import asyncio
 import sys
@@ -11,13 +11,13 @@ from atlas.store.backend import StoreBackend
 
 
 def is_zarr_store(store: object) -> bool:
-    """Whether this is one of Zarr's stores, or of a derived class, without loading Zarr."""
+    """Return True if ``store`` is a Zarr store, or of a derived class, without loading Zarr."""
     module = sys.modules.get("zarr.abc.store")
     return module is not None and isinstance(store, module.Store)
 
 
 def open_zarr_backend(store: Any) -> "ZarrBackend":
-    """The place of one of Zarr's stores, opened by Zarr; InputError if that fails."""
+    """Return the backend of a Zarr store, opened by Zarr. Raise InputError if opening fails."""
     from zarr.core.sync import sync
     from zarr.storage import StorePath
 
@@ -30,7 +30,7 @@ def open_zarr_backend(store: Any) -> "ZarrBackend":
 
 @dataclass(frozen=True, eq=False)
 class ZarrBackend(StoreBackend):
-    """The root of a Zarr store object. Two places are equal if they are of one object."""
+    """The root of a Zarr store object. Two backends are equal if they have the same object."""
 
     store: Any
 

@@ -1,6 +1,7 @@
-"""Zarr's own store of a place. At a URL it waits for the server; damage of a zip file raises OSError.
+"""Zarr stores that read and write arrays through a backend.
 
-Behind a fence it calls the fence before each write and each removal, and at a URL before each attempt at one.
+At a URL they wait for the server. Damage of a zip file raises OSError. Behind a fence they call the fence before each
+write and each removal, and at a URL before each attempt at one.
 """
 
 import asyncio
@@ -23,9 +24,9 @@ _P = ParamSpec("_P")
 def _again(
     once: Callable[Concatenate[ObjectStore[Any], _P], Awaitable[_T]], changes: bool = False
 ) -> Callable[Concatenate["RetryingObjectStore", _P], Coroutine[Any, Any, _T]]:
-    """A method of Zarr's ObjectStore, called again while the server does not answer.
+    """Return a method of Zarr's ObjectStore that is repeated while the server does not respond.
 
-    If it ``changes`` the store, the place's fence is called before each attempt: there may have been a long outage.
+    If it ``changes`` the store, the fence of the backend is called before each attempt: a long outage may precede.
     """
 
     async def persisting(self: "RetryingObjectStore", /, *args: _P.args, **named: _P.kwargs) -> _T:
@@ -41,11 +42,11 @@ def _again(
 
 async def _confirm(place: StoreBackend) -> None:
     if place.fence is not None:
-        await asyncio.to_thread(place.check_fence)  # reads a note, perhaps from a server
+        await asyncio.to_thread(place.check_fence)  # reads a sidecar file, perhaps from a server
 
 
 class RetryingObjectStore(ObjectStore[Any]):
-    """Zarr's ObjectStore of a place. A failed call is simply repeated: all calls may take effect twice."""
+    """Zarr's ObjectStore of a backend. A failed call is simply repeated: all calls may take effect twice."""
 
     def __init__(self, place: ObjectBackend, read_only: bool) -> None:
         super().__init__(place.client, read_only=read_only)
@@ -62,7 +63,7 @@ class RetryingObjectStore(ObjectStore[Any]):
     set = _again(ObjectStore.set, changes=True)
     set_if_not_exists = _again(ObjectStore.set_if_not_exists, changes=True)
     delete = _again(ObjectStore.delete, changes=True)
-    delete_dir = _again(ObjectStore.delete_dir)  # by delete
+    delete_dir = _again(ObjectStore.delete_dir)  # calls delete
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
@@ -93,7 +94,7 @@ class RetryingObjectStore(ObjectStore[Any]):
 
 
 class ZipReadStore(ZipStore):
-    """Zarr's ZipStore of a place, for reading, open: Zarr itself would open it with a group alone."""
+    """Zarr's ZipStore of a backend, opened for reading: Zarr itself would open it only together with a group."""
 
     def __init__(self, place: ZipBackend) -> None:
         super().__init__(place.path, mode="r")
@@ -113,7 +114,7 @@ class ZipReadStore(ZipStore):
 
 
 class FencedStore(WrapperStore[Any]):
-    """Zarr's store of a folder, for writing: all objects are written and removed by the place."""
+    """Zarr's store of a folder, for writing; the backend writes and removes all objects."""
 
     def __init__(self, store: Any, place: StoreBackend) -> None:
         super().__init__(store)
@@ -144,7 +145,7 @@ class FencedStore(WrapperStore[Any]):
 
 
 class ReadOnlyStore(WrapperStore[Any]):
-    """A user's Zarr store object, for reading: not all classes of stores can be made read-only."""
+    """The Zarr store object of a user, for reading: some classes of stores cannot be made read-only."""
 
     def _with_store(self, store: Any) -> Self:
         return type(self)(store)
@@ -160,7 +161,7 @@ class ReadOnlyStore(WrapperStore[Any]):
 def zarr_store(
     place: StoreBackend, read_only: bool
 ) -> "LocalStore | RetryingObjectStore | ZipReadStore | FencedStore | ReadOnlyStore":
-    """Zarr's store of a place; OSError if a read-only place, such as a zip file, is to be written."""
+    """Return Zarr's store of a backend. Raise OSError if a read-only backend, such as a zip file, is to be written."""
     if place.read_only_reason and not read_only:
         place.remove("")
     if isinstance(place, ZipBackend):
@@ -169,6 +170,6 @@ def zarr_store(
         return ReadOnlyStore(place.store)
     if isinstance(place, ObjectBackend):
         return RetryingObjectStore(place, read_only)
-    assert place.local is not None, "a place is a folder or an object store"
+    assert place.local is not None, "a backend is a folder or an object store"
     local = LocalStore(place.local, read_only=read_only)
     return local if read_only else FencedStore(local, place)

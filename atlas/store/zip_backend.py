@@ -1,4 +1,7 @@
-"""An atlas as one zip file, for reading: its objects as the members of Zarr's ZipStore, so that xarray opens it too."""
+"""The backend of an atlas in one zip file, read-only.
+
+Its members are those of Zarr's ZipStore, so xarray opens the file too.
+"""
 
 import errno
 import glob
@@ -21,9 +24,12 @@ from atlas.store.backend import StoreBackend
 
 SUFFIX = ".zip"
 _SINCE = (1980, 1, 1, 0, 0, 0)
-"""The date of every member, so that equal atlases are equal files."""
+"""Date of every member, so that equal atlases give equal files."""
 _LARGEST_UNPACKED = 2**28
-"""Largest unpacked size of a compressed member, in bytes. Our members are not compressed; another may be a zip bomb."""
+"""Maximum unpacked size, in bytes, of a compressed member.
+
+Packed atlases are not compressed; others may be zip bombs.
+"""
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 """Exceptions of zipfile for damaged files: a wrong checksum, an unknown method, a mark of encryption."""
@@ -31,7 +37,7 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runtim
 
 @dataclass(frozen=True)
 class ZipBackend(StoreBackend):
-    """A zip file as a read-only place. A damaged file raises OSErrors."""
+    """A zip file as a read-only backend. A damaged file raises OSErrors."""
 
     path: Path
 
@@ -56,7 +62,7 @@ class ZipBackend(StoreBackend):
         yield from (key for key in (archive.keys if archive else ()) if key.startswith(prefix))
 
     def _archive(self) -> "_Archive | None":
-        """The open file, None if there is none."""
+        """Return the open file; None if it does not exist."""
         try:
             stat = os.stat(self.path)
         except (FileNotFoundError, NotADirectoryError):
@@ -79,13 +85,13 @@ def _opened(path: Path, inode: int, size: int, changed: int, process: int) -> _A
     file = zipfile.ZipFile(path)
     for member in file.infolist():
         if member.compress_size > size or member.file_size > max(member.compress_size, _LARGEST_UNPACKED):
-            raise zipfile.BadZipFile(f"{member.filename} says that it has {member.file_size} bytes")
+            raise zipfile.BadZipFile(f"{member.filename} states a size of {member.file_size} bytes")
     return _Archive(file, dict.fromkeys(name for name in file.namelist() if not name.endswith("/")), threading.Lock())
 
 
 @contextmanager
 def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
-    """Turn zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
+    """Convert zipfile's exceptions for a damaged file into an OSError with EIO, as for a bad sector."""
     try:
         yield
     except _DAMAGE as error:
@@ -93,17 +99,20 @@ def zip_errors_as_os_errors(path: Path) -> Iterator[None]:
 
 
 def check_not_packed(place: StoreBackend) -> None:
-    """InputError if a place that is to be written is read-only, such as a zip file."""
+    """Raise InputError if a backend that is to be written is read-only, such as a zip file."""
     if place.read_only_reason:
         name = f"folder such as {place.path.with_suffix('.zarr')}" if isinstance(place, ZipBackend) else "path or a URL"
-        raise InputError(f"{place}: {place.read_only_reason} is read only; give a {name}")
+        raise InputError(f"{place}: {place.read_only_reason} is read-only; give a {name}")
 
 
 @contextmanager
 def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
-    """Hold the lock of an unfinished file, which is deleted with it; OSError if another process holds it."""
+    """Hold the lock of an unfinished file; the lock is deleted at the end.
+
+    Raise OSError if another process holds it.
+    """
     path = unfinished.with_suffix(".lock")
-    path.touch()  # the lock would make a missing folder
+    path.touch()  # the lock would create a missing folder
     lock = file_lock(path)
     lock.acquire(timeout=timeout)
     try:
@@ -137,7 +146,7 @@ def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
                         member.external_attr = 0o644 << 16
                         archive.writestr(member, data)
                 file.flush()
-                os.fsync(file.fileno())  # or a rename could outlive the content
+                os.fsync(file.fileno())  # otherwise a crash may keep the rename and lose the content
             size = unfinished.stat().st_size
             os.replace(unfinished, target)
         finally:

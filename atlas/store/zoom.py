@@ -1,7 +1,8 @@
-"""The group ``zoom`` of a store, with the cells that explorers solved.
+"""The zoom levels of a store: the group ``zoom`` with the cells that explorers solved.
 
-``zoom/PLANE/SHEET`` is a store within the store: a block of a level's cells with a spec, a digest and a commit rule of
-its own, so that every reader of atlases reads it. Explorers write sheets under the store's claim.
+``zoom/PLANE/METATILE`` is a metatile: a block of tiles of a zoom level, and a store within the store. It has its own
+spec and digest and its own order of writing, so that every reader of atlases reads it. Explorers write metatiles while
+they hold the lease of the store.
 """
 
 import json
@@ -17,16 +18,16 @@ from workers.results import REGIME
 _SEEN = "seen"
 ABOUT = {"long_name": "cells between and beyond those of the atlas, as they were looked at; solved more coarsely"}
 FILE_BLOCK = 4096
-"""Least bytes of an object, if its size is unknown."""
+"""Minimum size, in bytes, counted for an object of unknown size."""
 
 
 def metatile_backend(handle: AtlasStore, plane: str, sheet: str) -> StoreBackend:
-    """The place of a sheet of a plane, made or not; ValueError for a store that cannot have sheets."""
+    """Return the backend of a metatile of a plane, which may not exist. Raise ValueError for a read-only store."""
     return handle.backend.subfolder(f"{ZOOM}/{plane}/{sheet}")
 
 
 def make_plane(handle: AtlasStore, plane: str, described: Mapping[str, Any]) -> None:
-    """Make the group of a plane, and the group of all planes, if they are missing."""
+    """Create the group of a plane, and the group of all planes, if they are missing."""
     for key, attributes in ((ZOOM, ABOUT), (f"{ZOOM}/{plane}", dict(described))):
         if not handle.backend.exists(f"{key}/{ROOT}"):
             handle.backend.put_new(f"{key}/{ROOT}", _group(attributes))
@@ -42,11 +43,11 @@ def _group(attributes: Mapping[str, Any]) -> bytes:
 
 
 def list_metatiles(handle: AtlasStore) -> list[tuple[str, str]]:
-    """The planes and the names of all sheets; none for a read-only store."""
+    """Return the planes and names of all metatiles; empty for a read-only store."""
     if handle.backend.read_only_reason:
         return []
     local = handle.backend.local
-    if local is not None:  # without listing the sheets' contents
+    if local is not None:  # without listing the contents of metatiles
         keys = [path.relative_to(local).as_posix() for path in (local / ZOOM).glob(f"[!.]*/[!.]*/{ROOT}")]
     else:
         keys = [key for key in handle.backend.list_keys(f"{ZOOM}/") if key.count("/") == 3 and key.endswith(f"/{ROOT}")]
@@ -54,7 +55,7 @@ def list_metatiles(handle: AtlasStore) -> list[tuple[str, str]]:
 
 
 def metatile_bytes(handle: AtlasStore, plane: str, sheet: str) -> int:
-    """The bytes of a sheet on its disk, in whole blocks; at a URL, a lower bound."""
+    """Return the size of a metatile on its disk, in bytes, in whole blocks; at a URL, a lower bound."""
     total = 0
     for key in handle.backend.list_keys(f"{ZOOM}/{plane}/{sheet}/"):
         size = 1
@@ -66,7 +67,7 @@ def metatile_bytes(handle: AtlasStore, plane: str, sheet: str) -> int:
 
 
 def read_view_times(handle: AtlasStore) -> dict[tuple[str, str], float]:
-    """The times when sheets were last viewed, in seconds since 1970, as far as they were noted."""
+    """Return the times when metatiles were last viewed, as far as recorded, in seconds since 1970."""
     times: dict[tuple[str, str], float] = {}
     for plane in {plane for plane, _ in list_metatiles(handle)}:
         noted = _plane_group(handle, plane).get("attributes", {}).get(_SEEN, {})
@@ -75,7 +76,7 @@ def read_view_times(handle: AtlasStore) -> dict[tuple[str, str], float]:
 
 
 def write_view_times(handle: AtlasStore, seen: Mapping[tuple[str, str], float]) -> None:
-    """Note the times when sheets were last viewed. For the claim's holder only."""
+    """Record the times when metatiles were last viewed. Only the lease holder may call this."""
     for plane in {plane for plane, _ in seen}:
         key = f"{ZOOM}/{plane}/{ROOT}"
         group = _plane_group(handle, plane)
@@ -86,7 +87,7 @@ def write_view_times(handle: AtlasStore, seen: Mapping[tuple[str, str], float]) 
 
 
 def drop_metatile(handle: AtlasStore, plane: str, sheet: str) -> None:
-    """Remove a sheet, beginning with the regimes: a kill then leaves unfinished tiles, none that lacks an array."""
+    """Remove a metatile, its regimes first: a kill then leaves unfinished tiles, none that lacks an array."""
     root = f"{ZOOM}/{plane}/{sheet}/"
     keys = list(handle.backend.list_keys(root))
     done = [key for key in keys if f"/{REGIME.name}/c/" in key]
@@ -99,7 +100,7 @@ def drop_metatile(handle: AtlasStore, plane: str, sheet: str) -> None:
 
 
 def _plane_group(handle: AtlasStore, plane: str) -> dict[str, Any]:
-    """The metadata of a plane, empty if they are missing or damaged."""
+    """Return the metadata of a plane; empty if they are missing or damaged."""
     try:
         group = json.loads(handle.backend.get(f"{ZOOM}/{plane}/{ROOT}") or b"{}")
         return group if isinstance(group.get("attributes"), dict) else {}

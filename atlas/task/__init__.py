@@ -1,1 +1,1 @@
-"""Solving of one tile on a worker."""
+"""Jobs of a run that workers execute: tiles, overviews, labels."""

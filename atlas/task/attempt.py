@@ -1,4 +1,4 @@
-"""A job of a run, and one attempt at a tile."""
+"""Execution of a job of a run on a worker, and of one attempt at a tile."""
 
 import sys
 from dataclasses import replace
@@ -23,25 +23,26 @@ from atlas.task.tile_job import (
 )
 
 MAX_DEATHS = 2
-"""Attempts at a tile in one run that died with their process, after which the run gives the tile up."""
+"""Maximum number of attempts at a tile in one run that die with their process; then the run gives the tile up."""
 
 
 def execute_job(job: RunJob) -> TileReport | DerivedReport:
-    """Run any job of a run: a tile, a chunk of the overviews, or the labels of basins."""
+    """Execute any job of a run and return its report: a tile, a chunk of the overviews, or the labels of basins."""
     if job.level == LABELS:
         return label_basins(job)
     return make_chunk(job) if job.level else run_tile_job(job)
 
 
 def run_tile_job(job: RunJob) -> TileReport:
-    """Solve a tile and write it; RefusedError if this worker must not: another solver, or another store at the path.
+    """Solve a tile, write it, and return its report.
 
-    NetworkError if the store does not answer within the job's patience.
+    During the attempt a sidecar file of the store holds its token. If a later attempt replaces the token, this one,
+    perhaps out of reach of its run, writes nothing more. A file found at the start is left by an attempt that died.
+    After MAX_DEATHS such attempts in one run the tile counts as one that kills its process. RunError then names the
+    last attempt, and the file stays, so that only another run tries again.
 
-    During the attempt a note of the store holds its token. If a later attempt replaces the token, this one, perhaps out
-    of reach of its run, writes nothing more. A note found at the start is left by an attempt that died: after DEATHS of
-    them in one run the tile counts as one that kills its process. RunError then names the last attempt, and the note
-    stays, so that only another run tries again.
+    Raise WorkerRefusedError if this worker must not solve the tile: another solver, or another store at the path. Raise
+    NetworkError if the store does not respond within the job's patience.
     """
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
@@ -55,6 +56,6 @@ def run_tile_job(job: RunJob) -> TileReport:
         job = replace(job, attempt=attempt.token)
         return solve_and_write(job, job.store_ref.with_fences(handle, job.attempt_key, job.attempt))
     finally:
-        if not isinstance(sys.exception(), NetworkError):  # its network would only be waited for again
+        if not isinstance(sys.exception(), NetworkError):  # removing it would only wait for the network again
             with translate_file_errors(job.store_ref.store):
                 attempt.remove(notes, job.attempt_key)

@@ -1,4 +1,4 @@
-"""Python in a child process, with the same modules as this one."""
+"""Running Python code in child processes that see the same modules as this process."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ from threading import Event
 
 
 def run_python(code: str, *arguments: str, on_line: Callable[[str], None]) -> int:
-    """The exit status of code run in a child process; each output line is passed to ``on_line``, which may raise."""
+    """Run code in a child process and return its exit status; ``on_line`` gets each output line, and may raise."""
     with subprocess.Popen(
         [sys.executable, "-c", code, *arguments],
         env=_environment(),
@@ -29,10 +29,10 @@ def run_python(code: str, *arguments: str, on_line: Callable[[str], None]) -> in
 
 
 def run_python_parallel(code: str, arguments: Sequence[str], on_line: Callable[[int, str], None]) -> list[int]:
-    """The exit statuses of code run in parallel child processes, one for each argument.
+    """Run code in parallel child processes, one per argument, and return their exit statuses.
 
-    Each line of output is passed to ``on_line`` with the index of the child's argument, in this thread. If that raises,
-    or the wait is interrupted, each child ends at its next line.
+    ``on_line`` gets the index of the child's argument and a line of its output, in this thread. If it raises, or the
+    wait is interrupted, each child ends at its next line.
     """
     lines, given_up = SimpleQueue[tuple[int, str | None]](), Event()
 

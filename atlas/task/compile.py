@@ -1,4 +1,4 @@
-"""Compilation of the kernels, once per machine, by the first process."""
+"""Compilation of the kernels into the cache on disk, once per host, by the first process that needs them."""
 
 import gc
 import json
@@ -23,26 +23,38 @@ from workers.settings import Settings
 
 CELLS, ATTRACTORS, ORBITS, PATHS, MEASURES, OBSERVED = "", "attractors", "orbits", "paths", "measures", "observed"
 MODES = "modes"
-"""Parts: kernels that solve cells of machines with one rigid contact; that compare motions with known attractors; of
-orbits as equations of their events, for branches, curves and labels; of motion between events, for portraits; that
-measure motions; that observe them; that solve cells of machines with modes. All others need the first or the last."""
+"""Parts of the kernels.
+
+CELLS        solve cells of machines with one rigid contact
+ATTRACTORS   compare motions with known attractors
+ORBITS       orbits as equations of their events, for branches, curves and labels
+PATHS        motion between events, for portraits
+MEASURES     measure motions
+OBSERVED     observe motions
+MODES        solve cells of machines with modes
+
+All other parts need the first or the last.
+"""
 
 SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 22, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
-"""Approximate seconds of each part: processors differ by a factor of two."""
+"""Approximate compile time of each part, in seconds; processors differ by a factor of two."""
 FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 175, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
-"""Functions that each part compiles in a process that has compiled nothing else."""
+"""Number of functions that each part compiles in a process that has compiled nothing else."""
 IN_PIECES = {CELLS: 390, MODES: 540}
-"""Functions that all processes together compile where a part is compiled in pieces: some functions in several."""
+"""Number of functions that all processes together compile if a part is compiled in pieces: some
+functions in several.
+"""
 
 APART, BATCH, SETTLE = "apart", "batch", "settle"
-"""Pieces of the kernels that solve cells: functions compiled once and called by symbol; then, in parallel, the two
-largest kernels, for stretches of periods and for orbits."""
+"""Pieces of the kernels that solve cells: first functions that are compiled once and called by symbol (APART); then, in
+parallel, the two largest kernels, for intervals of periods (BATCH) and for orbits (SETTLE).
+"""
 
 AT_A_TIME = 2
-"""Most pieces compiled in parallel, each by its own process."""
+"""Maximum number of pieces that are compiled in parallel, each by its own process."""
 
 SPARED = {CELLS: 10, MODES: 10}
-"""Approximate seconds saved by compiling in parallel."""
+"""Approximate time, in seconds, that compiling in parallel saves."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 """A cell of the default system whose initial states soon reach the same orbit."""
@@ -64,7 +76,7 @@ WITH_MODES: dict[str, Any] = _ONE_MASS | {
     "phases": [{"start": 0.0}, {"start": 0.5, "stiffness": [[2.0]]}],
     "parameters": {"omega": {"default": 1.0}},
 }
-"""A machine whose law changes in every way."""
+"""A machine whose law changes in every way: contact, friction, phases."""
 
 WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
     "gap": [1.0],
@@ -75,17 +87,20 @@ WITH_MEASURES: dict[str, Any] = _ONE_MASS | {
 """A machine that is measured, with one rigid contact that it never reaches."""
 
 YOUNG_OBJECTS = 50_000
-"""New objects before Python looks for unreachable ones: a compiler's objects live until it ends, and frequent searches
-through them take time."""
+"""Number of new objects before Python searches for unreachable ones. A compiler's objects live until it ends, so
+frequent searches would only take time.
+"""
 TICK = 1.0
-"""Seconds between two reports."""
+"""Interval, in seconds, between two progress reports."""
 
 
 @dataclass(frozen=True)
 class CompileProgress:
-    """Progress of a compilation: functions compiled, approximate number of all, and seconds since it began.
+    """Progress of a compilation.
 
-    The number is 0 while waiting for another process that compiles.
+    done      number of functions compiled
+    of        approximate number of all functions; 0 while another process compiles
+    seconds   seconds since the compilation began
     """
 
     done: int
@@ -97,9 +112,9 @@ Report = Callable[[CompileProgress], None]
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
-    """The parts needed by cells of a system with these settings, and ``more``, as arguments of the functions below.
+    """Return the parts that cells of a system need with these settings, and ``more``.
 
-    The part that observes motions is the same for every system.
+    They are arguments of the functions below. The part that observes motions is the same for every system.
     """
     more = (*more, OBSERVED) if settings is not None and settings.observe else more
     if record.has_modes:
@@ -108,22 +123,22 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
 
 
 def compile_notice(*more: str) -> str:
-    """Announcement of compile_once for the waiting user."""
+    """Return a line of text that tells the waiting user what ``compile_once`` does and how long it takes."""
     missing = _missing(more)
     if not missing:
         return "loading the kernels"
     once = ", once for this version" if _cache() else ""
     spared = sum(SPARED.get(part, 0) for part in missing) if _cache() and processors() >= AT_A_TIME else 0
     seconds = sum(SECONDS[part] for part in missing) - spared
-    return f"compiling the kernels, about {seconds} s where nothing else runs{once}"
+    return f"compiling the kernels, about {seconds} s on an idle computer{once}"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
     """Make sure that the kernels of cells, and ``more``, are in the cache on disk, which other processes read.
 
-    They serve every system, see ``kernels_for``, and all settings. Processes of one machine, or with one cache folder,
-    wait for the first of them. A child process compiles, since compiling takes twice the memory of solving. ``report``
-    is called with the progress every second. Does nothing without a folder.
+    The kernels serve every system, see ``kernels_for``, and all settings. Processes of one host, or with one cache
+    folder, wait for the first of them. A child process compiles, since compiling takes twice the memory of solving.
+    ``report`` is called with the progress every second. Nothing is done without a cache folder.
     """
     folder = _cache()
     if folder is None or not _missing(more):
@@ -140,9 +155,10 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 
 
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
-    """warm_up in a child process; whether it completed. If not, each process compiles the kernels that it needs.
+    """Call ``warm_up`` in a child process; return True if it completed.
 
-    With two free processors, pieces of the cells' kernels are first compiled in parallel.
+    Otherwise each process compiles the kernels that it needs. With two free processors, pieces of the cells' kernels
+    are first compiled in parallel.
     """
     begin, done, functions = time.monotonic(), Counter[str](), FUNCTIONS
     stages: list[Iterable[tuple[str, ...]]] = [[parts]]
@@ -159,26 +175,29 @@ def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bo
             if report is not None:
                 report(
                     CompileProgress(min(done.total(), of - 1), of, time.monotonic() - begin)
-                )  # it ends with the last
+                )  # the estimate is reached only at the end
 
         ended = run_python_parallel("from atlas.task.compile import main; main()", stage_parts, count)
     return ended == [0]
 
 
 def _pieces(part: str) -> list[list[tuple[str, ...]]]:
-    """The stages in which the kernels that solve cells are compiled: pieces of each, for ``part``, in parallel."""
+    """Return the stages in which the kernels of ``part`` are compiled.
+
+    The pieces of a stage are compiled in parallel.
+    """
     return [[(APART, part)], [(BATCH, part), (SETTLE, part)]]
 
 
 def main() -> None:
-    """warm_up for parts given as JSON; writes the number of functions compiled to stdout every second."""
+    """Call ``warm_up`` for parts given as JSON; write the number of compiled functions to stdout every second."""
     from numba.core import event
 
     class Counter(event.Listener):
         done = 0
 
         def on_start(self, event: object) -> None:
-            """Do nothing: functions are counted at their end."""
+            """Do nothing: a function is counted when its compilation ends."""
 
         def on_end(self, event: object) -> None:
             self.done += 1
@@ -190,7 +209,7 @@ def main() -> None:
             time.sleep(TICK)
             try:
                 os.write(1, f"{counter.done}\n".encode())
-            except OSError:  # nobody listens any more
+            except OSError:  # the parent has ended
                 os._exit(1)
 
     gc.set_threshold(YOUNG_OBJECTS)
@@ -223,7 +242,7 @@ def compile_piece(piece: str, part: str = CELLS) -> None:
 
 
 def _a_batch(record: System) -> tuple[Any, Any]:
-    """A batch of the default cell of a system, of no periods, and rows of no cells."""
+    """Return a batch of the default cell of a system, with no periods, and an empty array of rows."""
     from workers.cell.interval import batch_of
     from workers.kernel.motion import motions_at
 
@@ -233,9 +252,9 @@ def _a_batch(record: System) -> tuple[Any, Any]:
 
 
 def warm_up(*parts: str) -> None:
-    """Compile or load the kernels of cells by one period of a cell: every kernel is called.
+    """Compile or load the kernels of cells by solving one period of a cell, in which every kernel is called.
 
-    Kernels of attractors: all attractors of a cell. Kernels of orbits: a short branch. The compiled types depend
+    Kernels of attractors need all attractors of a cell, kernels of orbits a short branch. The compiled types depend
     neither on the system nor on the settings, which only change the lengths of arrays.
     """
     from workers.tile import solve_tile
@@ -257,7 +276,7 @@ def warm_up(*parts: str) -> None:
 
 
 def _reach_attractors(record: System, values: dict[str, float]) -> None:
-    """All attractors of a cell with one orbit, and the scale for comparing twins."""
+    """Find all attractors of a cell with one orbit, and the scale for comparing twins."""
     from workers.attractors.coexistence import solve_attractors
     from workers.attractors.initial_states import AttractorSettings
     from workers.kernel.cell_loops import scale_of
@@ -287,7 +306,7 @@ def _end_no_cells(record: System) -> None:
 
 
 def _observe_a_period() -> None:
-    """Observe a period of a machine with modes: all other machines are observed as such."""
+    """Observe a period of a machine with modes: all other machines are observed in the same way."""
     from workers.cell.observables import observe_orbits
 
     record = System.from_mapping(WITH_MODES)
@@ -308,14 +327,14 @@ def _follow_an_orbit(record: System, values: dict[str, float]) -> None:
 
 
 def _move_within_a_period(record: System) -> None:
-    """The motion of a portrait, from its initial state on."""
+    """Compute the motion of a portrait, from its initial state."""
     from atlas.cell.trajectory import path_of
 
     path_of(record, {p.name: p.default for p in record.parameters}, 1, None)
 
 
 def _wait_for(lock: FileLock, report: Report | None) -> None:
-    """Hold the lock; report the wait while another process holds it."""
+    """Acquire the lock; report the wait while another process holds it."""
     begin = time.monotonic()
     while True:
         try:
@@ -330,19 +349,19 @@ def _wait_for(lock: FileLock, report: Report | None) -> None:
 
 
 def _missing(more: tuple[str, ...]) -> tuple[str, ...]:
-    """The parts missing in the cache; all without a cache."""
+    """Return the parts missing in the cache; all parts without a cache."""
     folder, parts = _cache(), more if MODES in more else (CELLS, *more)
     return tuple(part for part in parts if folder is None or not _marker(folder, part).exists())
 
 
 def _marker(folder: Path, part: str) -> Path:
-    """The file that marks a part as compiled for this kind of processor and these settings of Numba."""
+    """Return the file that marks a part as compiled for this kind of processor and these settings of Numba."""
     name = f"compiled-{part}-" if part else "compiled-"
     return folder / f"{name}{compiled_for()}"
 
 
 def _cache() -> Path | None:
-    """The folder of the compiled kernels, None if there is none."""
+    """Return the folder of the compiled kernels; None if there is no cache."""
     from workers.kernel.cache import CACHE
 
     return CACHE

@@ -1,4 +1,4 @@
-"""Handles of the stores in use by this process: read once, and again after a change."""
+"""Cache of the handles of the stores that this process uses; a handle is read again if its store has changed."""
 
 from collections.abc import Hashable
 from threading import Lock
@@ -11,14 +11,14 @@ from atlas.store.tile_records import TileRecords
 _reading = Lock()
 _records: dict[StoreBackend, TileRecords] = {}
 _headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
-"""Handles by place and patience, each with the state of the store's root."""
+"""Handles by backend and patience, each with the version of the store's root."""
 
 
 def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> AtlasStore:
-    """The handle of a store, after one check of its root's state; errors as of ``open_store``."""
+    """Return the handle of a store, after one check of its root's version. Raise errors like ``open_store``."""
     place = waiting(open_backend(store), patience)
     version = place.version(ROOT)
-    with _reading:  # the threads of a worker come at once
+    with _reading:  # the threads of a worker ask at the same time
         known = _headers.get((place, patience))
         if known is None or known[0] != version:
             known = _headers[place, patience] = version, open_store(place)
@@ -27,14 +27,14 @@ def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) ->
 
 
 def cached_records(handle: AtlasStore) -> TileRecords:
-    """The records of the tiles of a store that no longer changes."""
+    """Return the tile records of a store that no longer changes."""
     if handle.backend not in _records:
         _records[handle.backend] = TileRecords(handle)
     return _records[handle.backend]
 
 
 def evict_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> None:
-    """Drop the handles of a store and of its origin."""
+    """Remove the handles of a store and of its origin from the cache."""
     place = open_backend(store)
     known = _headers.pop((place, patience), None)
     _records.pop(place, None)

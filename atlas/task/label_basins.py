@@ -1,4 +1,4 @@
-"""The last step of an atlas of basins: labels of attractors beyond the reference set, and the table of attractors."""
+"""The last step of an atlas of basins: final labels of attractors beyond the reference set, and their table."""
 
 import itertools
 import math
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
 
 POINTS = 256
-"""Section states of each attractor in the table."""
+"""Number of section states of each attractor in the table."""
 BYTES_OF_LABEL = 64
-"""Bytes per cell to be labelled, besides its state: labels, position and order."""
+"""Memory, in bytes, per cell to be labelled, besides its state: labels, position and order."""
 
 
 def complete_basins(handle: AtlasStore) -> None:
     """Give every initial state its final label and write the table of the attractors.
 
-    Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions, and by
-    bands of tiles, so memory does not grow with the plane: see ``labelling_bytes``. Does nothing while tiles are
-    missing, or after completion.
+    Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions. They are
+    labelled by bands of tiles, so memory does not grow with the plane, see ``labelling_bytes``. Nothing is done while
+    tiles are unfinished, or after completion.
     """
     from workers.attractors.basins import AttractorTable, fixed_values
 
@@ -57,14 +57,20 @@ def complete_basins(handle: AtlasStore) -> None:
 
 
 def labelling_bytes(handle: AtlasStore) -> int:
-    """Most memory of ``complete_basins`` besides a tile: for a whole band beyond the table."""
+    """Return the maximum memory of ``complete_basins`` besides a tile, in bytes.
+
+    The maximum is that of a band entirely beyond the table.
+    """
     place = _leading(handle.tile)
     cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
     return cells * (2 * 8 * len(handle.spec.system_def.states) + BYTES_OF_LABEL)
 
 
 def _leading(tile: tuple[int, ...]) -> int:
-    """Number of leading dimensions that separate bands: in plane order one band ends before the next begins."""
+    """Return the number of leading dimensions that separate bands.
+
+    In plane order one band ends before the next begins.
+    """
     return next((dim for dim, side in enumerate(tile) if side > 1), len(tile) - 1) + 1
 
 
@@ -75,9 +81,9 @@ def _labels(handle: AtlasStore, index: tuple[int, ...]) -> NDArray[np.int64]:
 def _label_band(
     handle: AtlasStore, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
 ) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
-    """The tiles of a band and their final labels, once written.
+    """Yield the tiles of a band and their final labels, once written.
 
-    Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled.
+    Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled before.
     """
     from workers.attractors.basins import labels_beyond
 
@@ -99,7 +105,7 @@ def _label_band(
 
 
 def _places(handle: AtlasStore, index: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Positions of some cells of a tile in the order of the plane."""
+    """Return the positions of the cells of a mask of a tile, in the order of the plane."""
     begins = [part.start for part in handle.tiling.at(index).slices]
     return np.ravel_multi_index(tuple((np.argwhere(mask) + begins).T), handle.spec.shape)
 
@@ -107,7 +113,10 @@ def _places(handle: AtlasStore, index: tuple[int, ...], mask: NDArray[np.bool_])
 def _columns(
     handle: AtlasStore, table: "AttractorTable", cells: Mapping[int, int], solved: int
 ) -> Mapping[str, StoredArray]:
-    """The table's variables, from the cells of each label. Shares refer to initial states within the stops."""
+    """Return the variables of the table, from the cells of each label.
+
+    Shares refer to the ``solved`` initial states, those within the stops.
+    """
     from workers.attractors.basins import section_points
 
     count = len(table.attractors)

@@ -1,4 +1,4 @@
-"""A tile with an origin: known cells are copied to the bit, the others solved."""
+"""Reuse of cells from an origin: the known cells of a tile are copied bit for bit, the others are solved."""
 
 import itertools
 from collections.abc import Iterator
@@ -20,7 +20,11 @@ from workers.results import PENDING, REGIME, empty_results
 
 
 class SharedPositions(NamedTuple):
-    """Positions along an axis of the values common to two atlases, to the bit."""
+    """Positions, along an axis, of the values that two atlases share bit for bit.
+
+    here    positions in the new atlas
+    there   positions in the old atlas
+    """
 
     here: NDArray[np.intp]
     there: NDArray[np.intp]
@@ -29,10 +33,10 @@ class SharedPositions(NamedTuple):
 class ReusedCells(NamedTuple):
     """The known results of a tile before solving.
 
-    arrays   of all its cells; in a retried atlas also the allowances of the coming solution
-    regime   of each cell in the origin, PENDING if unknown
-    due      the mask of the cells to solve
-    source   the origin, if it has the same cells in the same tiles, so that its objects may be copied
+    arrays    results of all its cells; in a retried atlas also the budgets of the coming solution
+    regime    regime of each cell in the origin, PENDING if unknown
+    missing   mask of the cells to solve
+    source    the origin, if it has the same cells in the same tiles, so that its objects may be copied; else None
     """
 
     arrays: dict[str, np.ndarray]
@@ -42,7 +46,7 @@ class ReusedCells(NamedTuple):
 
 
 def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
-    """The known results of a tile; RunError if the store has an origin that no longer exists."""
+    """Return the known results of a tile. Raise RunError if the store has an origin that no longer exists."""
     shape = tuple(part.stop - part.start for part in slices)
     arrays = empty_results(handle.spec.variables, shape, handle.spec.extra_sizes)
     arrays |= {allowance.name: np.full(shape, allowance.fill, allowance.dtype) for allowance in handle.allowances}
@@ -62,7 +66,7 @@ def reuse_cells(handle: AtlasStore, slices: Slices) -> ReusedCells:
 
 
 def shared(old: Spec, new: Spec) -> tuple[SharedPositions, ...]:
-    """The values common to two atlases of the same axes, by dimension: ``here`` in the new, ``there`` in the old."""
+    """Return the positions of the values that two atlases of the same axes share, by dimension."""
     pairs = zip(reversed(new.axes), reversed(old.axes), strict=True)
     return tuple(
         SharedPositions(*np.intersect1d(ours.values, theirs.values, assume_unique=True, return_indices=True)[1:])
@@ -83,7 +87,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
         known = read_tile(origin, index, arrays=origin.readable)
         if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
-        if not handle.allowances:  # a cell with an allowance above the spec's has other results here
+        if not handle.allowances:  # a cell with a higher budget than the spec's has other results here
             for allowance in ALLOWANCES:
                 known[REGIME.name][known.pop(allowance.name) != allowance.from_spec(origin.spec)] = PENDING
         for name, values in known.items():
@@ -93,7 +97,10 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
 def _meetings(
     dimensions: tuple[SharedPositions, ...], slices: Slices, tile: tuple[int, ...]
 ) -> Iterator[tuple[tuple[int, ...], list[NDArray[np.intp]], list[NDArray[np.intp]]]]:
-    """The origin's tiles with cells of a tile here: the index of each, and the cells within both tiles."""
+    """Yield the tiles of the origin that share cells with a tile of the store.
+
+    Each entry is the index of the origin's tile, the shared cells in the store's tile, and those in the origin's tile.
+    """
     parts = []
     for (here, there), part, length in zip(dimensions, slices, tile, strict=True):
         inside = (here >= part.start) & (here < part.stop)
@@ -108,7 +115,7 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     assert handle.origin is not None
     done, otherwise = "extended", f"extend {handle.backend} into a new store"
     if handle.origin.retry is not None:
-        done, otherwise = "retried", "make it again by atlas run, and a new store of it by atlas retry"
+        done, otherwise = "retried", "recompute it with atlas run and retry it into a new store"
     try:
         origin = cached_handle(sibling_backend(handle.backend, handle.origin.store))
     except InputError as error:
@@ -117,11 +124,14 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
         if origin.run_id == handle.origin.run_id:
             return origin
         trouble = f"{handle.origin.store}: another store than the one that was {done}"
-    raise RunError(f"{trouble}; {handle.backend} copies cells of it: put it back, or {otherwise}")
+    raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 
 def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> int:
-    """Number of finished cells of the origin in a grown atlas; ``done`` are the origin's finished tiles."""
+    """Return the number of finished cells of the origin in an extended atlas.
+
+    ``done`` are the origin's finished tiles.
+    """
     counts = [
         np.bincount(there // length, minlength=tiles)
         for (_, there), length, tiles in zip(shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True)

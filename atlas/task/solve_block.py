@@ -1,4 +1,4 @@
-"""A block of a spec's cells, solved one by one, or in whole lines along a continued axis."""
+"""Solving a block of cells of a spec, one by one, or in whole lines along a continued axis."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 def kernels_of(spec: Spec) -> tuple[str, ...]:
-    """The kernels needed by cells of the spec, see compile.kernels_for."""
+    """Return the parts of the kernels that cells of the spec need, see ``compile.kernels_for``."""
     return kernels_for(spec.system_def, *(() if spec.attractors is None else (ATTRACTORS,)), settings=spec.settings)
 
 
 def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings) -> "Results":
-    """Results of the spec's kind, with these settings, of cells that do not depend on each other."""
+    """Return results of the spec's kind, with these settings, of cells that do not depend on each other."""
     if spec.basins:
         from workers.attractors.basins import solve_basins
 
@@ -39,26 +39,26 @@ def solve_independent(spec: Spec, params: Mapping[str, Any], settings: Settings)
 
 
 def solve_block(spec: Spec, slices: Slices) -> "Results":
-    """Results of the cells in these slices.
+    """Return the results of the cells in these slices.
 
-    Along a continued axis a cell depends on all earlier cells of its line: RunError for a part of a line.
+    Along a continued axis a cell depends on all earlier cells of its line. Raise RunError for a part of a line.
     """
     params = spec.cell_params(slices)
     if spec.continuation is None:
         return solve_independent(spec, params, spec.settings)
     axis, backward = spec.continuation
     if slices[axis].indices(spec.shape[axis]) != (0, spec.shape[axis], 1):
-        raise RunError(f"a part of a line of {spec.dims[axis]}, which is continued, cannot be solved: give whole lines")
+        raise RunError(f"found a part of a line along {spec.dims[axis]}, which is continued, must be whole lines")
     from workers.sweep import solve_lines
 
     return solve_lines(spec.system_def, params, spec.settings, axis=axis, backward=backward)
 
 
 def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "NDArray[np.bool_]") -> "Results":
-    """The known results of the cells in these slices, with the due cells solved.
+    """Return the known results of the cells in these slices, with the cells of the mask ``due`` solved.
 
-    A cell depends only on its parameters, the settings and the solver, so cells known from another store have the
-    values that they would get here. Allowances among the known arrays apply to each cell.
+    A cell depends only on its parameters, the settings and the solver. Cells known from another store therefore have
+    the values that they would get here. Budgets among the known arrays apply to each cell.
     """
     if due.all() and not any(allowance.name in known for allowance in ALLOWANCES):
         return solve_block(spec, slices)
@@ -74,7 +74,7 @@ def solve_missing(spec: Spec, slices: Slices, known: Mapping[str, Any], due: "ND
 def _by_settings(
     spec: Spec, known: Mapping[str, Any], due: "NDArray[np.bool_]"
 ) -> "Iterator[tuple[Settings, NDArray[np.bool_]]]":
-    """Masks of the due cells, by their settings."""
+    """Yield the settings of the cells to solve, each with the mask of its cells."""
     allowances = [allowance for allowance in ALLOWANCES if allowance.name in known]
     if not allowances:
         yield from [(spec.settings, due)] if due.any() else []

@@ -1,4 +1,4 @@
-"""The store of a run for its jobs: checked, fenced, with a place for parts."""
+"""The reference to a run's store that jobs carry: it opens the store, checks it, and puts it behind fences."""
 
 import errno
 from collections.abc import Iterator, Sequence
@@ -20,19 +20,23 @@ _FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 class WorkerRefusedError(RunError):
-    """This worker must not or cannot do this run's jobs; another worker may."""
+    """This worker must not or cannot do the jobs of this run; another worker may."""
 
 
 class StoreFullError(RunError):
-    """There is no room for the store: no worker can continue."""
+    """The store has no space left: no worker can continue."""
 
 
 @dataclass(frozen=True)
 class StoreRef:
     """The store of the jobs of a run, as sent through the scheduler.
 
-    ``claim`` is the token of the run's claim of the store: once it is lost, nothing is written. A job run by hand has
-    none. ``patience``: seconds to wait for a store at a URL that does not answer.
+    store            path or URL, or backend
+    run_id           identifier of the run that created the store
+    solver_version   solver version of the store
+    patience         seconds to wait for a store at a URL that does not respond
+    lease            token of the run's lease of the store, empty for a job that is run by hand; nothing is written once
+                     the lease is lost
     """
 
     store: str | StoreBackend
@@ -42,16 +46,17 @@ class StoreRef:
     lease: str = ""
 
     def open(self, name: str = "", attempt: str = "") -> AtlasStore:
-        """The handle of the store, see ``open_checked``, behind the fence of the run's claim.
+        """Return the handle of the store, see ``open_checked``, behind the fence of the run's lease.
 
-        With the token of an ``attempt`` also behind the fence of the ``name`` that holds it.
+        With the token of an ``attempt`` the handle is also behind a fence of the sidecar file ``name``, which holds the
+        token.
         """
         with translate_file_errors(self.store):
             handle = open_checked(self.store, self.run_id, self.solver_version, self.patience)
             return self.with_fences(handle, name, attempt)
 
     def with_fences(self, handle: AtlasStore, name: str = "", attempt: str = "") -> AtlasStore:
-        """The same handle behind these fences."""
+        """Return the same handle behind these fences."""
         return handle.with_backend(self._guarded(handle.backend, name, attempt))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
@@ -60,21 +65,22 @@ class StoreRef:
             put_part(handle, group, name, data)
 
     def evict(self) -> None:
-        """Drop this process's cached handles of the store."""
+        """Remove the handles of the store from the cache of this process."""
         evict_handle(self.store, self.patience)
 
     def _guarded(self, place: StoreBackend, name: str, attempt: str) -> StoreBackend:
-        """A place behind the fence of a job: its run has the claim, and a note holds the token of the attempt.
+        """Return a backend behind the fences of a job.
 
-        RefusedError if another run has the claim; RunError after another attempt, since nothing is wrong with this
-        worker.
+        They check that its run has the lease, and that the sidecar file holds the attempt's token. They raise
+        WorkerRefusedError if another run has the lease. They raise RunError after a later attempt, since nothing is
+        wrong with this worker.
         """
         fences: list[Fence] = []
         if self.lease:
-            lost = "the run of this job has lost its claim of the store; nothing more is written"
+            lost = "the run that sent this job has lost its lease; nothing more is written"
             fences.append(token_fence(place, LEASE_NAME, self.lease, WorkerRefusedError, lost))
         if attempt:
-            lost = "another attempt at this tile has begun; nothing more is written"
+            lost = "a later attempt at this tile has started; nothing more is written"
             fences.append(token_fence(place, name, attempt, RunError, lost))
 
         def fence() -> None:
@@ -86,7 +92,13 @@ class StoreRef:
 
 @dataclass(frozen=True)
 class PartReport:
-    """What a finished job reports: its part, the seconds of the worker's processor, and how many cells it measured."""
+    """The report of a finished job whose result is a part.
+
+    index               index of the job
+    name                name of the part
+    processor_seconds   processor time of the worker, in seconds
+    cells               number of cells that were measured
+    """
 
     index: tuple[int, ...]
     name: str
@@ -95,7 +107,7 @@ class PartReport:
 
 
 def prepare_worker(site: StoreRef, kernels: Sequence[str]) -> None:
-    """Check the needs of any job on this worker, and make sure that its kernels are compiled."""
+    """Check what every job needs on this worker, and make sure that the kernels are compiled."""
     site.open()
     compile_once(*kernels)
 
@@ -103,10 +115,10 @@ def prepare_worker(site: StoreRef, kernels: Sequence[str]) -> None:
 def open_checked(
     store: str | StoreBackend, run_id: str, solver_version: int, patience: float = SHORT_PATIENCE
 ) -> AtlasStore:
-    """The handle of the store of a run on this worker, see ``cached_handle``.
+    """Return the handle of the store of a run on this worker, see ``cached_handle``.
 
-    Raises RefusedError if this worker has another solver, or sees no store or another one at the path; OSError if the
-    store's disk or server refused.
+    Raise WorkerRefusedError if this worker has another solver, or sees no store or another one at the path. Raise
+    OSError if the store's disk or server refuses access.
     """
     check_solver(solver_version)
     try:
@@ -114,21 +126,23 @@ def open_checked(
     except InputError as error:
         if isinstance(error.__cause__, OSError):  # the disk or the server is at fault, not the path
             raise error.__cause__ from None
-        raise WorkerRefusedError(f"{error}; is the path the same on all hosts?") from None
+        raise WorkerRefusedError(f"{error}; check that the path is the same on every host") from None
     if handle.run_id != run_id:
-        raise WorkerRefusedError(f"{store} is not the store of run {run_id}; is the path the same on all hosts?")
+        raise WorkerRefusedError(
+            f"{store} is not the store of run {run_id}; check that the path is the same on every host"
+        )
     return handle
 
 
 def check_solver(version: int) -> None:
-    """Raise RefusedError unless this worker has the solver version that a run needs."""
+    """Raise WorkerRefusedError unless this worker has the solver version that a run needs."""
     if version != SOLVER_VERSION:
         raise WorkerRefusedError(f"this worker has solver version {SOLVER_VERSION}, the run needs {version}")
 
 
 @contextmanager
 def translate_file_errors(store: object) -> Iterator[None]:
-    """Turn errors of the file system into errors of the run: no room at all, or not for this worker; others pass."""
+    """Convert file-system errors: StoreFullError without space, WorkerRefusedError without permission; others pass."""
     try:
         yield
     except OSError as error:
@@ -141,8 +155,8 @@ def translate_file_errors(store: object) -> Iterator[None]:
 
 
 def stored_part(handle: AtlasStore, group: str, name: str) -> bytes:
-    """A part stored by a job; RefusedError if there is none."""
+    """Return a part that a job has stored. Raise WorkerRefusedError if it is missing."""
     data = get_part(handle, group, name)
     if data is None:
-        raise WorkerRefusedError(f"{handle.backend}: has no part {name}; is the path the same on all hosts?")
+        raise WorkerRefusedError(f"{handle.backend}: has no part {name}; check that the path is the same on every host")
     return data

@@ -1,4 +1,4 @@
-"""A tile as a task: the message to a worker, its execution, its receipt."""
+"""The jobs of a run as they are sent to workers, the work of each kind of job, and its report."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -29,11 +29,13 @@ LABELS = -1
 
 @dataclass(frozen=True)
 class RunJob:
-    """A task sent to a worker: one tile of a store. ``attempt.do_job`` runs it locally.
+    """A job sent to a worker, such as a tile of a store. ``attempt.execute_job`` executes it, also without a cluster.
 
-    With a ``level`` above 0 it is a chunk of that level of the overviews; at level LABELS, the last labels of basins.
-    ``attempt`` is the token of this attempt at the tile, from ``attempt.run_job``: of two live attempts the first
-    writes nothing more.
+    index       index of the tile, or of the chunk
+    store_ref   the store
+    level       0 for a tile; above 0 for a chunk of that level of the overviews; LABELS for the final labels of basins
+    attempt     token of this attempt at the tile, set by ``attempt.run_tile_job``; of two live attempts the first
+                writes nothing more
     """
 
     index: tuple[int, ...]
@@ -43,11 +45,11 @@ class RunJob:
 
     @property
     def attempt_key(self) -> str:
-        """The name of the note with the token of the current attempt at the tile."""
+        """Name of the sidecar file with the token of the current attempt at the tile."""
         return "started-" + "-".join(map(str, self.index))
 
     def handle(self) -> AtlasStore:
-        """The handle of the store in its present state, behind the fences of the run and of the attempt."""
+        """Return the handle of the store in its present state, behind the fences of the run and of the attempt."""
         return self.store_ref.open(self.attempt_key, self.attempt)
 
 
@@ -55,15 +57,19 @@ class RunJob:
 class TileReport:
     """The report of a finished tile.
 
-    cells, counts, reasons          cells solved; by regime; by the reason of an uncertain result
-    reused                          cells copied from the origin of the store
-    solve_seconds, write_seconds    inside the solver; inside the store
-    processor_seconds               of the solver's thread
-    periods                         forcing periods simulated
-    peak_bytes                      peak memory of the worker's process
-    changed                         cells solved again whose regime changed
-    record                          of the whole tile, see ``store.record``; empty if unknown
-    laws                            use of the laws that are expressions, in the cells solved
+    index               index of the tile
+    cells               number of cells solved
+    counts              number of solved cells by regime
+    reasons             number of solved cells by the reason of an uncertain result
+    solve_seconds       seconds inside the solver
+    write_seconds       seconds inside the store
+    periods             forcing periods simulated
+    peak_bytes          peak memory of the worker's process, in bytes
+    reused              number of cells copied from the origin of the store
+    processor_seconds   processor time of the solver's thread, in seconds
+    changed             number of cells solved again whose regime changed
+    record              record of the whole tile, see ``store.record_format``; empty if unknown
+    laws                use of the laws that are expressions, in the cells solved
     """
 
     index: tuple[int, ...]
@@ -83,7 +89,12 @@ class TileReport:
 
 @dataclass(frozen=True)
 class DerivedReport:
-    """The receipt of a job other than a tile: new records of tiles, and failures."""
+    """The report of a job other than a tile.
+
+    index     index of the job
+    records   new tile records, as pairs of index and record
+    fault     why the job failed; empty if it succeeded
+    """
 
     index: tuple[int, ...]
     records: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...] = ()
@@ -91,7 +102,7 @@ class DerivedReport:
 
 
 def make_chunk(job: RunJob) -> DerivedReport:
-    """Make a chunk of the overviews."""
+    """Build a chunk of the overviews and return the report."""
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         try:
@@ -104,18 +115,18 @@ def make_chunk(job: RunJob) -> DerivedReport:
 
 
 def label_basins(job: RunJob) -> DerivedReport:
-    """Give the cells of an atlas of basins their last labels, and write the table of its attractors."""
+    """Give the cells of an atlas of basins their final labels, and write the table of its attractors."""
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
         complete_basins(handle)
-        # All tiles: a dead attempt may have written one again.
+        # All tiles: a dead attempt may have rewritten one.
         return DerivedReport(
             job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle))
         )
 
 
 def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
-    """Solve the cells of a tile that are unknown in the store's origin, and write it."""
+    """Solve the cells of a tile that are unknown in the store's origin, write the tile, and return its report."""
     with translate_file_errors(job.store_ref.store):
         slices = handle.tiling.at(job.index).slices
         known = reuse_cells(handle, slices)
@@ -141,8 +152,8 @@ def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
 
 
 def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> Arrays:
-    """The known arrays with the due cells solved, part by part to limit the memory."""
-    if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # a part of a line has no results of its own
+    """Return the known arrays with the cells of the mask ``due`` solved, chunk by chunk to limit the memory."""
+    if spec.continuation is not None or max(due.shape) <= INNER_CHUNK:  # cells of a line depend on earlier ones
         return solve_missing(spec, slices, known, due)
     arrays = {name: values.copy() for name, values in known.items()}
     for part in Tiling(due.shape, (INNER_CHUNK,) * due.ndim).tiles():
@@ -155,10 +166,10 @@ def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> A
 
 
 def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore | None = None) -> tuple[float, ...]:
-    """Write a tile, if the job still may, and the overview over it alone; return its record.
+    """Write a tile, if the job still may, and the overview chunk over it alone; return the tile's record.
 
-    ``source`` is a store with the same tile, whose objects are copied. A worker suspended between reading the notes and
-    writing writes too late, but the same bits as any other.
+    ``source`` is a store with the same tile, whose objects are copied. A worker suspended between reading the sidecar
+    files and writing writes too late, but the same bits as any other worker.
     """
     record = write_tile(handle, job.index, arrays) if source is None else copy_tile(handle, source, job.index, arrays)
     pyramid_of(handle).build_chunk_over(job.index, arrays)
@@ -166,12 +177,12 @@ def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore |
 
 
 def stored_tile(handle: AtlasStore, index: tuple[int, ...]) -> Arrays:
-    """All arrays of a finished tile."""
+    """Return all arrays of a finished tile."""
     return read_tile(handle, index)
 
 
 def stored_record(handle: AtlasStore, index: tuple[int, ...]) -> tuple[float, ...]:
-    """The record of a tile finished before, in the form of a receipt."""
+    """Return the record of a tile that was finished before, in the form of a report; empty if it is unknown."""
     record = read_record(handle, index)
     return () if record is None else tuple(record.tolist())
 
@@ -179,7 +190,7 @@ def stored_record(handle: AtlasStore, index: tuple[int, ...]) -> tuple[float, ..
 def make_report(
     handle: AtlasStore, index: tuple[int, ...], arrays: Arrays, solved: np.ndarray, record: tuple[float, ...] = ()
 ) -> TileReport:
-    """The receipt of a tile with these arrays, for its cells ``solved``, without times."""
+    """Return the report of a tile with these arrays, for the cells of the mask ``solved``, without times."""
     leading, system = handle.dominant_arrays(arrays), handle.spec.system_def
     codes = leading[REGIME.name][solved]
     counts = {regime.name: int(np.count_nonzero(codes == regime.code)) for regime in REGIMES}

@@ -178,7 +178,7 @@ def test_a_cell_without_a_result_whose_reason_is_lost_is_a_fault(store: Path) ->
     (store / "reason" / "c" / "0" / "1").unlink()
     fault, digest, record = verify(store, sample=0).faults
     assert record.what.startswith("the record of tile")
-    assert digest.what.startswith("its chunks were not written together here")
+    assert digest.what.startswith("its digest does not match")
     assert fault.what.startswith("reason is missing in an undetermined, invalid or failed cell: 6 cells")
 
 
@@ -187,5 +187,5 @@ def test_a_reason_of_another_regime_is_a_fault(store: Path, cell: tuple[int, int
     zarr.open_group(store, mode="r+")["reason"][cell] = code
     fault, digest, record = verify(store, sample=0).faults
     assert record.what.startswith("the record of tile")
-    assert digest.what.startswith("its chunks were not written together here")
+    assert digest.what.startswith("its digest does not match")
     assert fault.what.startswith("reason is not one for this regime: 1 cell,")

@@ -374,7 +374,7 @@ def test_a_cell_that_was_marked_failed_by_hand_is_solved_again_and_found(whole: 
 def test_metadata_that_differ_from_their_consolidated_copy_are_found(whole: Path) -> None:
     zarr.open_group(whole, mode="r+", use_consolidated=False)["period"].attrs["units"] = "s"
     assert message(verify(whole)) == [
-        f"period/zarr.json has attribute units 's', must be '1': atlas verify --repair {whole} writes them again"
+        f"period/zarr.json has attribute units 's', must be '1': atlas verify --repair {whole} restores them"
     ]
 
 
@@ -444,14 +444,14 @@ def exchange(path: Path, one: str, other: str, names: list[str]) -> None:
 @pytest.mark.parametrize("names", [VARIABLES, [*VARIABLES, RECORD], ["largest"], [RECORD]])
 def test_tiles_or_chunks_exchanged_with_another_tiles_are_found(whole: Path, names: list[str]) -> None:
     exchange(whole, "0/0", "1/1", names)
-    exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "exchanged with another" in fault.what]
+    exchanged = [fault.tile for fault in verify(whole, sample=0).faults if "swapped with another" in fault.what]
     assert {(0, 0), (1, 1)} <= {*exchanged}
     assert RECORD in names or exchanged == [(0, 0), (1, 1)]  # exchanged are the records of all four
 
 
 def test_records_that_are_gone_are_found_and_a_repair_makes_them_anew(whole: Path) -> None:
     shutil.rmtree(whole / TILES)
-    assert f"{RECORD}/zarr.json is missing: atlas verify --repair {whole} writes them again" in message(verify(whole))
+    assert f"{RECORD}/zarr.json is missing: atlas verify --repair {whole} restores them" in message(verify(whole))
     verify(whole, sample=0, repair=True)
     assert verify(whole, sample=0).is_sound
 

@@ -97,7 +97,7 @@ def assert_found_and_mended(path: Path, key: str, made: Path) -> None:
     found = call("verify", path, "--sample", 0)
     assert found.exit_code == 1
     assert f"found: {key} " in found.output
-    assert f"atlas verify --repair {path} writes them again" in " ".join(found.output.split())
+    assert f"atlas verify --repair {path} restores them" in " ".join(found.output.split())
     call("verify", path, "--sample", 0, "--repair")
     assert json.loads((path / key).read_text()) == json.loads((made / key).read_text())
 
@@ -132,7 +132,7 @@ def test_a_member_that_says_that_it_has_3_gigabytes_is_not_read(tmp_path: Path, 
         if packed == zipfile.ZIP_STORED:
             archive.infolist()[0].compress_size = 3 * 10**9
     begin = time.process_time()
-    assert_one_line(call("status", file), 2, file, "damaged or incomplete: zarr.json says that it has 3000000000 bytes")
+    assert_one_line(call("status", file), 2, file, "damaged or incomplete: zarr.json states a size of 3000000000 bytes")
     assert time.process_time() - begin < 5.0
 
 

@@ -362,7 +362,7 @@ def test_overviews_that_cannot_be_written_are_told(filled: store.AtlasStore, mon
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Pyramid, "build_chunk", full)
-    with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*No space"):
+    with pytest.raises(RunError, match=r"finished tiles are kept, but the overviews could not be written .*No space"):
         keep(filled)
 
 
@@ -464,7 +464,7 @@ def test_chunks_that_no_worker_can_make_are_told_and_the_tiles_are_kept(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(Pyramid, "build_chunk", full)
-    with pytest.raises(RunError, match=r"the tiles done are kept, but the overviews could not be written .*Input"):
+    with pytest.raises(RunError, match=r"finished tiles are kept, but the overviews could not be written .*Input"):
         atlas.run(plane_of(), begun, client=client)
     assert len(store.done_tiles(store.open_store(begun))) == store.open_store(begun).tiling.count
 
@@ -485,7 +485,7 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
 def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.AtlasStore) -> None:
     overviews_of(filled)
     job = job_of(filled, (0, 0), 1)
-    with pytest.raises(WorkerRefusedError, match="has lost its claim"):
+    with pytest.raises(WorkerRefusedError, match="has lost its lease"):
         execute_job(replace(job, store_ref=replace(job.store_ref, lease="another")))
     assert not list(filled.backend.list_keys("overviews/1/largest/c/"))
 

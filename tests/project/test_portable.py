@@ -205,7 +205,9 @@ def test_names_that_differ_by_case_alone_are_refused_on_a_disk_that_ignores_case
     exists = Path.exists
     folded = lambda path: any(one.name.casefold() == path.name.casefold() for one in path.parent.iterdir())  # noqa: E731
     monkeypatch.setattr(Path, "exists", lambda path: exists(path) or (exists(path.parent) and folded(path)))
-    with pytest.raises(InputError, match=r"the disk takes [mM] and [mM] for one name; rename [mM] in the system"):
+    with pytest.raises(
+        InputError, match=r"the file system ignores case, so [mM] and [mM] collide; rename [mM] in the system"
+    ):
         create.make_store(open_backend(tmp_path / "plane.zarr"), two_cases, (2, 2), None, "0" * 32)
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())

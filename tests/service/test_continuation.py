@@ -173,7 +173,7 @@ def test_a_run_stores_what_solving_its_lines_gives(tmp_path: Path, client: Clien
 
 
 def test_a_part_of_a_line_is_not_solved_as_if_it_were_one() -> None:
-    with pytest.raises(RunError, match="part of a line of omega"):
+    with pytest.raises(RunError, match="part of a line along omega"):
         solve_block(spec("forward"), (slice(0, 1), slice(1, 5)))
     assert solve_block(spec("forward"), (slice(0, 1), slice(0, 5)))["regime"].shape == (1, 5)
     assert solve_block(spec(None), (slice(0, 1), slice(1, 5)))["regime"].shape == (1, 4)

@@ -105,9 +105,7 @@ def test_a_tile_that_kills_its_process_twice_is_reported_with_the_last_one(
     faulty: tuple[Run, subprocess.CompletedProcess[str]],
 ) -> None:
     ended = faulty[1]
-    says = (
-        r"tile \(0, 1\) failed on tls://127\.0\.0\.1:\d+: .*the process that solves it has died 2 times, the last was "
-    )
+    says = r"tile \(0, 1\) failed on tls://127\.0\.0\.1:\d+: .*its worker process has died 2 times, the last one was "
     assert len([line for line in ended.stderr.splitlines() if re.match(says + r"\S+, process \d+", line)]) == 1
 
 
@@ -166,12 +164,14 @@ def test_a_worker_with_another_solver_refuses(made: RunJob) -> None:
 
 
 def test_a_worker_that_sees_another_store_there_refuses(made: RunJob) -> None:
-    with pytest.raises(WorkerRefusedError, match=r"not the store of run 0123; is the path the same on all hosts\?"):
+    with pytest.raises(
+        WorkerRefusedError, match=r"not the store of run 0123; check that the path is the same on every host"
+    ):
         run_tile_job(replace(made, store_ref=replace(made.store_ref, run_id="0123")))
 
 
 def test_a_worker_that_sees_no_store_there_refuses(made: RunJob) -> None:
-    with pytest.raises(WorkerRefusedError, match=r"no such store; is the path the same on all hosts\?"):
+    with pytest.raises(WorkerRefusedError, match=r"no such store; check that the path is the same on every host"):
         run_tile_job(replace(made, store_ref=replace(made.store_ref, store="/nowhere/out.zarr")))
 
 

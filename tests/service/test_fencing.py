@@ -40,7 +40,7 @@ from tests.planes import plane_of
 from workers import tile as solving
 from workers.settings import MAX_PERIODS
 
-LOST = "the run of this job has lost its claim of the store; nothing more is written"
+LOST = "the run that sent this job has lost its lease; nothing more is written"
 OURS = LeaseRecord("ours", 3, "here", 1, "")
 THEIRS = replace(OURS, token="theirs", host="far")
 

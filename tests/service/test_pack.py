@@ -195,12 +195,12 @@ def test_a_zip_file_is_no_place_for_a_run(packed: Path, tmp_path: Path, command:
     more = ["--scheduler", "tcp://127.0.0.1:1"] if "--submit" in command else []
     shown = call(*command.split(), "tiny", "-o", tmp_path / name, *more)
     assert (shown.exit_code, shown.stdout, len(shown.stderr.splitlines())) == (2, "", 1)
-    assert f"{name}: a zip file is read only; give a folder" in shown.stderr
+    assert f"{name}: a zip file is read-only; give a folder" in shown.stderr
     assert sorted(os.listdir(tmp_path)) == before
 
 
 def test_a_packed_atlas_is_not_repaired(packed: Path) -> None:
-    with pytest.raises(InputError, match="a zip file is read only"):
+    with pytest.raises(InputError, match="a zip file is read-only"):
         verify(packed, repair=True)
 
 

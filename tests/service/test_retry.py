@@ -215,7 +215,7 @@ def test_without_the_old_store_a_tile_that_is_lost_later_stays_so_and_the_error_
     failures = atlas.run(plane_of_few(), path, client=client).failures
     assert [failure.index for failure in failures] == [(1, 1)]
     assert "no such store; " in failures[0].message
-    assert "copies cells of it: put it back, or make it again by atlas run" in failures[0].message
+    assert "copies cells from it: restore it, or recompute it with atlas run" in failures[0].message
     assert "atlas retry" in failures[0].message and "extend" not in failures[0].message
 
 
@@ -294,7 +294,7 @@ def test_a_retry_into_the_store_itself_is_refused(old: Path) -> None:
 
 
 def test_a_retry_into_another_store_is_refused(old: Path, new: Path) -> None:
-    with pytest.raises(InputError, match="is a store already, and not this one made from"):
+    with pytest.raises(InputError, match="a store that was not made from"):
         atlas.retry(old, new, "undetermined", MORE + 1)
 
 
@@ -411,7 +411,7 @@ def test_a_survival_changed_by_hand_is_a_fault(long: Path, tmp_path: Path, clien
     cell = tuple(np.argwhere(whole(path)["regime"] == CHAOTIC)[0].tolist())
     zarr.open_group(path, mode="r+")["survival"][cell] = LONG + 2
     (fault,) = verify(path, sample=0).faults
-    assert fault.what.startswith("its chunks were not written together here")
+    assert fault.what.startswith("its digest does not match")
 
 
 def test_undetermined_and_chaotic_cells_are_solved_again_together(tmp_path: Path, client: Client) -> None:

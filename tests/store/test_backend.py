@@ -260,7 +260,7 @@ def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: 
         return whole(self, key, data)
 
     monkeypatch.setattr(ObjectBackend, "put_new", overtaken)
-    with pytest.raises(InputError, match="another run has just made a store here"):
+    with pytest.raises(InputError, match="another run has just created it"):
         create.create_store(place, plane_of(), (2, 3))
     assert verify(str(place), sample=0).faults == ()
 
@@ -277,7 +277,7 @@ def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
             return whole(self, key, data)
         with monkeypatch.context() as patch:
             patch.setattr(ObjectBackend, "put_new", whole)
-            with pytest.raises(InputError, match="another run has just made a store here"):
+            with pytest.raises(InputError, match="another run has just created it"):
                 assert whole(self, key, data)
                 create.create_store(place, plane_of(), (2, 3))
         return True
@@ -291,7 +291,7 @@ def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
 def test_what_is_not_ours_at_a_url_is_left_alone(bucket: str) -> None:
     place = open_backend(f"{bucket}/foreign")
     place.put("thesis.tex", b"mine")
-    with pytest.raises(InputError, match=r"holds thesis.tex and is not an atlas"):
+    with pytest.raises(InputError, match=r"found thesis.tex, which is no part of an atlas"):
         find(place, plane_of())
     zarr.create_group(zarr.storage.ObjectStore(open_backend(f"{bucket}/group").client))  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="not an atlas"):

@@ -147,5 +147,5 @@ def test_a_worker_that_does_not_see_the_store_is_left_out_and_the_rest_finishes(
     assert lines == [
         "9",
         "0",
-        f"{tmp_path}/out.zarr: no such store; is the path the same on all hosts?",
+        f"{tmp_path}/out.zarr: no such store; check that the path is the same on every host",
     ]

@@ -108,7 +108,7 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
     do(whole)
     found = [str(fault) for fault in verify(whole, sample=0).faults]
     assert any(line.startswith(said) for line in found), found
-    assert all(line.endswith(f": atlas verify --repair {whole} writes them again") for line in found)
+    assert all(line.endswith(f": atlas verify --repair {whole} restores them") for line in found)
     key = said.partition(" ")[0]
     assert f"{key} written again" in verify(whole, sample=0, repair=True).restored
     assert verify(whole, sample=0).is_sound

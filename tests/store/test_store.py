@@ -142,7 +142,7 @@ def test_a_torn_chunk_is_noticed_when_it_is_read(handle: store.AtlasStore) -> No
 
 
 def test_a_worker_with_another_store_at_the_path_fails_loudly(handle: store.AtlasStore) -> None:
-    with pytest.raises(RunError, match="is the path the same on all hosts"):
+    with pytest.raises(RunError, match="check that the path is the same on every host"):
         run_tile_job(RunJob((0, 0), StoreRef(str(handle.path), "another run", handle.solver_version)))
 
 
@@ -200,7 +200,7 @@ def test_another_spec_is_refused_by_every_difference(handle: store.AtlasStore, o
 def test_another_solver_version_is_refused(handle: store.AtlasStore, plane: atlas.Spec) -> None:
     older = handle.solver_version - 1
     set_attribute(handle.path, "solver_version", older)
-    with pytest.raises(InputError, match=f"made by solver version {older}, this is version {handle.solver_version}"):
+    with pytest.raises(InputError, match=f"computed by solver version {older}, installed is {handle.solver_version}"):
         find(handle.path, plane)
 
 
@@ -251,7 +251,7 @@ def test_a_table_that_no_chunk_can_hold_is_refused_before_the_work(
     spec = atlas.Spec("two-mass", axes, attractors={"starts": 4, "keep": 3})
     handle = create.create_store(tmp_path / "out.zarr", spec, (2, 3))
     monkeypatch.setattr(groups, "LARGEST_CHUNK", 71)
-    with pytest.raises(InputError, match=r"out.zarr: label would take 72 bytes in one chunk, at most 71 are possible"):
+    with pytest.raises(InputError, match=r"out.zarr: label needs 72 bytes in one chunk, must be at most 71"):
         atlas.label_attractors(handle.path)
-    with pytest.raises(InputError, match=r"out.zarr: return_time would take 144 bytes in one chunk, at most 71"):
+    with pytest.raises(InputError, match=r"out.zarr: return_time needs 144 bytes in one chunk, must be at most 71"):
         atlas.measure_attractors(handle.path)

@@ -159,7 +159,7 @@ def test_a_zarr_store_is_verified_and_packed_and_never_written(given: Any, solve
     atlas.pack(given, tmp_path / "a.zip")
     assert same(atlas.open(tmp_path / "a.zip"), atlas.open(solved_plane))
     for write in (lambda: atlas.run(plane_of(), given), lambda: atlas.verify(given, repair=True)):
-        with pytest.raises(InputError, match=r"a Zarr store object is read only; give a path or a URL$"):
+        with pytest.raises(InputError, match=r"a Zarr store object is read-only; give a path or a URL$"):
             write()
 
 
@@ -354,8 +354,16 @@ def test_an_obstore_store_of_a_server_has_its_url_and_its_settings(made: Any, ur
         ("s3://b/p", {"anon": True, "skip_signature": True}, "storage_options: skip_signature and another name of"),
         ("s3://b/p", {"secret": [SECRET]}, "storage_options: secret: must be a text, a number, or true or false"),
         ("s3://b/p", {"client_options": 3}, "storage_options: client_options: found 3, must be settings by name"),
-        ("s3://b/p", {"colour": "red"}, "s3://b/p: not a place for a store: Configuration key: 'colour' is not valid"),
-        ("gs://b/p", {"secret": SECRET}, "gs://b/p: not a place for a store: Configuration key: 'secret' is not valid"),
+        (
+            "s3://b/p",
+            {"colour": "red"},
+            "s3://b/p: not a valid location for a store: Configuration key: 'colour' is not valid",
+        ),
+        (
+            "gs://b/p",
+            {"secret": SECRET},
+            "gs://b/p: not a valid location for a store: Configuration key: 'secret' is not valid",
+        ),
     ],
 )
 def test_bad_options_get_one_line_without_a_secret(store: str, options: Any, message: str) -> None:

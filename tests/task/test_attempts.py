@@ -86,7 +86,7 @@ def between_two_writes(sleeper: Sleeper, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(LocalBackend, "put", slow)
 
 
-SUPERSEDED = "another attempt at this tile has begun; nothing more is written"
+SUPERSEDED = "a later attempt at this tile has started; nothing more is written"
 
 
 @pytest.mark.parametrize(("when", "error"), [(before_it_writes, ""), (between_two_writes, SUPERSEDED)])
@@ -160,7 +160,7 @@ def test_a_tile_whose_process_died_twice_is_not_tried_again_and_the_last_is_name
     for _ in range(2):
         run_tile_job(job)
     for _ in range(2):
-        with pytest.raises(RunError, match=rf"has died 2 times, the last was .*, process {os.getpid()}$"):
+        with pytest.raises(RunError, match=rf"has died 2 times, the last one was .*, process {os.getpid()}$"):
             run_tile_job(job)
     assert len(solved) == 2
 

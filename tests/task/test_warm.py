@@ -74,7 +74,7 @@ print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
 """
 WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
 
-COMPILING = "compiling the kernels, about 45 s where nothing else runs, once for this version"
+COMPILING = "compiling the kernels, about 45 s on an idle computer, once for this version"
 LOADING = "loading the kernels"
 
 

@@ -337,7 +337,7 @@ class TestBadInput:
 
     def test_a_zip_file_without_curves(self, fresh: Path, tmp_path: Path) -> None:
         atlas.pack(fresh, tmp_path / "out.zip")
-        assert "a zip file is read only" in self.refused(str(tmp_path / "out.zip"))
+        assert "a zip file is read-only" in self.refused(str(tmp_path / "out.zip"))
 
     def test_a_budget_of_nothing(self) -> None:
         with pytest.raises(atlas.errors.InputError, match="curves: found 0, must be a whole number, 1 or more"):
