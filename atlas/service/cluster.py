@@ -48,7 +48,10 @@ class Tls:
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Return Dask's Security by its configuration (``distributed.comm.tls``), in which the given files take precedence."""
+    """Return Dask's Security by its configuration (``distributed.comm.tls``).
+
+    The given files replace those of the configuration.
+    """
     from distributed import Security
 
     given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}

@@ -167,7 +167,10 @@ def _requests(
 
 
 def _still_true(handle: AtlasStore, stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
-    """Return the stored measures that are still valid: those of the present cells, and margins to the present curves."""
+    """Return the stored measures that are still valid.
+
+    These are measures of the present cells, and margins to the present curves.
+    """
     content = wanted[LINEAR]["content"]
     kept = {
         family: request

@@ -114,8 +114,9 @@ class RunOptions:
 
 
 def with_fields(function: F) -> F:
-    """Return the function with the fields of ``RunOptions`` in its signature in place of its ``**fields``, for
-    ``help``.
+    """Return the function with the fields of ``RunOptions`` in its signature, in place of its ``**fields``.
+
+    ``help`` shows the signature.
     """
     signature = inspect.signature(function)
     own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]

@@ -24,7 +24,9 @@ STEPS = (4, 16, 64, CELLS)
 A step begins only if it should keep the processor seconds of the whole within BUDGET.
 """
 BUDGET, LONG_BUDGET = 2.0, 10.0
-"""Budget of the probe, in processor seconds, and its budget for the first FEW cells: fewer cells say next to nothing.
+"""Budget of the probe, in processor seconds, and its budget for the first FEW cells.
+
+Fewer cells say next to nothing.
 """
 FEW = 16
 MAX_PROBE_PERIODS, MAX_SURVIVAL = 20_000, 48_000
@@ -231,7 +233,10 @@ def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few
 
 
 def _estimate(steps: list[_ProbeStep], cells: int, of: int) -> ProbeResult:
-    """Return the estimate: periods from all steps, time of a period from the last, whose cells fill the processor best."""
+    """Return the estimate: periods from all steps, the time of a period from the last.
+
+    The cells of the last step fill the processor best.
+    """
     last = steps[-1]
     rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
     least, most = (np.concatenate([getattr(step, name).mean(axis=1) for step in steps]) for name in ("least", "most"))
