@@ -43,8 +43,9 @@ def parse_attractors(given: object, system: System, settings: Settings) -> Attra
 
 
 def cell_attractors(starts: int, system: System, settings: Settings) -> AttractorSettings:
-    """Return the initial states of a search for all attractors of one cell; raise InputError as ``parse_attractors``
-    does.
+    """Return the initial states of a search for all attractors of one cell.
+
+    Raise InputError as ``parse_attractors`` does.
     """
     search = parse_attractors({"starts": starts, "keep": MAX_KEPT}, system, settings)
     assert search is not None

@@ -34,7 +34,10 @@ def law_names(system: System) -> list[str]:
 
 
 def law_uses(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
-    """Return the use of each law, by its element's name, from results of cells; NaN and missing results are left out."""
+    """Return the use of each law, by its element's name, from results of cells.
+
+    NaN and missing results are left out.
+    """
     uses = {}
     for element in system.definition.fitted:
         shares, errors = (

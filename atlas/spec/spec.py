@@ -139,8 +139,9 @@ class Spec:
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
-        """Return the spec of a mapping in the form of the TOML file; the path of a system's file is relative to
-        ``folder``.
+        """Return the spec of a mapping in the form of the TOML file.
+
+        The path of a system's file is relative to ``folder``.
         """
         check_names("key", tables, SECTIONS)
         if "system" not in tables:
@@ -202,8 +203,9 @@ class Spec:
         return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
 
     def outline(self) -> dict[str, Any]:
-        """Return the resolved spec without the values of axes and points: names, numbers of values, and the ends of
-        axes.
+        """Return the resolved spec without the values of axes and points.
+
+        It has the names, the numbers of values, and the ends of axes.
         """
         cells: dict[str, Any]
         if self.points:
@@ -245,10 +247,9 @@ class Spec:
 
     @classmethod
     def from_dataset(cls, ds: Any) -> "Spec":
-        """Return the spec of an atlas that is opened, exported or loaded whole as an xarray Dataset, except for the
-        tile shape.
+        """Return the spec of an atlas that is opened, exported or loaded whole as an xarray Dataset.
 
-        Raise InputError if the dataset lacks its spec or some of its cells.
+        The tile shape is not part of it. Raise InputError if the dataset lacks its spec or some of its cells.
         """
         validate_atlas(ds)
         try:
@@ -313,8 +314,9 @@ class Spec:
         return resolved_digest(self.to_resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
-        """Return the parameters of a block of cells for solve_tile: axes as arrays that broadcast to the shape of the
-        block.
+        """Return the parameters of a block of cells for solve_tile.
+
+        Values of axes are arrays that broadcast to the shape of the block.
         """
         params: dict[str, float | np.ndarray] = dict(self.parameters)
         if self.points:
@@ -384,7 +386,10 @@ def observable_settings(settings: Settings, system: System) -> Settings:
 
 
 def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
-    """Return a spec's tables with a file of points in place of its axes; raise InputError unless each axis is a column."""
+    """Return a spec's tables with a file of points in place of its axes.
+
+    Raise InputError unless each axis is a column of the file.
+    """
     check_names("key", tables, SECTIONS)
     if "system" not in tables:
         raise InputError("system missing")

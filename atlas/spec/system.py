@@ -110,10 +110,9 @@ def unused_lines(system: System) -> list[str]:
 
 
 def must_offer(system: System, what: str, unforced: bool = False) -> None:
-    """Raise InputError, in one line, if ``what`` does not exist for a system with a drifting coordinate, or without a
-    force.
+    """Raise InputError, in one line, if ``what`` does not exist for this system.
 
-    With ``unforced`` it exists without a force.
+    It does not exist if a coordinate drifts, and, unless ``unforced``, without a force.
     """
     with _as_input_error():
         system.must_offer(what, unforced)
