@@ -51,4 +51,4 @@ def _group_faults(handle: AtlasStore, group: str) -> list[str]:
 
 
 def _remedy(handle: AtlasStore, group: str) -> str:
-    return f" ({REBUILD_COMMANDS[group]} {handle.backend} computes it again)" if group in REBUILD_COMMANDS else ""
+    return f" ({REBUILD_COMMANDS[group]} {handle.backend} makes it anew)" if group in REBUILD_COMMANDS else ""

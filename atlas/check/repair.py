@@ -112,7 +112,7 @@ def _drop_groups(findings: VerifyFindings, names: Names) -> Iterator[str]:
             drop_group(handle, group)
             handle.backend.remove_all(list(handle.backend.list_keys(f"{group}/")))
         command = f"{REBUILD_COMMANDS[group]} {handle.backend}" if group in REBUILD_COMMANDS else "the next run"
-        yield f"{group} dropped: {command} computes them again"
+        yield f"{group} dropped: {command} makes them anew"
 
 
 def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:

@@ -217,8 +217,8 @@ class Dispatcher(Generic[J, R]):
             )
         names = ", ".join(paused[:MAX_NAMED_WORKERS]) + (", ..." if len(paused) > MAX_NAMED_WORKERS else "")
         return (
-            f"no job finished for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} that are short "
-            f"of memory: {names}"
+            f"no job finished for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} short of "
+            f"memory: {names}"
         )
 
     def submit_jobs(self) -> None:
