@@ -77,8 +77,8 @@ def chatter(orbit: CellTrajectory) -> slice | None:
 def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
     """Return the enlarged interval around a chatter.
 
-    The values are: times (N,) in ``CellTrajectory.unit``, the distance (N,) from the stop at each time, the ends of the
-    interval, and the largest distance between the first impact and the last.
+    The first values are times (N,) in ``CellTrajectory.unit``, and the distance (N,) from the stop at each time. Then
+    follow the ends of the interval, and the largest distance between the first impact and the last.
     """
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)

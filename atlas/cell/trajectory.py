@@ -167,9 +167,9 @@ def cell_orbit(
 def modulation(section: Array) -> float:
     """Return the number of forcing periods after which a torus returns to nearly the same state.
 
-    It is 1 / |f - p / q|, with f the strongest frequency of the section values (S,) per forcing period, and p / q the
-    fraction nearest to f with q at most 6. At f = 1/3 + 0.01 the state after three periods is nearly the same, and has
-    drifted once around after a hundred. Return 1 if the section does not move.
+    It is 1 / |f - p / q|. Here f is the strongest frequency of the section values (S,) per forcing period, and p / q
+    the fraction nearest to f with q at most 6. At f = 1/3 + 0.01 the state after three periods is nearly the same, and
+    has drifted once around after a hundred. Return 1 if the section does not move.
     """
     x = section - section.mean()
     if x.size < 8 or np.ptp(x) == 0.0:

@@ -33,7 +33,7 @@ def verify(
     Metadata and coordinates are compared with the spec. Every chunk of every finished tile is read, which checks its
     checksum, and every tile is compared with its record. Every cell is checked by ``rules``, the sum law among them.
     Every chunk of an overview is compared with the cells below it. ``sample`` cells, drawn by ``seed``, are solved
-    again: on the kind of host that solved them the results must be the same to the bit, elsewhere within the errors.
+    again. On the kind of host that solved them the results must be the same to the bit, elsewhere within the errors.
     Tables, curves, records of hosts and zoom levels are checked, too.
 
     ``repair`` holds the store's lease throughout and drops faulty parts, so that the next run computes them again. A

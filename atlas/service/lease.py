@@ -304,7 +304,7 @@ def cancel(
     """Ask the run that holds a store's lease to stop, wait until it has stopped, and return its record.
 
     Raise InputError if no run holds the lease. Raise RunError if the lease file is damaged, if no heartbeat is
-    observed, or if the lease is still held after ``wait_seconds``; the request to stop remains.
+    observed, or if the lease is still held after ``wait_seconds``. The request to stop remains.
     """
     while True:
         data = sidecar.read(LEASE_NAME)

@@ -110,11 +110,11 @@ def measure_attractors(
 
     The measures are ``return_time``, ``reactivity`` and ``amplification``, as defined by ``atlas.stability``, in its
     ``norm``. ``shocks`` adds ``fatal_shock`` in an atlas of all attractors, which takes seconds to minutes for each
-    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``, with lengths along
-    an axis divided by its ``scale``, by default its width. Stored measures are not computed again. Without ``shocks``
-    and ``margin`` stored ones remain as long as the cells, and the curves, are the same. The jobs run on ``client`` or
-    on the workers of the options, like ``run``; the same call resumes a measurement that was stopped. Raise InputError
-    if the store is not a finished atlas; see also ``run``.
+    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``. Its lengths along an
+    axis are divided by the ``scale`` of the axis, by default its width. Stored measures are not computed again. Without
+    ``shocks`` and ``margin`` stored ones remain as long as the cells, and the curves, are the same. The jobs run on
+    ``client`` or on the workers of the options, like ``run``; the same call resumes a measurement that was stopped.
+    Raise InputError if the store is not a finished atlas; see also ``run``.
     """
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)

@@ -46,11 +46,13 @@ def retry(
     ``regimes`` are one or more of undetermined, chaotic and aperiodic. A larger budget ``max_periods`` may decide
     undetermined cells; a longer ``survival`` watches chaotic and aperiodic cells for longer. Each of these cells is
     solved from its beginning, and has the bits of an atlas whose spec has these settings. The variables ``budget`` and
-    ``survival`` of the new store say how many periods each cell was given. All other cells are those of ``store`` to
-    the bit. If both stores lie on one disk, or in one bucket, tiles without a cell to solve take no further space on
-    that disk, and no time on the network. ``store`` does not change, and must stay in place until the new store is
-    complete. The same call resumes a retry that was stopped. ``client``, ``options`` and ``fields`` are those of
-    ``run``. Raise InputError, before anything is written, for a retry that could change no cell; see also ``run``.
+    ``survival`` of the new store say how many periods each cell was given.
+
+    All other cells are those of ``store`` to the bit. If both stores lie on one disk, or in one bucket, tiles without a
+    cell to solve take no further space and no time on the network. ``store`` does not change, and must stay in place
+    until the new store is complete. The same call resumes a retry that was stopped. ``client``, ``options`` and
+    ``fields`` are those of ``run``. Raise InputError, before anything is written, for a retry that could change no
+    cell; see also ``run``.
 
     >>> import atlas
     >>> summary = atlas.retry("plane.zarr", "again.zarr", "chaotic", survival=100_000, client=client)

@@ -193,7 +193,7 @@ class StatusReader:
         """Return the present status.
 
         With ``settled`` wait until the lease of another host is known to move or to stand still. If a run held the
-        lease before the count and has ended since, the tiles are counted again: its last tiles may have come after the
+        lease before the count and has ended since, the tiles are counted again. Its last tiles may have come after the
         count.
         """
         look = self.observer.observe_until_settled if settled else self.observer.observe

@@ -65,8 +65,8 @@ def submit(
 
     Return once tiles are being solved, or the atlas is complete. The coordinator is a Dask task that takes no thread
     from the tiles. If its worker dies, Dask starts it on another, up to three times (the scheduler's
-    ``allowed-failures``), and the coordinator resumes from the stored tiles. A worker that has another solver version
-    than this program, or finds another store at the path, refuses to coordinate, and the next worker is tried. Raise
+    ``allowed-failures``), and the coordinator resumes from the stored tiles. A worker refuses to coordinate if it has
+    another solver version than this program, or finds another store at the path. The next worker is then tried. Raise
     the errors that ``atlas.run`` raises before its first tile, and RunError if all workers refuse.
     """
     from distributed import Event, Variable
@@ -108,8 +108,8 @@ def submit(
 def coordinate(task: Submission) -> WorkerRefusal | None:
     """Coordinate a run on this worker, or return a refusal that names the worker.
 
-    As soon as tiles are in flight, a variable of the scheduler with the submission's name holds the store's run id, and
-    an event is set, at which the submitter returns. A coordinator that finds a run id replaces one whose worker died.
+    As soon as tiles are in flight, a variable of the scheduler with the submission's name holds the store's run id. An
+    event is then set, at which the submitter returns. A coordinator that finds a run id replaces one whose worker died.
     It resumes that run only, and if its own worker must not coordinate, it starts the next coordinator itself. An error
     that no submitter waits for is recorded for ``atlas status``.
     """
