@@ -323,8 +323,9 @@ def _tiles(attempts: list[JobAttempt[J]]) -> str:
 
 
 def _elsewhere(willing: list[str], failures: tuple[AttemptFailure, ...]) -> tuple[str, ...] | None:
-    """Return the workers for the next attempt: those on hosts without a failure, else those without a failure, else
-    all.
+    """Return the workers for the next attempt.
+
+    They are those on hosts without a failure, else those without a failure, else all.
     """
     failed = {failure.worker for failure in failures}
     hosts = {host_of(worker) for worker in failed}

@@ -67,8 +67,9 @@ class LeaseRecord:
 
     @classmethod
     def unpack(cls, data: bytes) -> "LeaseRecord | None":
-        """Return the record of a lease file; None if the file is damaged, for example if its holder was killed while it
-        wrote.
+        """Return the record of a lease file; None if the file is damaged.
+
+        It is damaged, for example, if its holder was killed while writing.
         """
         try:
             return cls(**json.loads(data))
@@ -278,7 +279,7 @@ class LeaseObserver:
         begin = time.monotonic()
         data = self._notes.read(LEASE_NAME)
         mark, now = None if data is None else _mark(data), time.monotonic()
-        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # the holder lacked the store too
+        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # nor could the holder write
             self.mark, self._since = mark, now
         if data is None:
             return None
@@ -346,10 +347,10 @@ def read_end(sidecar: Sidecar) -> str:
 
 
 def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
-    """Return True once the counter of a lease has stood still for ``timing.expire_after`` seconds, or its holder is
-    gone.
+    """Return True once a lease has expired.
 
-    Raise InputError as soon as the counter moves.
+    Its counter has then stood still for ``timing.expire_after`` seconds, or its holder is gone. Raise InputError as
+    soon as the counter moves.
     """
     record = LeaseRecord.unpack(data)
     if record and record.is_alive is False:
@@ -375,8 +376,9 @@ def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[st
 
 
 def _mark(data: bytes) -> object:
-    """Return the part of a lease file that only its holder changes: a request to stop, written by others, is no
-    heartbeat.
+    """Return the part of a lease file that only its holder changes.
+
+    A request to stop, written by others, is no heartbeat.
     """
     record = LeaseRecord.unpack(data)
     return (record.token, record.beat) if record else data

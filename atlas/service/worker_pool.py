@@ -173,8 +173,7 @@ class WorkerPool(Generic[J, R]):
 def open_store_call(
     store: "Given | AtlasStore", client: "Client | None", options: RunOptions
 ) -> Iterator[tuple[AtlasStore, RunOptions, ExitStack]]:
-    """Begin a call that works on a store, and yield the store's handle, the options with a progress reporter, and a
-    stack.
+    """Begin a call that works on a store, and yield its handle, the options with a progress reporter, and a stack.
 
     The stack is closed when the call ends. The handle waits ``options.patience`` seconds for a server that does not
     respond. Raise InputError if the client contradicts the options, or if there is no atlas at ``store``.

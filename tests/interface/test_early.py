@@ -83,7 +83,7 @@ def test_files_of_a_connection_are_refused_without_a_scheduler(tmp_path: Path) -
     with pytest.raises(InputError, match="tls: found files for a connection to a scheduler, but no scheduler"):
         atlas.RunOptions(tls=Tls(str(authority)))
     done = CliRunner().invoke(main, ["run", "tiny", "-o", str(tmp_path / "a.zarr"), "--tls-ca-file", str(authority)])
-    assert done.exit_code == 2 and "found no scheduler" in done.stderr
+    assert done.exit_code == 2 and "but no scheduler" in done.stderr
     assert list(tmp_path.iterdir()) == [authority]
 
 

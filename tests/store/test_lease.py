@@ -243,7 +243,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
             away.setattr(LocalSidecar, "compare_and_set", put)
             with pytest.raises(
                 RunError,
-                match=r"could not renew its claim of the store for \d+ s \(Input/output error\), so that another run",
+                match=r"no heartbeat succeeded for \d+ s \(Input/output error\), so another run",
             ):
                 while True:
                     claim.check()
@@ -261,7 +261,7 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
     with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=0.01, expire_after=0.05), patience=600.0) as claim:
         monkeypatch.setattr(LocalSidecar, "compare_and_set", refused)
         time.sleep(0.1)
-        with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
+        with pytest.raises(RunError, match=r"no heartbeat succeeded for \d+ s \(ExpiredToken\), so"):
             claim.check()
 
 
