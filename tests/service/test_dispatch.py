@@ -223,4 +223,4 @@ def no_setup(client: object, labour: JobType[Any, Any], seconds: float) -> Itera
 @pytest.fixture(autouse=True)
 def without_setup(monkeypatch: pytest.MonkeyPatch) -> None:
     """Dask's plugins have tests of their own."""
-    monkeypatch.setattr(worker_setup, "set_up", no_setup)
+    monkeypatch.setattr(worker_setup, "prepare_workers", no_setup)
