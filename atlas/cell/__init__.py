@@ -1,1 +1,1 @@
-"""One cell in detail."""
+"""The results and the motion of single cells."""

@@ -1,4 +1,4 @@
-"""Comparison of a coarse plane with a second one whose laws have twice as many segments."""
+"""The check of a law's segments: a coarse plane compared with a second one whose laws have twice as many segments."""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
@@ -16,10 +16,10 @@ from workers.model.system import System
 from workers.results import INVALID, REGIME
 
 CELLS = 12
-"""Cells along an axis of the coarse plane."""
+"""Number of cells along an axis of the coarse plane."""
 
 FINER = 4.0
-"""By how much the bound is smaller: the number of segments grows as its root."""
+"""Factor by which the bound becomes smaller; the number of segments grows as its root."""
 
 CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
 """Results that define the class of a cell."""
@@ -28,7 +28,11 @@ _Element = TypeVar("_Element", Contact, Friction, Spring)
 
 
 class FinerLaws(NamedTuple):
-    """A system whose laws have about twice as many segments, and how many of each law by its entry, here and there."""
+    """A system whose laws have about twice as many segments.
+
+    record    the system
+    segments  for each law, by its entry, its number of segments in the original and in this system
+    """
 
     record: System
     segments: dict[str, tuple[int, int]]
@@ -36,13 +40,15 @@ class FinerLaws(NamedTuple):
 
 @dataclass(frozen=True)
 class LawCheck:
-    """Cells of a coarse plane by the law and by one of twice as many segments.
+    """The comparison of the cells of a coarse plane by the law and by a law of twice as many segments.
 
-    segments   of each law by its entry, here and there, at the defaults
-    cells      of the plane; ``beyond`` of them invalid in either
-    changed    those of another class: values of the axes, classes here and there
-    state      the largest change of a component of the state among periodic cells of the same class, its share of the
-               largest one, and the cell; None where there is none
+    segments  for each law, by its entry, its number of segments at the defaults, in the original and in the finer
+              system
+    cells     number of cells of the plane
+    beyond    number of cells that are invalid in either system
+    changed   cells of another class: values of the axes, class in the original and in the finer system
+    state     for periodic cells of the same class, the largest change of a component of the state, this change relative
+              to the largest component, and the cell; None if there is no such cell
     """
 
     segments: dict[str, tuple[int, int]]
@@ -52,7 +58,7 @@ class LawCheck:
     state: tuple[float, float, dict[str, float]] | None
 
     def as_dict(self) -> dict[str, Any]:
-        """The check as plain JSON."""
+        """Return the check as plain JSON."""
         change = dict(
             zip(("state_change", "state_change_share", "state_change_at"), self.state or (None,) * 3, strict=True)
         )
@@ -61,9 +67,9 @@ class LawCheck:
 
 
 def finer(spec: Spec) -> FinerLaws:
-    """The laws of a spec that are expressions, within a quarter of their bounds.
+    """Return the system of a spec with the laws that are expressions within a quarter of their bounds.
 
-    InputError where none is, where the finer ones have too many segments, and where the spec is no plane.
+    Raise InputError if no law is an expression, if the finer laws have too many segments, or if the spec is no plane.
     """
     if spec.points:
         raise InputError("points: found a table of parameter sets; check-law takes a plane, [axes.NAME]")
@@ -74,15 +80,15 @@ def finer(spec: Spec) -> FinerLaws:
     for where, (_, count) in segments.items():
         if count > SEGMENTS:
             raise InputError(
-                f"{where}: takes {count} segments within a quarter of its bound, must be at most {SEGMENTS}"
+                f"{where}: found {count} segments within a quarter of its bound, must be at most {SEGMENTS}"
             )
     return FinerLaws(record, segments)
 
 
 def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
-    """Compare a coarse plane of a spec, ``cells`` along each axis, with that of its finer laws.
+    """Compare a coarse plane of a spec, ``cells`` along each axis, with the same plane of its finer laws.
 
-    States converge as the square of the segments' length, exponents only within an envelope: the classes and the states
+    States converge as the square of the segments' length, exponents only within an envelope. The classes and the states
     of periodic cells are compared.
     """
     lines = [
@@ -118,14 +124,17 @@ def _finer(definition: Definition) -> Definition:
 
 
 def _of_quarter(element: _Element) -> _Element:
-    """The element whose law is an expression within a quarter of its bound; any other one as it is."""
+    """Return the element within a quarter of its bound if its law is an expression, else unchanged."""
     if element.within is None:
         return element
     return replace(element, within=Expression(f"( {element.within.text} ) / {FINER}"))
 
 
 def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
-    """How many segments laws have at the defaults that are expressions, by their entries."""
+    """Return the numbers of segments, in two systems, of laws that are expressions, by their entries.
+
+    The numbers are those at the defaults.
+    """
     defaults = {p.name: np.array([p.default]) for p in here.parameters}
     pairs = zip(*(record.definition.laws(defaults) for record in (here, there)), strict=True)
     return {
@@ -136,7 +145,7 @@ def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
 
 
 def _named(arrays: dict[str, Any], k: int) -> str:
-    """The class of a cell in words."""
+    """Return the class of a cell as text."""
     name = REGIME.meaning(arrays[REGIME.name][k]).name
     period, *impacts = (int(arrays[key][k]) for key in CLASS[1:])
     return f"{name} {period} ({', '.join(map(str, impacts))})" if period > 0 else name

@@ -19,11 +19,11 @@ def point(
     settings: Settings | None = None,
     **named: Any,
 ) -> dict[str, Any]:
-    """Results of one cell by name (``regime`` by its name), with ``system``, ``parameters`` and ``solve`` in full.
+    """Solve one cell and return its results by name, with ``system``, ``parameters`` and ``solve`` in full.
 
-    ``omega=4.0`` or a mapping gives parameters other than the defaults; ``system`` is a name, the path of a .toml
-    file, or a System. ``reason`` is there where the cell could not be solved.
-    Raises InputError for a parameter that does not exist or is out of range.
+    ``omega=4.0`` or a mapping gives parameters other than the defaults; ``system`` is a name, the path of a .toml file,
+    or a System. ``regime`` is the name of the regime. ``reason`` is present if the cell could not be solved. Raise
+    InputError for a parameter that does not exist or is out of range.
 
     >>> import atlas
     >>> cell = atlas.point(omega=4.0, b=0.15)

@@ -1,4 +1,4 @@
-"""The command that solves a cell again."""
+"""The command line that solves a cell again."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import fields
@@ -10,9 +10,9 @@ from workers.model.system import DEFAULT, System
 def point_words(
     system: System, parameters: Mapping[str, float], settings: Settings, always: Collection[str] = ()
 ) -> list[str]:
-    """The words of ``atlas point`` with these parameters, exact to the bit; defaults are omitted unless ``always``.
+    """Return the words of ``atlas point`` with these parameters, exact to the bit.
 
-    A system of the user's own is taken from the file of its name.
+    Defaults are omitted unless they are in ``always``. A system of the user's own is read from the file of its name.
     """
     words = ["atlas", "point"]
     if not system.packaged:

@@ -1,4 +1,4 @@
-"""The contents of a portrait: stretch of time, displacements, exponents, enlarged part."""
+"""The contents of a portrait: interval of time, displacements, exponents, enlarged chatter."""
 
 import math
 
@@ -11,18 +11,18 @@ from workers.results import QUASIPERIODIC, REGIME, SPECTRUM, UNDETERMINED
 Array = NDArray[np.float64]
 
 _MIN_PERIODS = 6
-"""Forcing periods of the time histories, at least: more where an orbit is longer, up to twice as many."""
+"""Minimum number of forcing periods of the time histories; more for a longer orbit, up to twice as many."""
 _CYCLES = 2
-"""Turns of a cycle without a force in them."""
+"""Number of turns of a cycle without a force in the time histories."""
 _MIN_CHATTER_FLIGHTS = 4
-"""Flights, each shorter than the one before, that make a chatter."""
+"""Minimum number of flights, each shorter than the one before, that make a chatter."""
 
 
 def displacements(orbit: CellTrajectory) -> list[Array]:
-    """The rows (n,) of the two displacements that a portrait shows, or of the only one.
+    """Return the rows (n,) of the two displacements that a portrait shows, or of the only one.
 
-    Where the stops are on one coordinate: that and the first other one, in the system's order. Where they are on a
-    combination of several: that, and the first of those.
+    If the stops are on one coordinate, these are that coordinate and the first other one, in the system's order. If the
+    stops are on a combination of coordinates, these are the combination and the first of its coordinates.
     """
     row = orbit.gap_row
     stopped = np.flatnonzero(row).tolist()
@@ -34,7 +34,10 @@ def displacements(orbit: CellTrajectory) -> list[Array]:
 
 
 def periods(orbit: CellTrajectory) -> int:
-    """Forcing periods of the time histories: an orbit's, or those in which a torus has been through its modulation."""
+    """Return the number of forcing periods of the time histories.
+
+    It is that of an orbit, or the number in which a torus passes through its modulation.
+    """
     if int(orbit.cell[REGIME.name]) == QUASIPERIODIC:
         return min(_span(orbit), max(_MIN_PERIODS, math.ceil(1.5 * modulation(orbit.gap(orbit.section)))))
     if orbit.cycle is not None:
@@ -43,20 +46,23 @@ def periods(orbit: CellTrajectory) -> int:
 
 
 def path(orbit: CellTrajectory, count: int) -> tuple[Array, Array]:
-    """Times (N,) and states (N, 2n) over ``count`` periods or more; a closed orbit that is shorter begins again."""
+    """Return times (N,) and states (N, 2n) over at least ``count`` periods; a shorter closed orbit is repeated."""
     turns = max(1, -(-count // _span(orbit)))
     return _repeated(orbit, orbit.times, turns), np.concatenate([orbit.states] * turns)
 
 
 def impact_times(orbit: CellTrajectory, side: float, count: int) -> Array:
-    """Times of the impacts at the upper (1) or the lower stop (-1) over ``count`` periods."""
+    """Return times of the impacts at the upper (``side`` 1) or the lower stop (-1) over ``count`` periods."""
     turns = max(1, -(-count // _span(orbit)))
     times = _repeated(orbit, orbit.impacts[orbit.impacts[:, 1] == side, 0], turns)
     return times[times <= count * orbit.period]
 
 
 def chatter(orbit: CellTrajectory) -> slice | None:
-    """The first impacts on one stop in ever shorter intervals, from one on whose flights are still drawn; or None."""
+    """Return the first impacts on one stop at ever shorter intervals; None if there are none.
+
+    The range begins where flights are still long enough to be drawn.
+    """
     times, sides = orbit.impacts[:, 0], orbit.impacts[:, 1]
     flights = np.diff(times)
     shorter = (sides[2:] == sides[1:-1]) & (sides[1:-1] == sides[:-2]) & (flights[1:] < flights[:-1])
@@ -69,8 +75,10 @@ def chatter(orbit: CellTrajectory) -> slice | None:
 
 
 def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple[float, float], float]:
-    """Times (N,) around a chatter, in ``CellTrajectory.unit``, the distance (N,) from its stop at each, the ends of
-    that stretch, and the largest distance between the first impact and the last.
+    """Return the enlarged interval around a chatter.
+
+    The first values are times (N,) in ``CellTrajectory.unit``, and the distance (N,) from the stop at each time. Then
+    follow the ends of the interval, and the largest distance between the first impact and the last.
     """
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     first, last = impacts[0] - 0.075 * np.ptp(impacts), impacts[-1] + 0.25 * np.ptp(impacts)
@@ -81,7 +89,10 @@ def enlarged(orbit: CellTrajectory, chatter: slice) -> tuple[Array, Array, tuple
 
 
 def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
-    """Ends between which averages (N, n) end, and go most of their way: the first periods may lie far off."""
+    """Return limits between which averages (N, n) end and change most of the way.
+
+    The first periods may lie far off.
+    """
     later = running[min(9, len(running) - 1) :]
     ends = np.concatenate([later[np.isfinite(later)], written[np.isfinite(written)], [0.0]])
     room = 0.08 * float(np.ptp(ends)) or 1.0
@@ -89,14 +100,19 @@ def exponent_ends(running: Array, written: Array) -> tuple[float, float]:
 
 
 def is_few(x: Array, y: Array) -> bool:
-    """Whether section values are few points: of thousands of states many may be one, where an orbit closes late."""
+    """Return True if section values are few points.
+
+    Thousands of states may coincide in one point, if an orbit closes late.
+    """
     extent = max(float(np.ptp(x)), float(np.ptp(y)), 1e-12)
     return bool(np.unique(np.round(np.stack([x, y]) / extent, 2), axis=1).shape[1] <= 64)
 
 
 def written(orbit: CellTrajectory) -> Array:
-    """The exponents that are written in numbers: the cell's, or, where its class is not known, those of the path that
-    is drawn. What such a cell holds are averages over motions that it has left.
+    """Return the exponents that are written as numbers.
+
+    These are the cell's, or, if its regime is undetermined, those of the path that is drawn. The stored exponents of
+    such a cell are averages over motions that it has left.
     """
     if int(orbit.cell[REGIME.name]) == UNDETERMINED:
         return np.sort(orbit.running[-1])[::-1]
@@ -108,5 +124,5 @@ def _repeated(orbit: CellTrajectory, times: Array, turns: int) -> Array:
 
 
 def _span(orbit: CellTrajectory) -> int:
-    """Forcing periods of the path."""
+    """Return the number of forcing periods of the path."""
     return round(float(orbit.times[-1] / orbit.period))

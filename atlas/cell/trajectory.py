@@ -1,4 +1,4 @@
-"""One cell's motion in detail: its path from impact to impact, its section, its exponents as they converge."""
+"""The motion of one cell in detail: its path through all impacts, its section, and its exponents as they converge."""
 
 import math
 from collections.abc import Mapping
@@ -33,31 +33,36 @@ from workers.results import (
 Array = NDArray[np.float64]
 
 SAMPLES, OF_HARMONIC = 400, 50
-"""Points of the path per forcing period, and at least per period of the fastest harmonic of the force."""
+"""Number of points of the path per forcing period, and minimum per period of the fastest harmonic of the force."""
 OPEN_PATH = 40
-"""Forcing periods of the path of a motion that does not close; a closed one is shown once around."""
+"""Number of forcing periods of the path of a motion that does not close; a closed path is shown once around."""
 MAX_PATH_PERIODS = 200
-"""The most such periods of a torus, whose path is to show its modulation."""
+"""Maximum number of forcing periods of the path of a torus, which is to show its modulation."""
 SECTION_STATES = 4000
-"""Section states of a motion that does not close."""
+"""Number of section states of a motion that does not close."""
 CONVERGENCE = (8000, 1000, 100, 10)
-"""Forcing periods over which exponents are averaged: as many as in Li & Tan (2011), or fewer where they cost much."""
+"""Numbers of forcing periods over which exponents are averaged.
+
+The first is that of Li & Tan (2011); fewer are used if they cost much.
+"""
 
 
 @dataclass(frozen=True)
 class CellTrajectory:
     """The motion of one cell on its attractor.
 
-    settings    how it was solved
+    system      the system
+    parameters  all parameters of the cell
+    settings    settings by which the cell was solved
     cell        every result of solve_tile, by name; ``regime`` is a code
-    period      forcing period T; without a force that of the cycle, or a natural one where there is no cycle
-    stops       gap coordinate at the lower and at the upper stop; infinite where there is none
-    times       (N,)     time since a section, along the path; twice where an impact makes a velocity jump
-    states      (N, 2n)  physical states along the path (displacements, then velocities)
-    impacts     (K, 3)   time, side (+1 upper, -1 lower) and speed before it, of every impact on the path;
-                         speed 0 where a rest begins, see ``workers.trace``
-    section     (S, 2n)  section states, t = k T
-    running     (P, 2n)  means of the exponents per period over the first 1, 2, ... periods on the attractor
+    period      forcing period T; without a force that of the cycle, or a natural one if there is no cycle
+    stops       gap coordinate at the lower and at the upper stop; infinite if there is no stop
+    times       (N,) time since a section, along the path; twice at an impact at which a velocity jumps
+    states      (N, 2n) physical states along the path: displacements, then velocities
+    impacts     (K, 3) time, side (+1 upper, -1 lower) and speed before the impact, of every impact on the path; speed 0
+                if sticking begins there, see ``workers.trace``
+    section     (S, 2n) section states, t = k T
+    running     (P, 2n) means of the exponents per period over the first 1, 2, ... periods on the attractor
     """
 
     system: System
@@ -74,7 +79,7 @@ class CellTrajectory:
 
     @property
     def unit(self) -> float:
-        """The time that pictures count in: a forcing period, or 1 without a force."""
+        """The unit of time of pictures: a forcing period, or 1 without a force."""
         return 1.0 if self.system.definition.unforced else self.period
 
     @property
@@ -85,16 +90,16 @@ class CellTrajectory:
 
     @property
     def has_exact_exponents(self) -> bool:
-        """Whether the exponents are exact, as those of an orbit, and not averages."""
+        """True if the exponents are exact, as those of an orbit, and not averages."""
         return int(self.cell[REGIME.name]) in (NO_IMPACT, PERIODIC, LOCKING)
 
     @cached_property
     def gap_row(self) -> Array:
-        """The row g of the gap coordinate y = g . x, (n,)."""
+        """The row g (n,) of the gap coordinate y = g . x."""
         return np.array(self.system.build(self.parameters).gap_row)
 
     def gap(self, states: Array) -> Array:
-        """The gap coordinate (N,) of states (N, 2n)."""
+        """Return the gap coordinate (N,) of states (N, 2n)."""
         return np.asarray(states[:, : self.gap_row.size] @ self.gap_row)
 
     @property
@@ -105,7 +110,7 @@ class CellTrajectory:
 
     @property
     def digest(self) -> str:
-        """Digest of all that decides these numbers, made as a spec's."""
+        """Digest of all that decides these numbers, computed like that of a spec."""
         return digest_of(self.identity)
 
 
@@ -114,11 +119,11 @@ def cell_orbit(
     system: str | Mapping[str, Any] | System = DEFAULT,
     settings: Settings | None = None,
 ) -> CellTrajectory:
-    """The orbit of one cell; ``given`` are the parameters that differ from the defaults.
+    """Return the trajectory of one cell; ``given`` are the parameters that differ from the defaults.
 
-    All exponents and the section are computed for any ``settings``, with as many samples as the orbit
-    needs. Raises InputError for parameters that do not exist or are out of range, and for a cell without a motion to
-    show: invalid, failed, or given up for its cost.
+    All exponents and the section are computed for any ``settings``, with as many samples as the orbit needs. Raise
+    InputError for parameters that do not exist or are out of range. Raise it also for a cell without a motion to show:
+    invalid, failed, or given up for its cost.
     """
     from workers.tile import solve_tile
 
@@ -137,7 +142,7 @@ def cell_orbit(
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
     section = section[-closes:] if closes else section
     if record.definition.unforced:
-        closes = min(closes, 1)  # one period, that of the cycle
+        closes = min(closes, 1)  # one period, the period of the cycle
         cycle = float(cell[CYCLE_PERIOD.name]) if np.isfinite(cell[CYCLE_PERIOD.name]) else None
     running = _running(record, here, asked, cycle)
     osc = take_one(record.build_many(_given(record, parameters, cycle))[0], 0)
@@ -160,11 +165,11 @@ def cell_orbit(
 
 
 def modulation(section: Array) -> float:
-    """Forcing periods after which a torus comes back to nearly the same state, from section values (S,).
+    """Return the number of forcing periods after which a torus returns to nearly the same state.
 
-    1 / |f - p / q| with f the strongest frequency of the section per forcing period and p / q the fraction nearest to
-    it with q at most 6: at f = 1/3 + 0.01 the state after three periods is nearly the same, and has drifted once
-    around after a hundred. 1 where the section does not move.
+    It is 1 / |f - p / q|. Here f is the strongest frequency of the section values (S,) per forcing period, and p / q
+    the fraction nearest to f with q at most 6. At f = 1/3 + 0.01 the state after three periods is nearly the same, and
+    has drifted once around after a hundred. Return 1 if the section does not move.
     """
     x = section - section.mean()
     if x.size < 8 or np.ptp(x) == 0.0:
@@ -176,17 +181,20 @@ def modulation(section: Array) -> float:
 
 
 def samples_of(system: System) -> int:
-    """Points of a path per forcing period."""
+    """Return the number of points of a path per forcing period."""
     return max(SAMPLES, OF_HARMONIC * system.definition.highest)
 
 
 def _given(system: System, parameters: Mapping[str, float], cycle: float | None) -> dict[str, Array]:
-    """Parameters as arrays of one machine, which is followed over cycles of this length if it has no force."""
+    """Return parameters as arrays of one machine.
+
+    A machine without a force is followed over cycles of the length ``cycle``.
+    """
     return system.with_cycle({name: np.array([value]) for name, value in parameters.items()}, cycle)
 
 
 def _running(system: System, parameters: Mapping[str, float], settings: Settings, cycle: float | None) -> Array:
-    """Running means of the exponents, over as many periods as can be afforded."""
+    """Return running means of the exponents, over as many periods as can be afforded."""
     from workers import trace
 
     reason = ""
@@ -201,9 +209,9 @@ def _running(system: System, parameters: Mapping[str, float], settings: Settings
 def path_of(
     system: System, parameters: Mapping[str, float], periods: int, cycle: float | None
 ) -> tuple[Array, Array, Array]:
-    """Times, states and impacts from the parameters' initial state on, in even steps of time.
+    """Return times, states and impacts from the parameters' initial state on, in even steps of time.
 
-    Impacts on rigid stops have two more states each, at the velocities before and after it.
+    Impacts on rigid stops have two more states each, with the velocities before and after the impact.
     """
     from workers.history import trace, within_periods
     from workers.model.mode_table import elements_of
@@ -223,7 +231,7 @@ def path_of(
 
 
 def _with_jumps(times: Array, states: Array, impacts: Array, elements: Any) -> tuple[Array, Array]:
-    """The path with the states on a rigid stop just before and just after each impact."""
+    """Return the path with the states on a rigid stop just before and just after each impact."""
     contacts = np.abs(impacts[:, 1]).astype(np.int64) - 1
     rebounds = np.flatnonzero((impacts[:, 2] > 0.0) & (elements.soft[0, contacts] == 0.0))
     places = np.maximum(np.searchsorted(times, impacts[rebounds, 0]), 1)
@@ -240,7 +248,10 @@ def _with_jumps(times: Array, states: Array, impacts: Array, elements: Any) -> t
 
 
 def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float) -> Array:
-    """The state with row . x on a stop and moving with this velocity, all else as it is; impacts act along ``kick``."""
+    """Return the state with row . x on a stop and moving with this velocity; impacts act along ``kick``.
+
+    All other components stay as they are.
+    """
     n, on_stop = row.size, state.copy()
     on_stop[:n] += row / (row @ row) * (stop - row @ state[:n])
     on_stop[n:] += kick * (velocity - row @ state[n:])
@@ -248,7 +259,7 @@ def _at_stop(row: Array, kick: Array, stop: float, state: Array, velocity: float
 
 
 def describe(orbit: CellTrajectory) -> str:
-    """The motion in a few words: ``periodic, period 2, impacts 2 above and 3 below``, of one stop ``2 impacts``."""
+    """Return the motion as text: ``periodic, period 2, impacts 2 above and 3 below``; for one stop ``2 impacts``."""
     cell = orbit.cell
     code = int(cell[REGIME.name])
     words = [orbit.system.regime.meaning(code).text]

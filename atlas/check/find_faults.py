@@ -1,4 +1,4 @@
-"""Finding faults: everything in a store is read and compared; nothing is written."""
+"""Finding the faults of a store: everything in it is read and compared, and nothing is written."""
 
 import random
 import time
@@ -59,7 +59,12 @@ from workers.results import REGIME
 
 @dataclass(frozen=True)
 class VerifyFindings:
-    """The findings in a store: the report for people, and the records that sound tiles should have, by their cells."""
+    """The findings in a store.
+
+    handle  handle of the store
+    report  the report for people
+    rows    the tile records that sound tiles should have, from their cells
+    """
 
     handle: AtlasStore
     report: VerifyReport
@@ -67,12 +72,12 @@ class VerifyFindings:
 
     @property
     def is_unreadable(self) -> bool:
-        """Whether the metadata are damaged, so that nothing was read through them."""
+        """True if the metadata are damaged, so that nothing was read through them."""
         return any(fault.part == (METADATA,) for fault in self.report.faults)
 
 
 def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """All faults of a store, see ``verify.verify``, by reading it whole. InputError where there is no store."""
+    """Read a whole store, and return all its faults; see ``verify.verify``. Raise InputError if there is no store."""
     with os_errors_as_input_errors(place, "read"):
         spare = read_backup(place)
     if spare is not None and (lost := find_backup_faults(place, spare)):
@@ -86,7 +91,7 @@ def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[P
 
 
 def _unread(handle: AtlasStore, seed: int, damage: list[str]) -> VerifyFindings:
-    """The findings in a store with damaged metadata, through which nothing can be read."""
+    """Return the findings in a store with damaged metadata, through which nothing can be read."""
     faults = tuple(StoreFault(None, text, (METADATA,)) for text in damage)
     return VerifyFindings(
         handle, replace(_empty_report(handle, seed), comparison="the metadata are damaged", faults=faults)
@@ -94,7 +99,7 @@ def _unread(handle: AtlasStore, seed: int, damage: list[str]) -> VerifyFindings:
 
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
-    """The report on a store before anything is read."""
+    """Return the report on a store before anything is read."""
     done = len(done_tiles(handle))
     return VerifyReport(
         str(handle.backend), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
@@ -102,7 +107,7 @@ def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
 
 
 def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """The findings in a store with sound spare metadata."""
+    """Return the findings in a store whose metadata agree with their backup."""
     notify(Progress("listing the tiles"))
     done = sorted(done_tiles(handle))
     if damage := metadata_faults(handle):
@@ -146,7 +151,10 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
 def _solve_again(
     spec: Spec, samples: list[SampledCell], exact: bool, notify: Callable[[Progress], None]
 ) -> Iterator[StoreFault]:
-    """A fault for each cell of the sample whose results, solved again, differ: in any bit, or beyond their errors."""
+    """Yield a fault for each cell of the sample whose results, solved again, differ.
+
+    With ``exact`` they differ in any bit, else beyond their errors.
+    """
     notify(Progress(f"solving {plural(len(samples), 'cell')} again"))
     for k, one in enumerate(samples, 1):
         notify(Progress(f"solving cell {k} of {len(samples)} again", transient=True))
@@ -161,9 +169,9 @@ def _solve_again(
 def _check_zoom(
     handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]
 ) -> tuple[int, list[StoreFault], list[StoreFault]]:
-    """The number of metatiles of the zoom levels, which are stores themselves, and their faults and doubts.
+    """Return the number of metatiles of the zoom levels, which are stores themselves, and their faults and doubts.
 
-    Of as many metatiles as the sample has cells, one cell each is solved again.
+    In as many metatiles as the sample has cells, one cell each is solved again.
     """
     known = list_metatiles(handle)
     damage = {} if handle.backend.read_only_reason else plane_faults(handle)
@@ -171,7 +179,7 @@ def _check_zoom(
     faults, doubts = list[StoreFault](), list[StoreFault]()
     faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
     for k, (plane, metatile) in enumerate(known, 1):
-        notify(Progress(f"reading the zoom levels: metatile {k} of {len(known)}", transient=True))
+        notify(Progress(f"checking zoom levels: metatile {k} of {len(known)}", transient=True))
         part = (ZOOM, plane, metatile)
         try:
             place = metatile_backend(handle, plane, metatile)
@@ -186,9 +194,14 @@ def _check_zoom(
 
 @dataclass(frozen=True)
 class _TileCheckResult:
-    """A tile that was read: its good chunks, the cells checked by the rules, its faults, the cells drawn from it.
+    """The result of reading and checking a tile.
 
-    ``row`` is its record, by the cells; None where they cannot be read.
+    index    index of the tile
+    chunks   number of its good chunks
+    cells    number of its cells checked by the rules
+    faults   its faults
+    samples  cells drawn from it
+    row      its tile record, from the cells; None if they cannot be read
     """
 
     index: Index
@@ -206,9 +219,9 @@ def _read_tiles(
     drawn: dict[Index, list[int]],
     notify: Callable[[Progress], None],
 ) -> Iterator[_TileCheckResult]:
-    """Read and check the finished tiles, several at once."""
+    """Read and check the finished tiles, several at once, and yield the results."""
     arrays, tiling = open_arrays(handle), handle.tiling
-    _ = records.rows  # before several threads ask for them
+    _ = records.rows  # before several threads read them
     sizes = [tiling.at(index).size for index in done]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
@@ -254,12 +267,15 @@ def _check_tile(
 
 
 def _first(mask: np.ndarray, slices: tuple[slice, ...]) -> Index:
-    """The first cell of a mask over a tile, as its index in the atlas."""
+    """Return the first cell of a mask over a tile, as its index in the atlas."""
     return tuple(part.start + int(along[0]) for part, along in zip(slices, np.nonzero(mask), strict=True))
 
 
 def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict[Index, list[int]]:
-    """Draw ``count`` cells of the finished tiles, all with the same probability: flat indices within their tiles."""
+    """Draw ``count`` cells of the finished tiles, all with the same probability.
+
+    Return flat indices of cells within their tiles, by tile.
+    """
     rng = random.Random(seed)
     ends = list(accumulate(tiling.at(index).size for index in done))
     total = ends[-1] if ends else 0
@@ -271,13 +287,13 @@ def draw_cells(tiling: Tiling, done: list[Index], count: int, seed: int) -> dict
 
 
 def _comparison(handle: AtlasStore, sample: int, any_done: bool) -> str:
-    """How cells that are solved again are compared, "bits" or "error", or the reason why no cell is."""
+    """Return how cells that are solved again are compared, "bits" or "error", or the reason why no cell is compared."""
     if not sample:
         return "none asked for"
     if handle.solver_version != SOLVER_VERSION:
         return f"the store has solver version {handle.solver_version}, this program {SOLVER_VERSION}"
     if handle.spec.continuation is not None:
-        return "each cell of a continued sweep depends on those before it"
+        return "each cell of a continued sweep depends on the cells before it"
     if not any_done:
         return "no cell is done"
     return "bits" if {machine.name for machine in read_hosts(handle)} == {current_host().name} else "error"

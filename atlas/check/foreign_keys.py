@@ -10,11 +10,11 @@ from atlas.store.tiling import chunk_index
 from workers.results import Variable
 
 _PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial$")
-"""The end of the name of a file that is being written, by this package or by Zarr."""
+"""End of the name of a file that is being written, by this package or by Zarr."""
 
 
 def leftovers(place: StoreBackend) -> list[str]:
-    """The files that killed writes have left in a folder. Nothing reads them."""
+    """Return the files that killed writes have left in a folder. Nothing reads these files."""
     if place.local is None:
         return []
     files = (path for path in place.local.rglob("*.partial") if _PARTIAL.search(path.name) and path.is_file())
@@ -22,7 +22,7 @@ def leftovers(place: StoreBackend) -> list[str]:
 
 
 def foreign_keys(handle: AtlasStore) -> Iterator[str]:
-    """The keys of all such objects, from a listing of each array."""
+    """Yield the keys of all foreign objects, from a listing of each array."""
     for variable in handle.variables:
         yield from _foreign(handle, "", variable, handle.tiling.grid)
     pyramid = Pyramid(handle)

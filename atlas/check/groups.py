@@ -1,4 +1,4 @@
-"""Checks of the groups beside cells and overviews: tables, curves, records of machines."""
+"""Checks of the groups beside cells and overviews: tables, curves, records of hosts."""
 
 import json
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from atlas.store.store import ROOT, AtlasStore
 
 
 def check_groups(handle: AtlasStore) -> Iterator[StoreFault]:
-    """Read all groups, and compare the metadata of other groups with their copies."""
+    """Yield the faults of all groups, which are read, and of metadata that differ from their copies."""
     tables = groups_of(handle)
     faulty = {group: texts for group in tables if (texts := _group_faults(handle, group))}
     for group, texts in faulty.items():

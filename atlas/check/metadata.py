@@ -1,4 +1,4 @@
-"""A store's metadata and coordinates compared with its spec, and its two copies of the metadata with each other."""
+"""Checks of a store's metadata and coordinates against its spec, and of metadata against their copies."""
 
 import json
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from atlas.store.tiles import covered_variables, object_shape
 
 
 def metadata_faults(handle: AtlasStore) -> list[str]:
-    """Contradictions between a store's metadata and its spec, or within its metadata, in a few words each."""
+    """Return contradictions between a store's metadata and its spec, or within its metadata, a short line each."""
     spec = handle.spec
     faults = []
     try:
@@ -48,7 +48,7 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
-    groups = (TILES, HOSTS, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped ones may be left
+    groups = (TILES, HOSTS, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped groups may remain
     tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
     lost = sorted(top for top in tops if not handle.backend.exists(f"{top}/{ROOT}"))
     faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
@@ -71,18 +71,18 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
 
 
 def _values_fault(key: str, fault: str) -> str:
-    """The fault of values that the spec is read from: the values of an axis, or the root itself."""
+    """Return the fault of values from which the spec is read: the values of an axis, or the root itself."""
     if key == ROOT:
         return f"{ROOT}: the digest does not match the spec"
-    return f"coordinate {key} {fault}: it cannot be made again"
+    return f"coordinate {key} {fault}: it cannot be computed again"
 
 
 def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
-    """Copies of metadata that differ from their originals, by the keys of the originals.
+    """Return copies of metadata that differ from their originals, by the keys of the originals.
 
-    The root, every level of an overview and every table hold copies of the metadata of their members. Among the
-    root's, copies of arrays are left to ``metadata_faults``, and copies of groups that no longer exist are ignored.
-    A level or a table counts as different too if its copies and the root's are of different arrays.
+    The root, every level of an overview and every table hold copies of the metadata of their members. Among the copies
+    of the root, those of arrays are left to ``metadata_faults``, and those of groups that no longer exist are ignored.
+    A level or a table also counts as different if its copies and those of the root are of different arrays.
     """
     different: dict[str, dict[str, Any]] = {}
     for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(handle))):
@@ -105,21 +105,21 @@ def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
 
 
 def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """The copies of metadata within the metadata of a group, by path; empty if they cannot be read."""
+    """Return the copies of metadata within the metadata of a group, by path; empty if they cannot be read."""
     copies = (group or {}).get("consolidated_metadata")
     nodes = copies.get("metadata") if isinstance(copies, dict) else None
     return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
 
 
 def _groups_with_copies(handle: AtlasStore) -> list[str]:
-    """The keys of the metadata of tables and of levels of overviews."""
+    """Return the keys of the metadata of tables and of levels of overviews."""
     levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
     tables = (f"{table}/{ROOT}" for table in TABLES if table not in handle.array_names)  # ``attractors`` is both
     return [key for key in (*tables, *levels) if handle.backend.exists(key)]
 
 
 def _json(handle: AtlasStore, key: str) -> dict[str, Any] | None:
-    """Stored metadata; None if they are missing or cannot be read."""
+    """Return stored metadata; None if they are missing or cannot be read."""
     try:
         metadata = json.loads(handle.backend.get(key) or b"")
     except (ValueError, RecursionError):
@@ -128,7 +128,7 @@ def _json(handle: AtlasStore, key: str) -> dict[str, Any] | None:
 
 
 def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
-    """Whether metadata equal their copy; the attribute ``late`` may have been written after the copy was made."""
+    """Return True if metadata equal their copy; the attribute ``late`` may have been written after the copy."""
     if own is None or not isinstance(own.get("attributes", {}), dict):
         return False
     one, other = without_consolidated(own), without_consolidated(copy)
@@ -139,7 +139,7 @@ def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> 
 
 
 def coordinate_faults(handle: AtlasStore) -> list[str]:
-    """Coordinates and copies that cannot be read, or differ from the spec's in any bit, in a few words each."""
+    """Return a line for each coordinate, or copy of one, that cannot be read or differs from the spec in any bit."""
     arrays = open_arrays(handle)
     faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.backend.get(key) != data]
     for name, coordinate in handle.coordinates.items():

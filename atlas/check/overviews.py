@@ -1,4 +1,4 @@
-"""Overviews compared with the cells below them: each chunk computed again from the level before."""
+"""Checks of overviews against the cells below them: each chunk is computed again from the level below."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -20,17 +20,19 @@ from atlas.store.store import READERS, ROOT, AtlasStore
 from workers.results import REGIME
 
 ROUNDING = 1e-9
-"""Largest difference of numbers, relative or absolute: widths of cells on log axes depend on the machine."""
+"""Largest difference of numbers, relative or absolute: widths of cells on log axes depend on the host."""
 
 
 def check_overviews(
     handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
 ) -> tuple[int, list[StoreFault]]:
-    """Read every chunk of every level: the number of chunks read whole, and the faults.
+    """Read every chunk of every level, and return the number of chunks read whole, and the faults.
 
-    ``bad`` are the finished tiles with faults: chunks over them are not compared, since they go with the tiles.
-    ``on_level`` is called with each level before it is read. Where metadata or coordinates are damaged, no chunk is
-    read, and the group of all overviews is the faulty part.
+    handle    handle of the store
+    bad       finished tiles with faults; chunks over them are not compared, since they are dropped with the tiles
+    on_level  function called with each level before it is read
+
+    If metadata or coordinates are damaged, no chunk is read, and the group of all overviews is the faulty part.
     """
     if damage := _form_faults(handle):
         return 0, [StoreFault(None, text, (GROUP, OVERVIEWS)) for text in damage]
@@ -42,7 +44,7 @@ def check_overviews(
 
 
 def _form_faults(handle: AtlasStore) -> list[str]:
-    """Faults of the metadata and coordinates of overviews: unreadable, or unlike those of new overviews."""
+    """Return the faults of the metadata and coordinates of overviews: unreadable, or unlike those of new overviews."""
     pyramid, faults = Pyramid(handle), []
     levels = pyramid.levels
     for level in range(1, levels.count + 1) if pyramid.made else ():
@@ -68,7 +70,7 @@ def _form_faults(handle: AtlasStore) -> list[str]:
 def _checked(
     handle: AtlasStore, bad: set[Index], on_level: Callable[[int], None]
 ) -> Iterator[tuple[int, list[StoreFault]]]:
-    """The chunks of all levels, from the first level on: arrays that are whole, and faults."""
+    """Yield, for each chunk from the first level on, the number of its arrays that are whole, and its faults."""
     pyramid = Pyramid(handle)
     if not pyramid.made:
         return
@@ -92,7 +94,7 @@ def _checked(
 
 
 def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
-    """The number of arrays of a chunk that are whole, and its faults."""
+    """Return the number of arrays of a chunk that are whole, and its faults."""
     levels = part.pyramid.levels
     place = levels.block(level, index)
     variables = part.pyramid.variables

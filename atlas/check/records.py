@@ -1,4 +1,4 @@
-"""Records of tiles compared with their cells."""
+"""Checks of tile records against the cells of their tiles."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ from workers.results import REASON
 
 
 def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Index, Rows]) -> list[str]:
-    """The faults of a store's records; ``counted`` has the correct row of every finished tile, from its cells."""
+    """Return the faults of a store's tile records; ``counted`` has the correct row of every finished tile."""
     faults = [f"{RECORDS} {records.damaged[RECORDS]}"] if RECORDS in records.damaged else []
     counts = slice(CELLS.start, None if REASON in handle.variables else BY_REASON.start)
     wrong = [
@@ -23,7 +23,7 @@ def record_faults(handle: AtlasStore, records: TileRecords, counted: Mapping[Ind
 
 
 def tile_faults(records: TileRecords, index: Index, row: Rows) -> list[str]:
-    """The faults of a finished tile's record; ``row`` is the correct record, from its cells."""
+    """Return the faults of a finished tile's record; ``row`` is the correct record, from the cells of the tile."""
     key = record_key(index)
     if key in records.damaged:
         return [f"{key} {records.damaged[key]}"]

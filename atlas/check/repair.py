@@ -1,6 +1,6 @@
-"""Dropping faulty parts of a store, so that the next run, search or explorer makes them again.
+"""Repair of a store: faulty parts are dropped, so that the next run, search or explorer computes them again.
 
-Parts that no run makes are written again: metadata, coordinates and records of tiles, which the spec and the cells
+Parts that no run computes are written again: metadata, coordinates and records of tiles, which the spec and the cells
 determine.
 """
 
@@ -38,13 +38,13 @@ from atlas.store.tiles import drop_tile, encode_chunks
 from atlas.store.zoom import describe_planes, drop_metatile
 
 Names = Sequence[tuple[Any, ...]]
-"""The names of faulty parts of one kind; the kind itself is left out."""
+"""The names of faulty parts of one kind, without the kind itself."""
 
 
 def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> VerifyReport:
-    """Drop the faulty parts of a claimed store; without a fault nothing is written.
+    """Drop the faulty parts of a leased store, and return the report of the repair; without a fault nothing is written.
 
-    Damaged metadata are written again, and then the store is read ``again``: no cell was read through them.
+    Damaged metadata are written again, and then the store is read ``again``, since no cell was read through them.
     """
     if not findings.is_unreadable:
         return _repaired(findings)
@@ -58,7 +58,7 @@ def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> Ver
 
 
 def _write_metadata(place: StoreBackend) -> list[str]:
-    """Write metadata as their spare has them, else the root's copies as the arrays have them; returns a line each."""
+    """Write metadata from their backup, else the root's copies from the arrays; return a line for each."""
     spare = read_backup(place)
     if spare is not None and (lost := find_backup_faults(place, spare)):
         restore_from_backup(place, spare, lost)
@@ -68,7 +68,7 @@ def _write_metadata(place: StoreBackend) -> list[str]:
 
 
 def _repaired(findings: VerifyFindings) -> VerifyReport:
-    """Drop or mend the faulty parts, overviews before the tiles below them; returns the report with the repairs."""
+    """Drop or restore the faulty parts, overviews before the tiles below them; return the report with the repairs."""
     handle, faults = findings.handle, findings.report.faults
     tiles = sorted({fault.tile for fault in faults if fault.tile is not None})
     parts = list(dict.fromkeys(fault.part for fault in faults if fault.part))
@@ -123,7 +123,7 @@ def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
 
 
 def _mend_copies(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Write metadata of groups again, by their copies."""
+    """Write metadata of groups again, from their copies."""
     copies = copy_faults(findings.handle)
     for (key,) in names:
         if key in copies:
@@ -144,17 +144,17 @@ def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
     for (key,) in names:
         if read_host(handle.backend, key) is None:
             whole = mend_record(handle, key)
-            yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown machine"
+            yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown host"
 
 
 def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    """Write the records of sound tiles by their cells, all together."""
+    """Write the tile records of sound tiles from their cells, as one compaction."""
     grid = findings.handle.tiling.grid
     rows, settled = np.zeros((*grid, WIDTH)), np.zeros(grid, dtype=bool)
     for index, row in findings.rows.items():
         rows[index], settled[index] = row, True
     write_compaction(findings.handle, rows, settled)
-    yield f"records of {plural(len(findings.rows), 'tile')} collected"
+    yield f"records of {plural(len(findings.rows), 'tile')} written again"
 
 
 def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
@@ -187,4 +187,4 @@ MENDERS: dict[str, Callable[[VerifyFindings, Names], Iterator[str]]] = {
     RECORDS: _write_records,
     ZOOM: _drop_zoom,
 }
-"""The function that drops or mends the faulty parts of a kind, in this order; its lines tell the user."""
+"""The function that drops or restores the faulty parts of a kind, in this order, and yields lines for the user."""

@@ -8,19 +8,21 @@ from atlas.formatting import html_table, plural
 from atlas.store.tiling import Index
 
 MAX_FAULTS_SHOWN = 50
-"""Faults that a terminal gets to see; ``--json`` has all."""
+"""Maximum number of faults that a terminal shows; ``--json`` lists all."""
 
 METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
     "metadata", "coordinates", "chunk", "group", "copy", "copies", "part", "foreign", "machine",
 )  # fmt: skip
-"""Kinds of faulty parts beside tiles, see ``repair.MENDERS``; others are named by their folder or object."""
+"""Kinds of faulty parts other than tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 
 
 @dataclass(frozen=True)
 class StoreFault:
-    """A fault: its tile, None for the store as a whole, and a line that describes it.
+    """A fault of a store.
 
-    ``part`` is the faulty part that a repair drops or writes again: its kind, then its name. Empty for a tile.
+    tile  index of its tile; None for the store as a whole
+    what  line of text that describes the fault
+    part  the faulty part that a repair drops or writes again, as its kind and its name; empty for a tile
     """
 
     tile: Index | None
@@ -35,19 +37,22 @@ class StoreFault:
 class VerifyReport:
     """The findings of a verification.
 
-    tiles, tiles_done, chunks    in all; finished; their chunks read whole, with correct checksums
-    overview_chunks              read whole, and compared with the cells below them
-    cells_checked                checked against the rules
-    cells_solved                 of the sample, solved again
-    comparison                   "bits", "error", or why none was made
-    faults                       proved: damage, contradictions, cells whose results differ on the same machine
-    doubts                       cells whose results differ, beyond their errors, on another kind of machine
-    repaired                     tiles made unfinished, so that the next run solves them again
-    dropped                      chunks of overviews that were wrong, and made missing
-    removed                      names among the chunks that belong to none
-    restored                     other repairs, one line each
-    metatiles                    of the zoom levels, verified as the stores that they are
-    leftovers                    files of killed writes, which nothing reads: no faults, but a repair removes them
+    store              path or URL of the store
+    tiles, tiles_done  numbers of tiles: all, and finished ones
+    chunks             number of chunks of finished tiles that were read whole, with correct checksums
+    cells_checked      number of cells checked against the rules
+    cells_solved       number of cells of the sample that were solved again
+    comparison         "bits", "error", or the reason why no cell was compared
+    seed               seed by which the sample was drawn
+    faults             proved: damage, contradictions, cells whose results differ on the same host
+    doubts             cells whose results differ, beyond their errors, on another kind of host
+    overview_chunks    number of chunks of overviews read whole, and compared with the cells below them
+    repaired           tiles that became unfinished, so that the next run solves them again; None without repair
+    dropped            number of faulty chunks of overviews that were removed
+    removed            removed names among the chunks that belong to no chunk
+    restored           other repairs, one line each
+    metatiles          number of metatiles of the zoom levels, each verified as a store
+    leftovers          files of killed writes, which nothing reads: no faults, but a repair removes them
     """
 
     store: str
@@ -70,17 +75,17 @@ class VerifyReport:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every tile is finished."""
+        """True if every tile is finished."""
         return self.tiles_done == self.tiles
 
     @property
     def is_sound(self) -> bool:
-        """Whether the store is complete, without faults and doubts."""
+        """True if the store is complete and has neither faults nor doubts."""
         return self.is_complete and not self.faults and not self.doubts
 
     @property
     def remedy(self) -> str:
-        """The remedy of the faults, in words."""
+        """The remedy of the faults, as text."""
         if self.store.lower().endswith(".zip"):
             return REPACK_HINT
         solves = any(fault.tile is not None for fault in self.faults)
@@ -89,7 +94,7 @@ class VerifyReport:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """The counts of checked objects, by name."""
-        how = {"bits": "all to the bit", "error": "within error (solved on another kind of machine)"}
+        how = {"bits": "all to the bit", "error": "within error (solved on another kind of host)"}
         sample = f"not solved again: {self.comparison}"
         if self.comparison in how:
             sample = f"{plural(self.cells_solved, 'cell')} solved again, compared {how[self.comparison]}"
@@ -101,7 +106,7 @@ class VerifyReport:
             ("sample", sample),
         ]
         if self.metatiles:
-            counts.append(("zoom", f"{plural(self.metatiles, 'metatile')} of explored cells checked likewise"))
+            counts.append(("zoom", f"{plural(self.metatiles, 'metatile')} of explored cells checked in the same way"))
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))
@@ -138,7 +143,7 @@ class VerifyReport:
         return html_table([*self.rows, *((line,) for line in self.findings)])
 
     def as_dict(self) -> dict[str, Any]:
-        """The output of ``atlas verify --json``."""
+        """Return the dict that ``atlas verify --json`` prints."""
         kept = {"store": self.store, "sound": self.is_sound, "complete": self.is_complete} | asdict(self)
         faults, doubts = ([{"tile": f.tile, "what": f.what} for f in group] for group in (self.faults, self.doubts))
         return kept | {"faults": faults, "doubts": doubts}

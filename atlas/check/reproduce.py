@@ -1,4 +1,4 @@
-"""Solving stored cells again and comparing: to the bit on the machine that solved them, else within errors."""
+"""Solving stored cells again and comparing the results: to the bit on the same kind of host, else within errors."""
 
 import math
 from collections.abc import Mapping
@@ -13,14 +13,19 @@ from atlas.task.solve_block import solve_independent
 from workers.results import BEYOND_TABLE, CHAOTIC, LABEL, PERIODIC, REGIME, leading
 
 ERRORS = 5.0
-"""Largest difference of the largest exponents of two machines, in errors of both solutions."""
+"""Largest difference of the largest exponents of two hosts, in errors of both solutions."""
 ROUNDING = 1e-9
-"""Largest further difference, relative to the exponents, or absolute where they are below 1."""
+"""Largest further difference, relative to the exponents, or absolute if they are below 1."""
 
 
 @dataclass(frozen=True)
 class SampledCell:
-    """A cell of a stored tile: its index in the atlas, its tile, and its results as arrays over a block of one cell."""
+    """A cell of a stored tile.
+
+    cell    index of the cell in the atlas
+    tile    index of its tile
+    stored  its results, as arrays over a block of one cell
+    """
 
     cell: tuple[int, ...]
     tile: tuple[int, ...]
@@ -28,14 +33,14 @@ class SampledCell:
 
     @property
     def regime(self) -> int:
-        """The stored regime's code."""
+        """The code of the stored regime."""
         return int(self.stored[REGIME.name].flat[0])
 
 
 def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
-    """The results of the cell solved now, in the shapes of the stored results."""
+    """Solve the cell, and return its results in the shapes of the stored results."""
     block = tuple(slice(i, i + 1) for i in sample.cell)
-    allowed = ALLOWANCES if spec.attractors is None else ()  # others cannot be retried
+    allowed = ALLOWANCES if spec.attractors is None else ()  # atlases of all attractors cannot be retried
     given: dict[str, Any] = {allowance.setting: int(sample.stored[allowance.name].item()) for allowance in allowed}
     arrays = solve_independent(spec, spec.cell_params(block), replace(spec.settings, **given))
     if spec.basins:  # attractors beyond the table get their labels once all cells are known
@@ -45,16 +50,17 @@ def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
 
 
 def find_bit_differences(stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """The differences of two solutions of a cell in any bit, in words; empty if there are none."""
+    """Return the differences of two solutions of a cell in any bit, as text; empty if there are none."""
     names = [name for name, values in again.items() if name in stored and stored[name].tobytes() != values.tobytes()]
     return _in_words(stored, again, names)
 
 
 def find_differences_beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], again: Mapping[str, np.ndarray]) -> str:
-    """The differences beyond their errors of two solutions of a cell by different machines, in words; or empty.
+    """Return the differences beyond errors of two solutions of a cell, as text; empty if there are none.
 
-    The regimes have to be the same, for an orbit also the period and whether it sticks; the largest exponents have to
-    agree within their errors. In an atlas of all attractors the first attractors are compared.
+    The solutions are those of different hosts. The regimes must be the same, for an orbit also the period and whether
+    it sticks. The largest exponents must agree within their errors. In an atlas of all attractors the first attractors
+    are compared.
     """
     dims = stored["periods_used"].ndim
     stored, again = (leading(spec.variables, arrays, dims) for arrays in (stored, again))
@@ -72,7 +78,7 @@ def find_differences_beyond_error(spec: Spec, stored: Mapping[str, np.ndarray], 
 
 
 def place_in(spec: Spec, cell: tuple[int, ...]) -> str:
-    """A cell by its parameters: ``omega = 2.5, b = 0.1``; of a table by its row too."""
+    """Return the parameters of a cell as text: ``omega = 2.5, b = 0.1``; for a table also the row."""
     columns = [f"{name} = {values[cell[0]]!r}" for name, values in spec.points.items()]
     if columns:
         return f"point {cell[0]}: {', '.join(columns)}"

@@ -1,4 +1,4 @@
-"""Rules that the results of any cell obey, over a tile's arrays."""
+"""The rules that the results of every cell obey, checked over the arrays of a tile."""
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -34,20 +34,26 @@ Arrays = Mapping[str, NDArray[Any]]
 Mask = NDArray[np.bool_]
 
 STANDARD_ERRORS = 4.0
-"""Errors by which the exponent of a chaotic cell is positive, unless its average is not stationary."""
+"""Number of errors by which the exponent of a chaotic cell is positive, unless its average is not stationary."""
 SUM_LAW = 1e-8
-"""Largest error of a sum of exponents, relative to its exact value, or absolute where that is below 1."""
+"""Largest error of a sum of exponents, relative to its exact value, or absolute if the exact value is below 1."""
 TORUS = 1e-3
-"""The same for a quasiperiodic cell, in addition: its first exponent is a weighted average, the others plain ones."""
+"""Further error of the sum for a quasiperiodic cell.
+
+Its first exponent is a weighted average, the others are plain averages.
+"""
 AVERAGE_TOLERANCE = 1e-6
 """Largest difference, besides five errors, between two kinds of averages of the largest exponent."""
 
 
 def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """The rules that some cells of a tile break, each in words, with the mask of those cells.
+    """Return the rules that some cells of a tile break, as text, each with the mask of these cells.
 
-    ``arrays`` holds the result variables over the cells ``slices``; rules about other variables are left out. Where
-    the spectrum is stored, its sum is compared with the exact law of ``workers.cell.exponents``.
+    spec    spec of the atlas
+    slices  cells of the tile
+    arrays  result variables over these cells; rules about other variables are left out
+
+    If the spectrum is stored, its sum is compared with the exact law of ``workers.cell.exponents``.
     """
     if spec.coexistence:
         return _broken_of_many(spec, slices, arrays)
@@ -55,7 +61,7 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """The rules of each attractor, and the rules of all together."""
+    """Return the broken rules of each attractor, and those of all attractors together."""
     many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra_dims}
     shape = tuple(part.stop - part.start for part in slices)
     count, tried = arrays["attractors"], arrays["starts"]
@@ -87,7 +93,7 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
 
 
 def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    with np.errstate(invalid="ignore"):  # comparisons with NaN are false, as the rules count on
+    with np.errstate(invalid="ignore"):  # comparisons with NaN are false, and the rules rely on that
         broken = {text: mask for text, mask in _rules(spec, arrays) if mask.any()}
         if {"spectrum", "sum_law_defect", "impacts_per_period", "sticks"} <= arrays.keys():
             broken |= {text: mask for text, mask in _sum_law(spec, slices, arrays) if mask.any()}
@@ -95,7 +101,7 @@ def _broken(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """Every rule in words, with the mask of the cells that break it."""
+    """Yield every rule as text, with the mask of the cells that break it."""
     regime = arrays[REGIME.name]
     yield f"regime is not one of {NO_IMPACT} to {LOCKING}", ~((regime >= NO_IMPACT) & (regime <= LOCKING))
     if spec.settings.exponents != "none":
@@ -155,14 +161,14 @@ def _rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_rules(arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """The slowest impact is at most as fast as the mean, and the mean as the fastest."""
+    """Yield the rules that the slowest impact is at most as fast as the mean, and the mean as the fastest."""
     names = [name for name in ("min_impact_speed", "mean_impact_speed", "max_impact_speed") if name in arrays]
     for slower, faster in pairwise(names):
         yield f"{slower} is above {faster}", arrays[slower] > arrays[faster] * (1 + 1e-9)
 
 
 def _goes_with(reason: NDArray[Any], regime: NDArray[Any]) -> Mask:
-    """The cells whose reason stands in the table of reasons for their regime."""
+    """Return the mask of the cells whose reason stands in the table of reasons for their regime."""
     fits = np.zeros(regime.shape, dtype=bool)
     for known in REASONS:
         fits |= (reason == known.code) & (regime == known.regime)
@@ -184,7 +190,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     )
     stays = (
         arrays.get("stuck_fraction", np.zeros(regime.shape)) > 1 - AVERAGE_TOLERANCE
-    )  # it could rest elsewhere as well
+    )  # the motion could stick elsewhere as well
     neutral = (largest == 0) & stays
     yield "largest is not below zero in a periodic cell", (regime == PERIODIC) & ~((largest < 0) | neutral)
     yield "largest is above zero without impact", (regime == NO_IMPACT) & (largest > 0)
@@ -206,7 +212,7 @@ def _exponent_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 
 def _cycles(arrays: Arrays) -> NDArray[np.float64]:
-    """The periods of cycles without a force; NaN of other cells."""
+    """Return the periods of cycles without a force; NaN for other cells."""
     return arrays.get("cycle_period", np.full(arrays[REGIME.name].shape, np.nan))
 
 
@@ -225,7 +231,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
     yield "survived is negative", survived < 0
     yield "survived is 0 in a chaotic or aperiodic cell", watched & (survived == 0)
     yield "survived is not 0 outside chaos", ~watched & (regime != LOCKING) & (survived != 0)
-    if "periods_used" in arrays and LABEL.name not in arrays:  # there it is the table's
+    if "periods_used" in arrays and LABEL.name not in arrays:  # with labels, periods_used is that of the table
         yield "survived exceeds the simulated periods", survived > arrays["periods_used"]
     if spec.settings.method == "fixed":
         yield "survived is not the periods averaged", watched & (survived != spec.settings.periods)
@@ -234,7 +240,7 @@ def _survival_rules(spec: Spec, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
 def _impact_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
     still, periodic, sticks = arrays[REGIME.name] == NO_IMPACT, arrays[REGIME.name] == PERIODIC, arrays["sticks"]
     hits, mean = arrays["impacts_upper"] + arrays["impacts_lower"], arrays["impacts_per_period"]
-    countless = np.isnan(mean)  # of a mass that rests on a stop; friction that sticks does not make them so
+    countless = np.isnan(mean)  # of a mass sticking on a stop; sticking friction does not make impacts countless
     for name in ("impacts_upper", "impacts_lower"):
         yield f"{name} is not 0 outside orbits", ~periodic & (arrays[name] != 0)
         yield f"{name} is not -1 in an orbit that rests on a stop", periodic & countless & (arrays[name] != -1)
@@ -254,7 +260,10 @@ def _rest_rules(arrays: Arrays, known: Mask) -> Iterator[tuple[str, Mask]]:
 
 
 def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, Mask]]:
-    """The sum of the exponents against the law, in cells to which the solver gave a defect: there the law holds."""
+    """Yield the rule that the sum of the exponents obeys the law.
+
+    It applies to cells to which the solver gave a defect, since there the law holds.
+    """
     regime, defect, mean = arrays[REGIME.name], arrays["sum_law_defect"], arrays["impacts_per_period"]
     total = arrays["spectrum"].sum(axis=-1)
     free, per_impact = law_of(spec, slices)
@@ -262,16 +271,16 @@ def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, 
     held = np.isfinite(defect)
     room = SUM_LAW * np.maximum(1.0, np.nan_to_num(np.abs(law)))
     yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
-    held &= np.isfinite(law)  # machines with modes have no law of impacts alone: their own defect has to do
+    held &= np.isfinite(law)  # machines with modes have no law of impacts alone: their own defect must do
     held &= ~arrays["sticks"]  # a schedule's defect may be that of a transient, before the motion came to stick
     room = room + np.where(regime == QUASIPERIODIC, TORUS, 0.0)
     yield "spectrum breaks the sum law", held & ~(np.abs(total - law) <= room)
 
 
 def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The exact sum of the exponents without impact, and the change by one impact a period, over a tile's cells.
+    """Return the exact sum of the exponents without impact, and its change by one impact per period.
 
-    Both broadcast to the tile. Both are NaN without an oscillator, the second also where R = 0.
+    Both are arrays that broadcast to the cells of a tile. Both are NaN without an oscillator, the second also if R = 0.
     """
     params = spec.cell_params(slices)
     axes = {name: tuple(sorted(set(values))) for name, values in spec.points.items()}

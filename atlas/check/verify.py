@@ -1,4 +1,4 @@
-"""Verification: faults are found, and dropped on request."""
+"""Verification of a store: find its faults, and repair them on request."""
 
 import random
 from collections.abc import Callable
@@ -28,19 +28,19 @@ def verify(
     seed: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> VerifyReport:
-    """Read a whole store, while no run is at work on it, and report all its faults.
+    """Read a whole store, while no run holds its lease, and report all its faults.
 
     Metadata and coordinates are compared with the spec. Every chunk of every finished tile is read, which checks its
     checksum, and every tile is compared with its record. Every cell is checked by ``rules``, the sum law among them.
     Every chunk of an overview is compared with the cells below it. ``sample`` cells, drawn by ``seed``, are solved
-    again: on the kind of machine that solved them the results must be the same to the bit, elsewhere within the
-    errors. Tables, curves, records of machines and zoom levels are checked too.
-    ``repair`` holds the store's claim throughout and drops faulty parts, so that the next run makes them again: a tile
-    with a fault becomes unfinished; faulty overviews, tables, curves, zoom levels and foreign names among the chunks
-    are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written again.
-    Files that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing is
-    written.
-    Raises InputError without a store to verify, OSError if it cannot be read or repaired.
+    again. On the kind of host that solved them the results must be the same to the bit, elsewhere within the errors.
+    Tables, curves, records of hosts and zoom levels are checked, too.
+
+    ``repair`` holds the store's lease throughout and drops faulty parts, so that the next run computes them again. A
+    tile with a fault becomes unfinished. Faulty overviews, tables, curves, zoom levels and foreign names among the
+    chunks are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written
+    again. Files that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing
+    is written. Raise InputError if there is no store to verify, OSError if it cannot be read or repaired.
 
     >>> import atlas
     >>> atlas.verify("plane.zarr", sample=2).is_sound
@@ -56,7 +56,7 @@ def verify(
         check_not_packed(place)
     with os_errors_as_input_errors(place, "read"):
         if read_backup(place) is None:
-            open_store(place)  # raises without a store, before its claim is taken
+            open_store(place)  # raises without a store, before its lease is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with progress_reporter(on_progress) as report, ExitStack() as stack:
         if repair:

@@ -1,4 +1,4 @@
-"""Checks of the planes that explorers keep in a store."""
+"""Checks of the planes and metatiles that explorers save in a store."""
 
 import json
 
@@ -8,7 +8,10 @@ from atlas.store.zoom import ABOUT
 
 
 def plane_faults(handle: AtlasStore) -> dict[str, str]:
-    """Damaged metadata of planes and of metatiles, by their keys. Folders that are still being made are left out."""
+    """Return the damaged metadata of planes and of metatiles, by their keys.
+
+    Folders still being created are left out.
+    """
     damage: dict[str, str] = {}
     folders = {tuple(key.split("/")[1:-1][:2]) for key in handle.backend.list_keys(f"{ZOOM}/")}
     whole = (folder for folder in folders if not any(name.startswith(".") for name in folder))

@@ -1,1 +1,1 @@
-"""The command ``atlas``."""
+"""The command ``atlas`` and its commands."""

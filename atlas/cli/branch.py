@@ -64,14 +64,14 @@ TABLES = ("csv", "json")
     shell_complete=of_names(completion.names_along),
     help="The parameter along which to follow the orbit.",
 )
-@click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Its lower end.")
-@click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Its upper end.")
+@click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Lower end of the parameter range.")
+@click.option("--to", "high", type=float, required=True, metavar="VALUE", help="Upper end of the parameter range.")
 @set_option
 @at_option
 @select_option
 @system_option
 @click.option(
-    "--switch-branches", is_flag=True, help="Follow the branches from period doublings and symmetry breakings too."
+    "--switch-branches", is_flag=True, help="Also follow the branches from period doublings and symmetry breakings."
 )
 @click.option(
     "--observe",
@@ -79,7 +79,11 @@ TABLES = ("csv", "json")
     help="What a picture shows in place of section values and a file has besides, such as impact_phase:stop.",
 )
 @click.option(
-    "--budget", type=click.IntRange(min=1), default=MAX_BRANCHES, show_default=True, help="Branches followed in all."
+    "--budget",
+    type=click.IntRange(min=1),
+    default=MAX_BRANCHES,
+    show_default=True,
+    help="Maximum number of branches to follow.",
 )
 @out_option(f"Write the points to a .csv file, everything to .json, or a picture: .{', .'.join(FORMATS)}.")
 @json_option
@@ -103,9 +107,10 @@ def branch(
 ) -> None:
     """Follow the periodic orbit of a cell along one parameter, where it is stable and where it is not.
 
-    The cell is one of STORE, by --at, or is solved here, by --set. Prints the events on the way: folds, symmetry
-    breakings, period doublings, Neimark-Sacker points, grazes, lost impacts and contacts, onset and end of stick, each
-    located to 1e-10 or better. Of a machine without a force it follows cycles and equilibria, with their Hopf points.
+    The cell is one of STORE, by --at, or is given by --set and solved here. The command prints the events on the way:
+    folds, symmetry breakings, period doublings, Neimark-Sacker points, grazes, lost impacts and contacts, onset and
+    end of sticking. Each event is located to 1e-10 or better. For a machine without a force it follows cycles and
+    equilibria, with their Hopf points.
     """
     if out is not None:
         validate_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
@@ -131,7 +136,7 @@ def branch(
 
 
 def summary(branches: BranchTable) -> dict[str, Any]:
-    """Branches as plain values, without their points."""
+    """Return branches as plain values, without their points."""
     return {
         "system": branches.system.name,
         "parameters": dict(branches.parameters),
@@ -156,7 +161,7 @@ def _seed(
     system: str,
     options: dict[str, Any],
 ) -> "BranchSeed":
-    """The orbit of the requested cell."""
+    """Return the orbit of the requested cell."""
     check_cell_options(store)
     if store is None:
         record, pairs, settings = resolve_cell(given, system, options)
@@ -169,7 +174,7 @@ def _seed(
 
 
 def _print(branches: BranchTable) -> None:
-    """A table of events, and how each branch ends."""
+    """Print a table of events, and how each branch ends."""
     cycles = [CYCLE_PERIOD.name] if branches.system.definition.unforced else []
     events = [event for traced in branches.traced for event in traced.run.events]
     rows = [
@@ -206,7 +211,7 @@ def _records(frame: "pandas.DataFrame") -> list[dict[str, Any]]:
 
 
 def _write(branches: BranchTable, out: Path, look: dict[str, Any]) -> None:
-    """The points as CSV, everything as JSON, or a picture."""
+    """Write the points as CSV, everything as JSON, or a picture."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
         write_rows(out, _records(branches.points))

@@ -61,7 +61,7 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
     from atlas.robustness.attractors import attractors
 
     if starts != AttractorSettings.count and not every:
-        raise InputError("--starts needs --attractors: without it one initial state is solved")
+        raise InputError("--starts needs --attractors; without --attractors one initial state is solved")
     record, pairs, settings = resolve_cell(given, system, solve)
     with show_solving(record, *((ATTRACTORS,) if every else ()), settings=settings):
         if every:
@@ -100,7 +100,7 @@ def portrait(
 ) -> None:
     """Draw one cell: its motion in time, phase planes, section, and its exponents as they converge.
 
-    The cell is one of STORE, by --at, solved anew with its settings, or is given by --set.
+    The cell is one of STORE, by --at, solved again with its settings, or is given by --set.
     """
     from atlas.query.cell import CellSpec, read_cell_spec
     from atlas.render import SCALE_OPTION_NAMES, check_path
@@ -161,7 +161,7 @@ def schema() -> None:
 
 
 def _print_system(system: System) -> None:
-    """Title, equation, picture, parameters, results of its own, source and usual axes."""
+    """Print title, equation, picture, parameters, results of its own, source and usual axes of a system."""
     click.echo(f"{system.name}: {system.title}")
     for part in (equation_of(system), system.picture):
         if part.strip():

@@ -29,7 +29,7 @@ from atlas.render.request import PictureRequest
 @store_argument
 @click.argument("other", shell_complete=STORES)
 @window_option
-@out_option("Draw both maps of it; the suffix chooses the format.")
+@out_option("Draw both maps of the comparison; the suffix chooses the format.")
 @json_option
 @figure_options()
 def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: bool, **look: Any) -> None:
@@ -68,7 +68,7 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
         where = ", ".join(f"{name} = {value:.6g}" for name, value in most[1].items())
         click.echo(
             f"exponents of {plural(message['compared'], 'cell')}: mean difference {message['mean']:.4g}, "
-            f"mean size {message['mean_abs']:.4g}, the most {most[0]:.4g} at {where}"
+            f"mean size {message['mean_abs']:.4g}, largest {most[0]:.4g} at {where}"
         )
     if out is not None:
         click.echo(str(out))

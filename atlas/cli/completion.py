@@ -19,7 +19,7 @@ Names = Callable[[click.Context], Iterable[str]]
 
 
 def of_names(names: Names, files: bool = False) -> Completed:
-    """A completion by the names that begin with the word; ``files`` adds files."""
+    """Return a completion by the names that begin with the word; ``files`` adds files."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, word: str) -> list[CompletionItem]:
         try:
@@ -32,21 +32,21 @@ def of_names(names: Names, files: bool = False) -> Completed:
 
 
 def systems(ctx: click.Context) -> Iterable[str]:
-    """The packaged systems."""
+    """Return the packaged systems."""
     from workers.model.system import system_names
 
     return system_names()
 
 
 def examples(ctx: click.Context) -> Iterable[str]:
-    """The packaged examples."""
+    """Return the packaged examples."""
     from atlas.spec.examples import example_names
 
     return example_names()
 
 
 def parameters(ctx: click.Context) -> Iterable[str]:
-    """The parameters of the system on the command line, with an equals sign."""
+    """Return the parameters of the system on the command line, with an equals sign."""
     from atlas.spec.system import parse_system
     from workers.model.system import DEFAULT
 
@@ -54,38 +54,38 @@ def parameters(ctx: click.Context) -> Iterable[str]:
 
 
 def axes(ctx: click.Context) -> Iterable[str]:
-    """The axes of the store on the command line, with an equals sign."""
+    """Return the axes of the store on the command line, with an equals sign."""
     return [f"{axis.name}=" for axis in _spec(ctx).axes]
 
 
 def names_along(ctx: click.Context) -> Iterable[str]:
-    """The parameters of the store's system; without a store, of the system on the command line."""
+    """Return the parameters of the store's system; without a store, of the system on the command line."""
     if _store(ctx) is None:
         return [name.removesuffix("=") for name in parameters(ctx)]
     return [parameter.name for parameter in _spec(ctx).system_def.parameters]
 
 
 def variables(ctx: click.Context) -> Iterable[str]:
-    """The results of the store's cells."""
+    """Return the results of the store's cells."""
     return [variable.name for variable in _spec(ctx).variables]
 
 
 def kinds(ctx: click.Context) -> Iterable[str]:
-    """The kinds of pictures."""
+    """Return the kinds of pictures."""
     from atlas.render.kinds import KIND_MEANINGS
 
     return KIND_MEANINGS
 
 
 def curves(ctx: click.Context) -> Iterable[str]:
-    """The kinds of curves."""
+    """Return the kinds of curves."""
     from atlas.render.kinds import CURVES
 
     return ["all", *CURVES]
 
 
 def classes(ctx: click.Context) -> Iterable[str]:
-    """The classifications of cells, and the regimes."""
+    """Return the classifications of cells, and the regimes."""
     from atlas.query.classes import BY
     from workers.results import REGIMES
 
@@ -93,19 +93,19 @@ def classes(ctx: click.Context) -> Iterable[str]:
 
 
 def nothing(ctx: click.Context) -> Iterable[str]:
-    """No names, for arguments that are files."""
+    """Return no names, for arguments that are files."""
     return ()
 
 
 def _store(ctx: click.Context) -> str | None:
-    """The first store on the command line."""
+    """Return the first store on the command line."""
     given = ctx.params.get("store") or ctx.params.get("stores") or ctx.params.get("subject")
     # After an option without its value click has not yet assigned the arguments.
     return ctx.args[0] if ctx.args else given[0] if isinstance(given, tuple) else given
 
 
 def _spec(ctx: click.Context) -> "Spec":
-    """The spec of the first store on the command line."""
+    """Return the spec of the first store on the command line."""
     from atlas.spec.spec import Spec
     from atlas.store.store import open_store
 

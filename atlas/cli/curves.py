@@ -30,10 +30,10 @@ def _budget(name: str, text: str) -> Callable[[Callable[..., None]], Callable[..
 @click.command("curves", epilog=examples("atlas find curves plane.zarr", "atlas find curves plane.zarr -o curves.csv"))
 @store_argument
 @out_option("Also write them to this file, .csv or .json.")
-@_budget("edges", "Places beside edges where events are looked for, at most.")
-@_budget("curves", "Curves followed, at most.")
-@_budget("points", "Points of all curves, at most.")
-@_budget("min_cells", "Cells that a region must have for events to be looked for beside it.")
+@_budget("edges", "Maximum number of edges beside which events are searched.")
+@_budget("curves", "Maximum number of curves to follow.")
+@_budget("points", "Maximum number of points of all curves.")
+@_budget("min_cells", "Minimum number of cells of a region beside which events are searched.")
 @worker_options
 @json_option
 def find_curves(
@@ -47,14 +47,14 @@ def find_curves(
 ) -> None:
     """Find the exact curves that bound the regions of STORE, a finished plane: bifurcations and grazes of its orbits.
 
-    The curves are kept in STORE; if it has them already, nothing is computed. Prints the share of the borders between
-    regions that the curves explain. The same command resumes a search that was stopped.
+    The curves are written into STORE; stored curves are not computed again. The command prints the share of the
+    borders between regions that the curves explain. The same command resumes a search that was stopped.
     """
     from atlas.service import curves  # imports Numba
 
     if out is not None:
         check_path(out)
-    with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
+    with resumable(ctx, options, "finished parts are kept; rerun the same command to resume") as shown:
         summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
     if out is not None:
         export(summary.curves, out)

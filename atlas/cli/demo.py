@@ -15,7 +15,8 @@ EXAMPLE = "omega-b"
 def demo(ctx: click.Context, folder: Path) -> None:
     """Compute the packaged omega x b plane into FOLDER, by default demo, draw it and print its regimes.
 
-    About a minute and a half on two processors, most of it to compile the kernels once. Interrupted, it resumes.
+    The demo takes about a minute and a half on two processors, most of it to compile the kernels once. After an
+    interruption the same command resumes.
     """
     store, picture = str(folder / f"{EXAMPLE}.zarr"), str(folder / f"{EXAMPLE}.png")
     for words in (["run", EXAMPLE, "-o", store], ["plot", store, "-o", picture], ["query", store]):

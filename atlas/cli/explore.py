@@ -50,20 +50,20 @@ GB = 10**9
 @storage_option
 @select_option
 @out_option("Write the cells of STORE as one .html file that opens without a server, and end.")
-@pairs_option("--window", "NAME=LOW:HIGH", "With -o: only this part of an axis.", read_bounds)
+@pairs_option("--window", "NAME=LOW:HIGH", "With -o: only this window of an axis.", read_bounds)
 @scheduler_option
 @workers_option
-@click.option("--tolerance", type=float, help="Of the cells that are explored; default: 0.05.")
-@click.option("--keep/--no-keep", default=True, help="Keep explored cells in STORE, in its group zoom.")
+@click.option("--tolerance", type=float, help="Tolerance of the explored cells; default: 0.05.")
+@click.option("--keep/--no-keep", default=True, help="Save explored cells in STORE, in its group zoom.")
 @click.option(
     "--limit",
     type=click.FloatRange(min=0.0),
     default=0.25,
     show_default=True,
-    help="GB to keep at most; then the oldest go.",
+    help="Maximum size of the saved cells in GB; the least recently viewed are deleted first.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page; default: any free one.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Of the page; its address has a token.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page; default: any free port.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Host of the page, whose address has a token.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @click.pass_context
 def explore(
@@ -81,9 +81,9 @@ def explore(
     host: str,
     browser: bool,
 ) -> None:
-    """Look anywhere in the plane of STORE, or of SPEC, at any depth, in the browser.
+    """Look anywhere in the plane of STORE, or of SPEC, at any zoom level, in the browser.
 
-    Unknown cells in view are computed, coarse first. Default: the example omega-b. Ctrl-C ends it.
+    Unknown visible cells are computed, coarse first. Default: the example omega-b. Ctrl-C ends the explorer.
     """
     if out is not None:
         write(ctx, subject, select, window, out)
@@ -120,15 +120,15 @@ def explore(
             try:
                 if running.explorer.tiles.keeper.handle is not None:
                     print_status(
-                        f"explored cells are kept in its group zoom, {limit:g} GB at most; --no-keep keeps none"
+                        f"explored cells are saved in its group zoom, up to {limit:g} GB; --no-keep disables this"
                     )
                 click.echo(running.url)
                 if running.proxied_url != running.url:
-                    print_status(f"by the proxy of JupyterHub: {running.proxied_url}")
+                    print_status(f"through the proxy of JupyterHub: {running.proxied_url}")
                 if browser:
                     webbrowser.open(running.url)
                 while True:
-                    time.sleep(3600)  # which Ctrl-C ends on every system
+                    time.sleep(3600)  # Ctrl-C ends a sleep on every system
             finally:
                 running.stop()
     except KeyboardInterrupt:
@@ -137,7 +137,7 @@ def explore(
 
 
 def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out: Path) -> None:
-    """Write the page of a store; InputError for an option of the explorer in the browser."""
+    """Write the page of a store; raise InputError for an option of the explorer in the browser."""
     for option in options_given(ctx):
         if option.name not in ("subject", "storage_option", "select", "window", "out"):
             name = "/".join([option.opts[-1], *option.secondary_opts])
@@ -153,7 +153,7 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
     with input_errors():
         check_path(out)
         ds = select_window(open_selection(subject, chosen), window)
-        print_status("reading and painting")
+        print_status("reading and drawing")
         written = write_page(ds, out)
     print_status(byte_size(written.stat().st_size))
     click.echo(str(written))

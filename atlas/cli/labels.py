@@ -15,9 +15,10 @@ from atlas.service.options import RunOptions
 @json_option
 @click.pass_context
 def label_attractors(ctx: click.Context, store: str, as_json: bool) -> None:
-    """Label the attractors of STORE, a finished atlas of all attractors: one label a branch, from cell to cell.
+    """Label the attractors of STORE, a finished atlas of all attractors: one label per branch, from cell to cell.
 
-    Each orbit is followed to the neighbouring cells. Labels are kept in STORE; if it has them, nothing is computed.
+    Each orbit is continued to the neighbouring cells. Labels are written into STORE; stored labels are not computed
+    again.
     """
     from atlas.service import labels  # imports Numba
 

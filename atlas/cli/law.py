@@ -9,7 +9,7 @@ from atlas.cli.progress import show_solving
 from atlas.spec.spec import Spec
 
 MAX_ROWS = 20
-"""Cells that are listed."""
+"""Maximum number of cells that are listed."""
 
 
 @click.command("check-law", epilog=examples("atlas check-law plane.toml", "atlas check-law plane.toml --cells 24"))
@@ -17,7 +17,7 @@ MAX_ROWS = 20
 @click.option("--cells", type=click.IntRange(2, 200), default=CELLS, show_default=True, help="Cells along each axis.")
 @json_option
 def check(spec: str, cells: int, as_json: bool) -> None:
-    """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many."""
+    """Check whether the segments of SPEC's laws matter: solve a coarse plane with twice as many segments."""
     read = Spec.from_toml(spec)
     fine = finer(read)
     with show_solving(read.system_def):

@@ -1,6 +1,6 @@
-"""The command ``atlas``: its commands put together, and how their errors end.
+"""The command ``atlas``: its table of commands, and how errors end it.
 
-Heavy imports wait until a command needs them, so that help comes at once and no command waits for another's imports.
+Heavy imports wait until a command needs them, so that help appears at once and no command waits for another's imports.
 """
 
 import os
@@ -28,11 +28,11 @@ _COMMANDS: _Table = {
     "Compute": {
         "plan": ("run.plan", "Estimate the cost of SPEC: cells, bytes, time."),
         "check-law": ("law.check", "Check whether the segments of a law matter."),
-        "run": ("run.run", "Compute SPEC into a store, or resume that."),
+        "run": ("run.run", "Compute SPEC into a store, or resume an interrupted run."),
         "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
         "retry": ("run.retry", "Solve cells of STORE again, with more periods."),
-        "status": ("store.status", "Show the progress of STORE, and who works on it."),
-        "cancel": ("run.cancel", "Stop the run that is at work on STORE."),
+        "status": ("store.status", "Show the progress of STORE and the run that writes it."),
+        "cancel": ("run.cancel", "Stop the run that writes STORE."),
     },
     "Look": {
         "plot": ("pictures.plot", "Draw STORES: maps, sweeps, stacks."),
@@ -66,7 +66,7 @@ _FIND: _Table = {
 }
 _ATTRACTORS: _Table = {
     "Of a store": {
-        "label": ("labels.label_attractors", "One label a branch, from cell to cell."),
+        "label": ("labels.label_attractors", "One label per branch, from cell to cell."),
         "measure": ("measures.measure_attractors", "How stable the attractors of all cells are."),
         "basins": ("query.basin_measures", "Shares, entropy and boundary dimension of basins."),
     },
@@ -105,13 +105,13 @@ class _Commands(Mapping[str, click.Command]):
 
 
 class _BadInput(click.ClickException):
-    """One line on stderr, exit code 2."""
+    """An error that ends the program with one line on stderr and exit code 2."""
 
     exit_code = 2
 
 
 def _flush_or_drop(stream: Any) -> None:
-    """Write what is left for a stream; drop it where nobody reads that: Python would complain at its end."""
+    """Write the buffer of a stream, or drop it if its reader has gone: Python would complain at its end."""
     try:
         stream.flush()
     except BrokenPipeError:
@@ -119,13 +119,13 @@ def _flush_or_drop(stream: Any) -> None:
 
 
 def _bad_usage(error: click.UsageError) -> _BadInput:
-    """What click says of a wrong command line, without the usage before it."""
+    """Return click's message about a wrong command line, without the usage before it."""
     where = error.ctx.command_path if error.ctx else "atlas"
     return _BadInput(to_one_line(f"{error.format_message().rstrip('.')} (see {where} --help)"))
 
 
 class _Group(click.Group):
-    """Commands whose errors end in one line: 1 failed, 2 bad usage or input, 130 interrupted."""
+    """A group of commands whose errors end in one line: exit code 1 failed, 2 bad usage or input, 130 interrupted."""
 
     def __init__(self, name: str, table: _Table, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -186,7 +186,7 @@ class _Group(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The commands by section, each in a line; none is imported."""
+        """Write the commands by section, each in a line; no command is imported."""
         width = max(map(len, self.commands))
         for title, section in self.table.items():
             with formatter.section(title):

@@ -28,7 +28,7 @@ from atlas.service.options import RunOptions
 )
 @store_argument
 @norm_option
-@click.option("--shocks", is_flag=True, help="Also the smallest shock found of each attractor that leads to another.")
+@click.option("--shocks", is_flag=True, help="Also the smallest shock found that leads from each attractor to another.")
 @click.option("--margin", is_flag=True, help="Also the distance of each cell to the nearest curve of STORE.")
 @pairs_option("--scale", "AXIS=UNIT", "Unit of the margin along an axis; default: the plane's width.", read_number)
 @worker_options
@@ -46,14 +46,14 @@ def measure_attractors(
 ) -> None:
     """Measure the stability of the attractors of STORE, a finished atlas: return time, reactivity, amplification.
 
-    The measures are kept in STORE, for atlas plot; measures that it has already are not computed again. The same
-    command resumes work that was stopped.
+    The measures are written into STORE, for atlas plot; stored measures are not computed again. The same command
+    resumes a measurement that was stopped.
     """
     from atlas.service import measures  # imports Numba
 
     if scale and not margin:
-        raise InputError("--scale needs --margin: it sets its unit")
-    with resumable(ctx, options, "finished parts are kept; the same command resumes") as shown:
+        raise InputError("--scale needs --margin, whose unit it sets")
+    with resumable(ctx, options, "finished parts are kept; rerun the same command to resume") as shown:
         summary = measures.measure_attractors(
             store, shocks=shocks, margin=margin, norm=norm, scale=scale or None, options=shown
         )

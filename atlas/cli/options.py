@@ -1,4 +1,4 @@
-"""Options that commands share, and the errors of their texts."""
+"""Options that commands share, and how their texts are read and checked."""
 
 import math
 import os
@@ -35,11 +35,11 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
 
-json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, and nothing else there.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, and nothing else.")
 workers_option = click.option(
     "--workers",
     type=click.IntRange(1, MAX_WORKERS),
-    help="Worker processes on this machine; default: one a processor.",
+    help="Worker processes on this host; default: one per processor.",
 )
 scheduler_option = click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, such as tcp://host:8786.")
 dashboard_option = click.option(
@@ -68,7 +68,7 @@ starts_option = click.option(
 
 
 def out_option(words: str, required: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """The option -o of a file or a folder to write."""
+    """Return the option -o of a file or a folder to write."""
     return click.option("-o", "--out", type=click.Path(path_type=Path), required=required, help=words)
 
 
@@ -78,7 +78,15 @@ picture_option = out_option("The picture; the suffix chooses the format.", requi
 def pairs_option(
     name: str, metavar: str, words: str, read: Callable[[str, str], Any], *dest: str, names: Names | None = None
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A repeatable option given as NAME=VALUE, which the command gets as a dict; ``names`` complete it."""
+    """Return a repeatable option given as NAME=VALUE, which the command receives as a dict.
+
+    name     name of the option
+    metavar  form of its value in the help
+    words    help text
+    read     function that converts a value, called with its place and text
+    dest     parameter of the command, by default from the name
+    names    names for completion
+    """
 
     def callback(ctx: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
         return read_pairs(name, given, read)
@@ -90,13 +98,13 @@ def pairs_option(
 
 
 _STORAGE = "atlas.storage_options"
-"""The key of the storage options in the ``meta`` of a command's context."""
+"""Key of the storage options in the ``meta`` of a command's context."""
 _SECRET = ("key", "secret", "token", "password", "sas", "credential")
-"""A storage option with one of these in its name is not printed."""
+"""Parts of the names of storage options whose values are not printed."""
 
 
 def storage_words() -> list[str]:
-    """The storage options of the current command as words of a command line, with dots in place of secrets."""
+    """Return the storage options of the current command as words of a command line, with dots in place of secrets."""
     words = []
     for item in click.get_current_context().meta.get(_STORAGE, ()):
         name, _, value = item.partition("=")
@@ -113,7 +121,10 @@ def _reach(ctx: click.Context, _: click.Parameter, given: tuple[str, ...]) -> No
 
 
 def storage_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The option --storage-option, which sets the access of the command's URLs; InputError where it has none."""
+    """Return the command with the option --storage-option, which sets the access of the command's URLs.
+
+    Raise InputError if the option is given and the command has no URL.
+    """
 
     @click.option(
         "--storage-option",
@@ -129,33 +140,35 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
         source = click.get_current_context().get_parameter_source("storage_option")
         names = [name for value in given.values() for name in (value if isinstance(value, tuple) else (value,))]
         if source is ParameterSource.COMMANDLINE and not any(is_url(n) and not n.startswith("file:") for n in names):
-            raise InputError("--storage-option: is the access of a store at a URL, found no URL of a server")
+            raise InputError("--storage-option: sets the access of a store at a URL, found no URL of a server")
         command(*args, **given)
 
     return whole
 
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """The argument STORE, a path or a URL."""
+    """Return the command with the argument STORE, a path or a URL."""
     return click.argument("store", shell_complete=STORES)(storage_option(command))
 
 
 def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
-    """The optional argument STORE."""
+    """Return the command with the optional argument STORE."""
     return click.argument("store", required=False, shell_complete=STORES)(storage_option(command))
 
 
 def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """The options of a picture's size, type and scale, ``without`` some."""
+    """Return a decorator that adds the options of a picture's layout and limits, except for those in ``without``."""
     options = {
-        "width": click.option("--width", metavar="LENGTH", help="Of the picture: 85mm, 8.5cm, 3.35in; default: 7in."),
-        "height": click.option("--height", metavar="LENGTH", help="The same; default: by the width."),
-        "font_size": click.option("--font-size", type=float, metavar="POINTS", help="Size of the type."),
+        "width": click.option(
+            "--width", metavar="LENGTH", help="Width of the picture: 85mm, 8.5cm, 3.35in; default: 7in."
+        ),
+        "height": click.option("--height", metavar="LENGTH", help="Height of the picture; default: by the width."),
+        "font_size": click.option("--font-size", type=float, metavar="POINTS", help="Font size."),
         "dpi": click.option("--dpi", type=float, help="Dots per inch; default: 300."),
-        "vmin": click.option("--vmin", type=float, help="Lower end of the scale, for several pictures on one."),
-        "vmax": click.option("--vmax", type=float, help="Upper end of the scale."),
-        "title": click.option("--title/--no-title", default=True, help="Whether the fixed parameters stand above."),
-        "legend": click.option("--legend/--no-legend", default=True, help="Whether there is a legend."),
+        "vmin": click.option("--vmin", type=float, help="Lower colour limit, to share limits between pictures."),
+        "vmax": click.option("--vmax", type=float, help="Upper colour limit."),
+        "title": click.option("--title/--no-title", default=True, help="Print the fixed parameters above the picture."),
+        "legend": click.option("--legend/--no-legend", default=True, help="Draw the legend."),
         "style": click.option(
             "--style", metavar="FILE", help="A matplotlib style: a file, a name, or current: your matplotlibrc."
         ),
@@ -170,7 +183,10 @@ def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..
 
 
 def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """An option for every setting, ``without`` some, from the record of settings itself."""
+    """Return a decorator that adds an option for every setting, except for those in ``without``.
+
+    The options are made from the record of settings itself.
+    """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         choices = {name: click.Choice(known) for name, known in VALID_WORDS.items()}
@@ -186,12 +202,12 @@ def settings_options(*without: str) -> Callable[[Callable[..., None]], Callable[
 
 
 def examples(*lines: str) -> str:
-    """The end of a command's help: possible inputs, line by line."""
+    """Return the end of a command's help: example command lines."""
     return _as_it_stands("Examples:", lines)
 
 
 def meanings(title: str, words: Mapping[str, str]) -> str:
-    """A part of a command's help: names and meanings."""
+    """Return a part of a command's help: names and meanings."""
     width = max(map(len, words))
     return _as_it_stands(title, [f"{name:{width}}  {meaning}" for name, meaning in words.items()])
 
@@ -201,34 +217,37 @@ def _as_it_stands(title: str, lines: Iterable[str]) -> str:
 
 
 def check_cell_options(store: str | None) -> None:
-    """InputError for an option of the current command that contradicts a cell of a STORE, or needs one."""
+    """Raise InputError for an option of the current command that contradicts a cell of a STORE, or needs one."""
     context = click.get_current_context()
     settings = {field.name for field in fields(Settings)}
     wrong = {"point", "select"} if store is None else {"given", "system"} | settings
     for option in options_given(context):
         if option.name in wrong and store is None:
-            raise InputError(f"{option.opts[-1]} is for a cell of a STORE, and none is given; without one, give --set")
+            raise InputError(f"{option.opts[-1]} needs a STORE; to give parameters without a store use --set")
         if option.name in wrong:
-            own = "a cell of a STORE has its own, give --at"
+            own = "to choose a cell of a STORE use --at"
             raise InputError(f"{option.opts[-1]} is for a cell without a STORE; {own}")
 
 
 def options_given(context: click.Context) -> Iterator[click.Parameter]:
-    """The options and arguments of a command that stand on the command line."""
+    """Yield the options and arguments of a command that stand on the command line."""
     for option in context.command.params:
         if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE:
             yield option
 
 
 def resolve_cell(given: Numbers, system: str, solve: Mapping[str, Any]) -> tuple[System, Numbers, Settings]:
-    """The system, the checked parameters and the settings of a cell that is given on the command line."""
+    """Return the system, the checked parameters and the settings of a cell that is given on the command line."""
     settings, record = parse_settings(solve), parse_system(system)
     validate_parameters(record, given)
     return record, given, observable_settings(settings, record)
 
 
 def open_selection(store: str, place: Mapping[str, float]) -> "xr.Dataset":
-    """The atlas of a STORE at these values of some axes; a message names the nearest cell of a value between two."""
+    """Return the atlas of a STORE at these values of some axes.
+
+    For a value between two cells, the nearest cell is printed.
+    """
     from atlas.query.open import open_atlas
     from atlas.query.window import select
 
@@ -240,18 +259,21 @@ def open_selection(store: str, place: Mapping[str, float]) -> "xr.Dataset":
 
 
 def print_status(text: str) -> None:
-    """A line for the user, on stderr; dropped where nobody reads that any more."""
+    """Print a line for the user on stderr; drop it if its reader has gone."""
     with suppress(BrokenPipeError):
         click.echo(text, err=True)
 
 
 def timing_of(ctx: click.Context) -> Timing:
-    """The waiting times: the ``obj`` that a caller in Python gives the command, or the defaults."""
+    """Return the waiting times: the ``obj`` that a caller in Python gives the command, or the defaults."""
     return ctx.find_object(Timing) or TIMING
 
 
 def worker_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of a command that needs workers, as ``RunOptions``: --scheduler, --workers, --dashboard."""
+    """Return the command with the options --scheduler, --workers and --dashboard.
+
+    The command receives them as ``RunOptions``.
+    """
 
     @scheduler_option
     @workers_option
@@ -266,16 +288,17 @@ def worker_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def check_workers(scheduler: str | None, workers: int | None) -> None:
-    """InputError if both are given."""
+    """Raise InputError if both options are given."""
     if scheduler is not None and workers is not None:
-        raise InputError("--workers is for this machine, --scheduler for a cluster; give one of the two")
+        raise InputError("--workers starts local processes, --scheduler uses an existing cluster; give only one")
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End on Ctrl-C, or on the SIGTERM of a batch system: in order at the first signal, at once at the second.
+    """End the block on Ctrl-C, or on the SIGTERM of a batch system.
 
-    Ending at once loses only the unfinished tiles: the next run sees that this process is gone.
+    The first signal ends it in order, the second at once. Ending at once loses only the unfinished tiles: the next run
+    recognises that this process no longer runs.
     """
 
     def second(number: int, frame: FrameType | None) -> None:
@@ -287,7 +310,7 @@ def interruptible() -> Iterator[None]:
             signal.signal(caught, second)
         raise KeyboardInterrupt
 
-    # A job in the background starts with Ctrl-C ignored; that stays.
+    # A job in the background starts with Ctrl-C ignored, which remains so.
     wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
     before = {caught: signal.signal(caught, first) for caught in wanted}
     try:
@@ -316,7 +339,10 @@ def input_errors() -> Iterator[None]:
 
 
 def read_pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _T]) -> dict[str, _T]:
-    """The values of an option given as NAME=VALUE, by name; ``read`` is called with the value's name and text."""
+    """Return the values of an option given as NAME=VALUE, by name.
+
+    ``read`` is called with the place of a value, for messages, and its text.
+    """
     values: dict[str, _T] = {}
     for item in given:
         name, equals, value = item.partition("=")
@@ -329,7 +355,7 @@ def read_pairs(option: str, given: tuple[str, ...], read: Callable[[str, str], _
 
 
 def read_number(where: str, value: str) -> float:
-    """The number in a text."""
+    """Return the number in a text."""
     try:
         return float(value)
     except ValueError:
@@ -337,14 +363,14 @@ def read_number(where: str, value: str) -> float:
 
 
 def read_factors(given: tuple[str, ...]) -> int | dict[str, int]:
-    """One factor for all axes, or factors by name."""
+    """Return one factor for all axes, or factors by name."""
     if len(given) == 1 and "=" not in given[0]:
         return read_whole("--refine", given[0])
     return read_pairs("--refine", given, read_whole)
 
 
 def read_whole(where: str, value: str) -> int:
-    """The whole number in a text."""
+    """Return the whole number in a text."""
     try:
         return int(value)
     except ValueError:
@@ -352,7 +378,7 @@ def read_whole(where: str, value: str) -> int:
 
 
 def read_bounds(where: str, value: str) -> tuple[float, float]:
-    """The two numbers of LOW:HIGH."""
+    """Return the two numbers of LOW:HIGH."""
     low, colon, high = value.partition(":")
     if not colon:
         raise InputError(f"{where}: found {brief_repr(value)}, must be LOW:HIGH")
@@ -379,10 +405,14 @@ set_option = pairs_option(
     names=completion.parameters,
 )
 select_option = pairs_option(
-    "--select", "NAME=VALUE", "The plane of a stack, or the line, nearest to it.", read_number, names=completion.axes
+    "--select",
+    "NAME=VALUE",
+    "The plane of a stack, or the line of cells, nearest to VALUE.",
+    read_number,
+    names=completion.axes,
 )
 window_option = pairs_option(
-    "--window", "NAME=LOW:HIGH", "Only this part of an axis; repeatable.", read_bounds, names=completion.axes
+    "--window", "NAME=LOW:HIGH", "Only this window of an axis; repeatable.", read_bounds, names=completion.axes
 )
 norm_option = pairs_option(
     "--norm",

@@ -1,4 +1,4 @@
-"""Answers on stdout: one JSON object, or a table for a person."""
+"""Output of commands on stdout: one JSON object, or a table for people."""
 
 import json
 import math
@@ -10,16 +10,16 @@ import click
 import numpy as np
 
 _WIDE = 10_000
-"""Letters in a line of a table that no terminal shows: more than any has."""
+"""Width, in characters, of the lines of a table if stdout is no terminal: wider than any table."""
 
 
 def to_json(value: Any) -> str:
-    """The value as one line of JSON, made by ``plain``."""
+    """Return the value, converted by ``plain``, as one line of JSON."""
     return json.dumps(plain(value), allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """The value in JSON's types: NaN as None, infinities as "inf" and "-inf", arrays and tuples as lists."""
+    """Return the value in JSON's types: NaN as None, infinities as "inf" and "-inf", arrays and tuples as lists."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -32,7 +32,7 @@ def plain(value: Any) -> Any:
 
 
 def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]]) -> None:
-    """A table on stdout, without spaces at the ends of lines; as wide as it needs to be if stdout is no terminal."""
+    """Print a table on stdout, without spaces at the ends of lines; if stdout is no terminal, as wide as necessary."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -66,7 +66,7 @@ def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
 
 
 def text(value: Any) -> str:
-    """A result for a person: numbers to six digits, yes and no, lists in brackets."""
+    """Return a result as text for people: numbers to ten digits, yes and no, lists in brackets."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, bool):

@@ -27,10 +27,10 @@ CELLS = {
 """The parameters of the cells in Figs 3, 4 and 5: two periodic motions and a chaotic one."""
 
 SETTINGS = Settings(tolerance=0.002, max_periods=400_000)
-"""Fig. 5's exponents to the three digits that the paper gives."""
+"""Settings for Fig. 5's exponents to the three digits that the paper gives."""
 
 SWEEP = "fig6"
-"""The packaged spec of Fig. 6."""
+"""Name of the packaged spec of Fig. 6."""
 
 
 def figures(
@@ -41,12 +41,16 @@ def figures(
     settings: Settings = SETTINGS,
     sweep: Spec | None = None,
 ) -> list[Path]:
-    """Draw Figs 3 to 6 of Li & Tan, Chin. Phys. B 20 (2011) 040505, into a folder, and return the files' paths.
+    """Draw Figs 3 to 6 of Li & Tan, Chin. Phys. B 20 (2011) 040505, into a folder, and return the paths of the files.
 
-    Fig. 6 is computed into ``fig6.zarr`` there, or a ``sweep`` of fewer cells in its place; finished tiles are kept.
-    ``client`` and ``options`` are those of ``atlas.run``, ``settings`` those of the
-    cells of Figs 3 to 5.
-    Raises InputError for a folder that cannot be written and for an unknown format.
+    folder           folder of the files
+    formats          suffixes of the picture files
+    client, options  client and options of ``atlas.run``
+    settings         settings of the cells of Figs 3 to 5
+    sweep            spec in place of that of Fig. 6, for fewer cells
+
+    Fig. 6 is computed into ``fig6.zarr`` in the folder; finished tiles are kept. Raise InputError for a folder that
+    cannot be written and for an unknown format.
     """
     for name in formats:
         if name not in FORMATS:

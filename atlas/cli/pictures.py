@@ -77,15 +77,15 @@ from atlas.service.options import RunOptions
     "--overlay",
     type=click.Choice(OVERLAYS),
     multiple=True,
-    help="Lines over a map or a sweep; repeatable.",
+    help="An overlay over a map or a sweep; repeatable.",
 )
 @click.option(
     "--curves",
     metavar="KINDS",
     shell_complete=of_names(completion.curves),
-    help="Exact curves of these kinds alone, such as fold,graze; or all.",
+    help="Exact curves of these kinds only, such as fold,graze; or all.",
 )
-@click.option("--names/--no-names", default=True, help="Whether names of points and motions stand on a map.")
+@click.option("--names/--no-names", default=True, help="Label motions and codimension-two points on the map.")
 @click.option(
     "--against", metavar="STORE", shell_complete=STORES, help="A second sweep of the same axis, for hysteresis."
 )
@@ -109,7 +109,8 @@ def plot(
 ) -> None:
     """Draw STORES, or a window of them: a map of two axes, a sweep of one, or the planes of a stack.
 
-    Several, which differ in a parameter, are drawn side by side on one scale, as maps of exponents or periods.
+    Several stores that differ in a parameter are drawn side by side with the same colour limits, as maps of exponents
+    or periods.
     """
     from atlas.query.read_counter import counted
 
@@ -145,7 +146,7 @@ def plot(
     multiple=True,
     default=("png",),
     show_default=True,
-    help="May be given again.",
+    help="Format of the files; repeatable.",
 )
 @workers_option
 def figures(out: Path, formats: tuple[str, ...], workers: int | None) -> None:

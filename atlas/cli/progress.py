@@ -21,7 +21,7 @@ Report = Callable[[Progress], None]
 
 
 def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
-    """A progress bar if the stream is a terminal, else a plain line every few seconds."""
+    """Return a reporter with a progress bar if the stream is a terminal, else with a plain line every few seconds."""
     return TerminalReporter(stream) if stream.isatty() else LogReporter(stream)
 
 
@@ -29,7 +29,7 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 def resumable(
     ctx: click.Context, options: RunOptions, advice: str, of: Callable[[Report], Report] = lambda show: show
 ) -> Iterator[RunOptions]:
-    """The options of work on a store whose progress is shown; an interruption ends the command with advice to resume.
+    """Yield the options of a command on a store, with a progress display; after Ctrl-C end with advice to resume.
 
     ``of`` may wrap the function that shows the progress.
     """
@@ -43,7 +43,7 @@ def resumable(
 
 @contextmanager
 def show_solving(system: System, *kernels: str, settings: Settings | None = None) -> Iterator[None]:
-    """Show on stderr that one cell is being solved, once the kernels of its system and these are ready."""
+    """Show on stderr that one cell is being solved, once the kernels of its system and ``kernels`` are ready."""
     with reporter(sys.stderr) as show:
         prepare_kernels(show, *kernels_for(system, *kernels, settings=settings))
         show(Progress("solving"))
@@ -51,7 +51,7 @@ def show_solving(system: System, *kernels: str, settings: Settings | None = None
 
 
 class LogReporter(AbstractContextManager["LogReporter"]):
-    """Plain lines: every new stage at once, then a line every few seconds, if it is new."""
+    """Prints plain lines: every new stage at once, then a line every few seconds, if it is new."""
 
     def __init__(self, stream: IO[str], interval: float = LOG_INTERVAL) -> None:
         self._stream, self._interval = stream, interval
@@ -77,15 +77,15 @@ class LogReporter(AbstractContextManager["LogReporter"]):
             self._print(progress.note)
 
     def _print(self, text: str) -> None:
-        with suppress(BrokenPipeError):  # nobody reads it any more; the work goes on
+        with suppress(BrokenPipeError):  # the reader has gone; the run continues
             print(text, file=self._stream, flush=True)
 
     def __exit__(self, *error: object) -> None:
-        """Nothing to clear away."""
+        """Do nothing: lines of a log remain."""
 
 
 class TerminalReporter(AbstractContextManager["TerminalReporter"]):
-    """A progress bar that keeps moving between tiles: cells a second and time left, and below it the regimes."""
+    """A progress bar that keeps moving between tiles: cells per second and time left, and below it the regimes."""
 
     def __init__(self, stream: IO[str]) -> None:
         from rich.console import Console, Group
@@ -132,6 +132,6 @@ class TerminalReporter(AbstractContextManager["TerminalReporter"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away: a summary or an error follows."""
+        """Remove the bar: a summary or an error follows."""
         self._live.transient = True
         self._live.stop()

@@ -1,4 +1,4 @@
-"""Commands that ask a store: shares of regimes, a cell, connected regions of one class, extremes, basins, an export."""
+"""Commands that query a store: shares of regimes, one cell, connected regions, extremes, basins, an export."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from atlas.query.window import Window
 
 MAX_ROWS = 40
-"""Rows that a terminal shows; ``--json`` and ``-o`` have all."""
+"""Maximum number of rows that a terminal shows; ``--json`` and ``-o`` have all."""
 _PATTERN = ("regime", "period", "impacts")
 _list_option = out_option("Write the whole list to a .csv file instead.")
 
@@ -59,7 +59,7 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
     Shares are of the area in the axes' own units. Also see: atlas find, export, plot.
     """
     if point and window:
-        raise InputError("--at asks for one cell, --window for a part of the plane; give one of the two")
+        raise InputError("--at selects one cell, --window a part of the plane; give only one")
     with _asked(store, select, window, counted=not point and not as_json) as (ds, bounds):
         from atlas.query import queries as questions
 
@@ -204,7 +204,7 @@ def extremes(
 
 
 def _measured(ds: "xr.Dataset") -> str:
-    """What the shares of regimes are shares of: cells that are not equally large do not count the same."""
+    """Return what the shares of regimes refer to, since cells of unequal size have unequal weight."""
     from atlas.query.window import axis_names
     from atlas.spec.points import POINT
 
@@ -213,7 +213,7 @@ def _measured(ds: "xr.Dataset") -> str:
 
 
 def _check_list(out: Path) -> None:
-    """InputError unless a list can be written there."""
+    """Raise InputError unless a list can be written to ``out``."""
     from atlas.query.export import check_writable
 
     validate_suffix(out, [".csv"])
@@ -224,7 +224,7 @@ def _check_list(out: Path) -> None:
 def _asked(
     store: str, select: Numbers, window: Bounds, counted: bool = False
 ) -> Iterator[tuple["xr.Dataset", "Window"]]:
-    """The dataset and the window of a question; ``counted`` prints the number of chunks read at the end."""
+    """Yield the dataset and the window of a query; with ``counted`` print the number of chunks read at the end."""
     from atlas.query import read_counter
 
     with input_errors(), read_counter.counted() as cost:
@@ -234,7 +234,7 @@ def _asked(
 
 
 def _print_values(values: dict[str, Any], listed: str = "") -> None:
-    """Names and values as a table, and the attractors that one of them lists as another."""
+    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
     several = list(values.pop(listed, []))
     print_table("", ["", ""], [(name, text(value)) for name, value in values.items()])
     print_attractors(several)
@@ -267,7 +267,7 @@ def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
 
 
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
-    """Write the rows to the file of -o, or print JSON for --json; False without either."""
+    """Write the rows to the file of -o, or print JSON for --json; return False without either option."""
     if out is not None:
         from atlas.query.export import write_rows
 

@@ -44,17 +44,17 @@ from atlas.store.sidecar import sidecar_of
 from atlas.store.zip_backend import check_not_packed
 
 CANCEL_SECONDS = 60
-"""How long ``atlas cancel`` waits for a run to stop."""
+"""Maximum seconds that ``atlas cancel`` waits for a run to stop."""
 TILES_KEPT_NOTE = "finished tiles are kept"
 
 
 points_option = click.option(
-    "--points", metavar="FILE", help="A CSV file of parameter sets, one row a cell, in place of SPEC's axes."
+    "--points", metavar="FILE", help="A CSV file of parameter sets, one row per cell, in place of SPEC's axes."
 )
 
 
 observe_option = click.option(
-    "--observe", metavar="NAMES", help="Observables, with commas between, in place of SPEC's: impact_phase:stop."
+    "--observe", metavar="NAMES", help="Observables, separated by commas, in place of SPEC's: impact_phase:stop."
 )
 
 
@@ -62,7 +62,7 @@ observe_option = click.option(
 @spec_argument
 @click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
 @storage_option
-@click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one a processor.")
+@click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one per processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
 @points_option
 @observe_option
@@ -87,24 +87,24 @@ def plan(
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
-    """The spec, with the options --points and --observe."""
+    """Return the spec, with the options --points and --observe."""
     read = Spec.from_toml(spec, points)
     return read if observe is None else read.with_observables(observe)
 
 
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
-    """The option of the store that is made or completed."""
-    words = "The store, a path or a URL: made, or completed."
+    """Return the command with the option of the store that is created or completed."""
+    words = "The store to create or complete, a path or a URL."
     return click.option("-o", "--out", required=True, help=words)(storage_option(command))
 
 
 _submit_option = click.option(
-    "--submit", "leave", is_flag=True, help="Have the cluster of --scheduler do it, and leave."
+    "--submit", "leave", is_flag=True, help="Run the coordinator on the cluster of --scheduler, and return."
 )
 
 
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The files of an encrypted connection to a scheduler."""
+    """Return the command with the options of an encrypted connection to a scheduler."""
     for option in (
         click.option("--tls-key", metavar="FILE", help="The key of that certificate."),
         click.option("--tls-cert", metavar="FILE", help="This program's certificate."),
@@ -131,7 +131,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
 )
-@click.option("--tile", metavar="I,J", help="Solve this tile alone in this process, with its traceback.")
+@click.option("--tile", metavar="I,J", help="Solve only this tile, in this process, with its traceback.")
 @click.option("--log", metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
 @_submit_option
 def run(
@@ -176,8 +176,8 @@ def run(
 @store_argument
 @click.argument("regimes")
 @click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
-@click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than the spec's.")
-@click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer watch than the spec's.")
+@click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than that of the spec.")
+@click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer survival than that of the spec.")
 @_tls_options
 @worker_options
 @_submit_option
@@ -193,7 +193,7 @@ def retry(
     leave: bool,
     **tls: str | None,
 ) -> None:
-    """Solve cells of STORE again, with more periods or a longer survival, into a new store with all its other cells.
+    """Solve cells of STORE again, with more periods or a longer survival, into a new store with all other cells.
 
     REGIMES is one or more of undetermined, chaotic, aperiodic, separated by commas. STORE does not change. The same
     command resumes a retry that was stopped.
@@ -210,25 +210,25 @@ def retry(
 
 
 def _check_submit(ctx: click.Context, scheduler: str | None) -> None:
-    """InputError if a submitted run has no cluster, or an option that only a run in this process has."""
+    """Raise InputError if a submitted run has no cluster, or an option that only a run in this process has."""
     if scheduler is None:
-        raise InputError("--submit leaves the work to a cluster: give its --scheduler too")
+        raise InputError("--submit needs a cluster: give its --scheduler, too")
     for option in options_given(ctx):
         if option.name in ("tile", "log", "report"):
             raise InputError(f"{option.opts[0]} is for a run that this process coordinates; with --submit leave it out")
 
 
 def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:
-    """Hand a run to a cluster and print the coordinating worker; ``hand_over`` returns its address."""
+    """Submit a run to a cluster and print the coordinating worker; ``hand_over`` returns its address."""
     store = shlex.join([out, *storage_words()])
-    advice = f"see how far it is: atlas status {store} --watch\nstop it: atlas cancel {store}"
+    advice = f"show its progress: atlas status {store} --watch\nstop it: atlas cancel {store}"
     try:
         with progress.reporter(sys.stderr) as show:
             where = hand_over(replace(options, on_progress=show))
     except KeyboardInterrupt:
         print_status(f"interrupted: the cluster may have begun already\n{advice}")
         raise
-    click.echo(f"{out}: at work on the cluster, coordinated by {where}")
+    click.echo(f"{out}: running on the cluster, coordinated by {where}")
     print_status(advice)
 
 
@@ -236,7 +236,7 @@ def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str
 @store_argument
 @click.pass_context
 def cancel(ctx: click.Context, store: str) -> None:
-    """Stop the run on STORE, on any machine. Finished tiles are kept."""
+    """Stop the run that writes STORE, on any host. Finished tiles are kept."""
     stopped = cancel_run(sidecar_of(store), store, CANCEL_SECONDS, print_status, timing_of(ctx))
     click.echo(f"{store}: {stopped} has stopped")
 
@@ -263,21 +263,21 @@ def extend(
 ) -> None:
     """Compute a larger or finer atlas into a new store, reusing all cells that STORE has.
 
-    SPEC may differ from STORE's in the values on the axes alone. The same command resumes an extension
-    that was stopped.
+    SPEC may differ from that of STORE only in the values on the axes. The same command resumes an extension that was
+    stopped.
     """
     if (spec is None) == (not refine):
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; the same command resumes", with_time) as shown:
+    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; rerun the same command to resume", with_time) as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
 
 
 @contextmanager
 def _logged(path: str | None) -> Iterator[None]:
-    """Append the log of the package to a file; InputError if it cannot be written."""
+    """Append the log of the package to a file; raise InputError if the file cannot be written."""
     if path is None:
         yield
         return
@@ -299,12 +299,12 @@ def _logged(path: str | None) -> Iterator[None]:
 
 
 def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
-    """The files of an encrypted connection, None where none is given."""
+    """Return the files of an encrypted connection; None if no file is given."""
     return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
 
 
 def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
-    """A command line: words, then the options that have a value; secrets of URLs are left out."""
+    """Return a command line: words, then the options that have a value; secrets of URLs are left out."""
     given |= {"scheduler": options.scheduler, "workers": options.workers}
     pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
     line = ["atlas", *words, *storage_words(), *(word for pair in pairs for word in pair)]

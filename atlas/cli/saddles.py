@@ -40,7 +40,7 @@ from atlas.task.compile import ATTRACTORS
 @norm_option
 @starts_option
 @out_option("For one mass, write the stable manifolds to this .csv file.")
-@pairs_option("--box", "NAME=LOW:HIGH", "With --out: the states in which they are grown.", read_bounds)
+@pairs_option("--box", "NAME=LOW:HIGH", "With --out: limits of the states on the manifolds.", read_bounds)
 @settings_options("observe", "observe_values")
 @json_option
 def saddles(
@@ -62,7 +62,7 @@ def saddles(
     record, pairs, settings = resolve_cell(given, system, solve)
     weights = validate_weights(norm, record)
     if out is None and box:
-        raise InputError("--box needs --out: it bounds the manifolds")
+        raise InputError("--box needs --out, whose manifolds it limits")
     if out is not None:
         validate_suffix(out, [".csv"])
     with show_solving(record, ATTRACTORS):

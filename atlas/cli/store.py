@@ -1,4 +1,4 @@
-"""Commands about a store as a whole: status, verify, pack."""
+"""Commands about a store as a whole: status, verify, pack, cite."""
 
 import sys
 from pathlib import Path
@@ -16,16 +16,16 @@ from atlas.spec.citation import bibtex, software_version
 from atlas.store.store import open_store
 
 WATCH_SECONDS = 2.0
-"""Between two looks of ``atlas status --watch``."""
+"""Seconds between two snapshots of ``atlas status --watch``."""
 
 
 @click.command(epilog=examples("atlas status plane.zarr --watch"))
 @store_argument
-@click.option("--watch", "watching", is_flag=True, help="Until it is complete, or no run is at work on it.")
+@click.option("--watch", "watching", is_flag=True, help="Repeat until STORE is complete, or no run writes it.")
 @json_option
 @click.pass_context
 def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> None:
-    """Print the progress of STORE: tiles, cells and regimes done, and the run at work on it."""
+    """Print the progress of STORE: finished tiles, cells and regimes, and the run that writes it."""
     handle, timing = open_store(store), timing_of(ctx)
     if watching:
         with reporter(sys.stderr) as show:
@@ -37,7 +37,7 @@ def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> Non
 
 @click.command(epilog=examples("atlas verify plane.zarr --sample 100"))
 @store_argument
-@click.option("--repair", is_flag=True, help="Drop each bad tile, so that atlas run solves it again.")
+@click.option("--repair", is_flag=True, help="Drop each faulty tile, so that atlas run solves it again.")
 @click.option(
     "--sample", type=click.IntRange(min=0), metavar="N", default=32, show_default=True, help="Cells to solve again."
 )
@@ -46,7 +46,7 @@ def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> Non
 def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: bool) -> None:
     """Read all of STORE and check it: checksums, completeness, consistency, a sample of cells solved again.
 
-    Exit code 0: complete and fine; 1: something found. For a store that no run is at work on.
+    Exit code 0: complete and fine; 1: something found. Do not verify a store while a run writes it.
     """
     with reporter(sys.stderr) as show:
         report = verify_store(store, sample=sample, repair=repair, on_progress=show)
@@ -58,13 +58,13 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
 @click.command(epilog=examples("atlas pack plane.zarr plane.zip"))
 @store_argument
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--force", is_flag=True, help="Replace FILE where there is one.")
+@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
 @json_option
 @click.pass_context
 def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool) -> None:
-    """Pack STORE into one zip FILE, which every command that reads opens, and plain xarray too.
+    """Pack STORE into one zip FILE, which every reading command and plain xarray can open.
 
-    For a store that no run is at work on. STORE stays as it is.
+    Do not pack a store while a run writes it. STORE stays as it is.
     """
     with interruptible(), reporter(sys.stderr) as show:
         packed = pack_store(store, file, force, show, timing_of(ctx))

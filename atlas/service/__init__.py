@@ -1,1 +1,1 @@
-"""The coordinator's part of a run."""
+"""The service: coordinators, workers and commands that compute and watch stores."""

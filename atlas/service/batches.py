@@ -1,6 +1,6 @@
-"""Jobs sent to Dask, and results fetched, in batches: a single request takes 5 ms.
+"""Jobs in flight: submitting jobs to Dask and fetching their results in batches, since a single request takes 5 ms.
 
-The results go through the scheduler: fetching them directly would need a connection to every worker and take half as
+The results pass through the scheduler. Fetching them directly would need a connection to every worker, and take half as
 long again.
 """
 
@@ -22,16 +22,17 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 MIN_POLL_SECONDS, MAX_POLL_SECONDS = 5e-3, 50e-3
-"""Seconds between two looks at few jobs under way, and at many: meanwhile the finished jobs make a batch."""
+"""Seconds between two polls of few jobs in flight, and of many; jobs that finish meanwhile form a batch."""
 MIN_BATCH, MAX_HOLD_SECONDS = 16, 0.25
-"""Finished jobs that make a batch, or one in 20 of the jobs under way if that is less; and seconds to wait for them.
+"""Number of finished jobs that form a batch, and maximum seconds to wait for them.
 
-Both are small, so that no thread runs out of jobs.
+A batch is also one in 20 of the jobs in flight, if that is less. Both limits are small, so that no thread runs out of
+jobs.
 """
 MIN_WORKER_MEMORY = 500_000_000
-"""Bytes that a worker needs; the kernels take most of them, and Dask pauses a worker with a lower limit."""
+"""Bytes of memory that a worker needs. The kernels take most of them; Dask pauses a worker with a lower limit."""
 MANY_IN_FLIGHT = 400
-"""Jobs under way that are looked at with the longest pause."""
+"""Number of jobs in flight from which the pause between two polls is longest."""
 
 
 class IndexedJob(Protocol):
@@ -39,7 +40,7 @@ class IndexedJob(Protocol):
 
     @property
     def index(self) -> tuple[int, ...]:
-        """The index of its tile, or its number among other jobs."""
+        """The index of the job's tile, or its number among other jobs."""
 
 
 J = TypeVar("J", bound=IndexedJob)
@@ -48,12 +49,13 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class JobType(Generic[J, R]):
-    """A kind of work, as functions of modules; one run at a time uses this name.
+    """A kind of job, by module-level functions. At most one run at a time uses the name.
 
-    act       does a job
-    prepare   prepares a worker, once, before its first job
-    forget    drops the state kept by ``prepare``, at the end
-    memory    bytes that a worker needs
+    name      name of the setup on the workers
+    run       function that does a job
+    setup     function that prepares a worker, once, before its first job
+    teardown  function that drops the state of ``setup``, at the end
+    memory    bytes of memory that a worker needs
     """
 
     name: str
@@ -65,7 +67,12 @@ class JobType(Generic[J, R]):
 
 @dataclass(frozen=True)
 class AttemptSuccess(Generic[R]):
-    """The result of a job, the worker that did it, and its seconds, with those of the worker's setup if it waited."""
+    """The result of a successful attempt.
+
+    worker   address of the worker
+    result   what the job returned
+    seconds  duration of the attempt, with the worker's setup if the attempt waited for it
+    """
 
     worker: str
     result: R
@@ -73,16 +80,20 @@ class AttemptSuccess(Generic[R]):
 
 
 Result: TypeAlias = AttemptSuccess[R] | WorkerRefusal | AttemptFailure
-"""The value returned by ``run_on_worker``."""
+"""The value returned by ``run_on_worker``: the outcome of an attempt."""
 if TYPE_CHECKING:
     Ended: TypeAlias = Future[Result[R]]
 
 
 @dataclass(frozen=True)
 class JobAttempt(Generic[J]):
-    """A job that is to be done: its failures so far, and the workers that may do it, None for any.
+    """An attempt at a job.
 
-    ``since`` is when it was submitted, by the monotonic clock; ``is_moved``: it was taken from a worker that hangs.
+    job       the job
+    failures  failures of its earlier attempts
+    workers   addresses of the workers that may do it; None for all
+    since     time of submission, in seconds of ``time.monotonic``
+    is_moved  True if the job was taken from a worker that hangs
     """
 
     job: J
@@ -93,7 +104,7 @@ class JobAttempt(Generic[J]):
 
 
 def run_on_worker(act: Callable[[J], R], job: J) -> Result[R]:
-    """A worker's function: it runs the job, and returns an exception as a value that names the worker."""
+    """Run a job on this worker, and return its outcome; an exception becomes a value that names the worker."""
     from distributed import get_worker
 
     here, begin = get_worker().address, time.perf_counter()
@@ -111,7 +122,12 @@ def run_on_worker(act: Callable[[J], R], job: J) -> Result[R]:
 
 
 class InFlightJobs(Generic[J, R]):
-    """The attempts under way; ``act`` does a job. ``seconds`` limits the wait for a result that Dask cannot find."""
+    """The attempts in flight.
+
+    client   client of the cluster
+    act      function that does a job
+    seconds  maximum wait for a result that Dask cannot find
+    """
 
     def __init__(self, client: "Client", act: Callable[[J], R], seconds: float) -> None:
         self._client, self._act, self._seconds = client, act, seconds
@@ -124,7 +140,10 @@ class InFlightJobs(Generic[J, R]):
         return len(self._running)
 
     def submit(self, attempts: Iterable[JobAttempt[J]]) -> None:
-        """Submit attempts; attempts for the same workers go together, which costs hardly more than one."""
+        """Submit attempts.
+
+        Attempts for the same workers go into one request, which costs little more than a single attempt.
+        """
         together: dict[tuple[str, ...] | None, list[JobAttempt[J]]] = {}
         for attempt in attempts:
             together.setdefault(attempt.workers, []).append(attempt)
@@ -141,11 +160,11 @@ class InFlightJobs(Generic[J, R]):
 
     @property
     def oldest(self) -> float:
-        """When the first of the attempts under way was submitted; infinite without any."""
+        """Time at which the first of the attempts in flight was submitted; infinite if there are none."""
         return min((attempt.since for attempt in self._running.values()), default=math.inf)
 
     def held(self) -> dict[str, list[JobAttempt[J]]]:
-        """The attempts under way by the worker that has them, the oldest first, by one request to the scheduler."""
+        """Return the attempts in flight by worker, the oldest first, by one request to the scheduler."""
         under_way = {future.key: attempt for future, attempt in self._running.items()}
         with loss_reported(self._client):
             keys_by_worker = self._client.processing()
@@ -154,20 +173,23 @@ class InFlightJobs(Generic[J, R]):
         return {worker: attempts for worker, attempts in oldest_first.items() if attempts}
 
     def set_apart(self, worker: str, attempts: Iterable[JobAttempt[J]]) -> None:
-        """Count attempts on a worker as under way no more. They go on, since Dask cannot interrupt them."""
+        """Stop counting attempts on a worker as in flight. They continue, since Dask cannot interrupt them."""
         gone = {id(attempt) for attempt in attempts}
         for future in [future for future, attempt in self._running.items() if id(attempt) in gone]:
             del self._running[future]
             self._apart[future] = worker
 
     def returned(self) -> set[str]:
-        """The workers whose attempts were set apart and have all ended since, each once."""
+        """Return the workers all of whose attempts set apart have ended since; each worker is returned once."""
         before = {*self._apart.values()}
         self._apart = {future: worker for future, worker in self._apart.items() if not future.done()}
         return before - {*self._apart.values()}
 
     def cancel(self, which: Callable[[JobAttempt[J]], bool], waiting: bool = False) -> list[JobAttempt[J]]:
-        """Take back attempts; with ``waiting`` only attempts that no worker has begun: Dask cannot interrupt others."""
+        """Cancel the attempts for which ``which`` is True, and return them.
+
+        With ``waiting`` only attempts that no worker has begun are cancelled: Dask cannot interrupt others.
+        """
         futures = [future for future, attempt in self._running.items() if which(attempt)]
         with loss_reported(self._client):
             if futures and waiting:
@@ -178,7 +200,7 @@ class InFlightJobs(Generic[J, R]):
         return [self._running.pop(future) for future in futures]
 
     def ended(self) -> "Iterator[tuple[JobAttempt[J], Result[R]]]":
-        """The attempts that have ended after a short wait, with their results.
+        """Yield the attempts that have ended after a short wait, with their results.
 
         If a result was lost with its worker, Dask repeats the job, and the attempt ends again.
         """
@@ -196,7 +218,7 @@ class InFlightJobs(Generic[J, R]):
             yield self._running.pop(future), result
 
     def _fetched(self, finished: "list[Ended[R]]") -> "Iterator[tuple[Ended[R], Result[R]]]":
-        """The results of finished jobs, which lie on their workers, by one request to the scheduler."""
+        """Yield the results of finished jobs, which lie on their workers, by one request to the scheduler."""
         by_number = dict(enumerate(finished))
 
         async def gather() -> dict[int, Any]:
@@ -213,7 +235,7 @@ class InFlightJobs(Generic[J, R]):
                 yield by_number[number], result
 
     def _failure_of(self, future: "Ended[R]") -> AttemptFailure:
-        """The failure of a job that never returned: all workers that had it died."""
+        """Return the failure of a job that never returned, since all workers that had it died."""
         error = future.exception()
         assert error is not None
         if "deserialization of the task graph" in str(error):

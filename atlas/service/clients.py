@@ -1,4 +1,4 @@
-"""The workers of a run: those of a client, or processes started for it."""
+"""The Dask client of a run: a given client, that of a scheduler, an active one, or that of a local cluster."""
 
 from contextlib import ExitStack
 from functools import partial
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def start_client(client: "Client | None", count: int, options: RunOptions, stack: ExitStack) -> "Client":
-    """The client to work on: the given one, or a client of ``count`` processes, which are started now.
+    """Return ``client``, or start a local cluster of ``count`` processes and return its client.
 
     Closing ``stack`` ends the performance report, if the options ask for one, and then the processes.
     """
@@ -43,7 +43,7 @@ def start_client(client: "Client | None", count: int, options: RunOptions, stack
 
 
 def check_client(client: "Client | None", options: RunOptions) -> None:
-    """InputError for an object that is no client, and if a number of workers is given for the caller's cluster."""
+    """Raise InputError if ``client`` is no client, or if a number of workers is given together with a client."""
     if client is not None:
         check_kind(client)
     if client is not None and options.workers is not None:
@@ -51,17 +51,18 @@ def check_client(client: "Client | None", options: RunOptions) -> None:
 
 
 def check_kind(client: object) -> None:
-    """InputError for an object that is no client."""
+    """Raise InputError if ``client`` is not a Dask client."""
     if not hasattr(client, "nthreads"):
         how = "; a cluster has one: client=cluster.get_client()" if hasattr(client, "get_client") else ""
         raise InputError(f"client: found {brief_repr(client)}, must be a Dask client{how}")
 
 
 def connect_client(client: "Client | None", options: RunOptions, stack: ExitStack) -> "Client | None":
-    """The client to work on: the given one, a new client of the options' scheduler, or the client the caller has open.
+    """Return ``client``, a new client of the options' scheduler, or the active client of the caller.
 
-    In a Dask task that is the client of the task. None if a local cluster is needed: no client is open, or the options
-    have a number of workers. InputError if the options ask for a performance report that the scheduler cannot draw.
+    In a Dask task the active client is that of the task. Return None if a local cluster is needed, because no client is
+    active or the options have a number of workers. Raise InputError if the options ask for a performance report that
+    the scheduler cannot draw.
     """
     if client is None and options.scheduler is not None:
         options.report(Progress(f"connecting to {options.scheduler}", transient=True))
@@ -70,16 +71,16 @@ def connect_client(client: "Client | None", options: RunOptions, stack: ExitStac
         task = task_client()
         client = active_client() if task is None else stack.enter_context(task)
         if client is not None:
-            address = getattr(client.scheduler, "address", "a scheduler that is gone")
-            options.report(Progress(f"using the Dask client that is open, of {address}"))
+            address = getattr(client.scheduler, "address", "a lost scheduler")
+            options.report(Progress(f"using the active Dask client, connected to {address}"))
     check_report(client, options)
     return client
 
 
 def worker_count(client: "Client | None", options: RunOptions) -> int:
-    """The number of threads of a run's cluster, or of processes that it is going to start.
+    """Return the number of threads of a run's cluster, or of processes that will be started.
 
-    InputError if this process cannot start them.
+    Raise InputError if this process cannot start processes.
     """
     if client is None:
         count = options.workers or processors()
@@ -90,7 +91,7 @@ def worker_count(client: "Client | None", options: RunOptions) -> int:
 
 
 def check_report(client: "Client | None", options: RunOptions) -> None:
-    """InputError if the options ask for a performance report that the scheduler cannot draw.
+    """Raise InputError if the options ask for a performance report that the scheduler cannot draw.
 
     Without a client this process is going to be the scheduler.
     """
@@ -102,7 +103,7 @@ def check_report(client: "Client | None", options: RunOptions) -> None:
         with loss_reported(client):
             drawable = client.run_on_scheduler(has_dashboard)
     if not drawable:
-        raise InputError("performance_report: the scheduler draws it, and has no Bokeh: pip install bokeh")
+        raise InputError("performance_report: needs Bokeh on the scheduler's host: pip install bokeh")
 
 
 def _not_written(options: RunOptions, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""The Dask cluster of a run: one on this machine, or one at an address."""
+"""The Dask cluster of a run: a local one on this host, or the cluster of a scheduler at an address."""
 
 import logging
 import math
@@ -22,13 +22,20 @@ if TYPE_CHECKING:
     from distributed import Client, Security
 
 DASHBOARD = "127.0.0.1:8787"
-"""Dask's own port: a browser, or a tunnel to it, may stay open from run to run."""
-CLUSTER_LOST_MESSAGE = "the cluster was lost; the same command resumes from the stored tiles"
+"""Address of the dashboard: Dask's default port, so that a browser or a tunnel may stay open from run to run."""
+CLUSTER_LOST_MESSAGE = "the cluster was lost; rerun the same command to resume from the stored tiles"
 
 
 @dataclass(frozen=True)
 class Tls:
-    """Files for an encrypted connection to a scheduler; Dask's own configuration replaces a None."""
+    """Files for an encrypted connection to a scheduler; None leaves the file to Dask's own configuration.
+
+    ca_file  file of the certificate authority
+    cert     file of the client's certificate
+    key      file of the client's private key
+
+    Raise InputError if a file cannot be read.
+    """
 
     ca_file: str | None = None
     cert: str | None = None
@@ -41,7 +48,10 @@ class Tls:
 
 
 def _security(tls: Tls | None) -> "Security":
-    """Dask's Security by its configuration (distributed.comm.tls), in which the given files replace the named ones."""
+    """Return Dask's Security by its configuration (``distributed.comm.tls``).
+
+    The given files replace those of the configuration.
+    """
     from distributed import Security
 
     given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
@@ -51,7 +61,10 @@ def _security(tls: Tls | None) -> "Security":
 
 @contextmanager
 def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing = TIMING) -> Iterator["Client"]:
-    """A client of the scheduler at an address; InputError if none answers within ``timing.connect`` seconds."""
+    """Yield a client of the scheduler at an address.
+
+    Raise InputError if no scheduler answers within ``timing.connect`` seconds.
+    """
     import asyncio  # here, since most commands need none
 
     from distributed import Client
@@ -71,7 +84,7 @@ def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing 
 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
-    """Connect and hang up; raises an exception if nothing answers."""
+    """Connect to the scheduler and close the connection; raise an exception if nothing answers."""
     from distributed.comm.core import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
@@ -79,22 +92,23 @@ async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
 
 
 def check_startable(count: int) -> None:
-    """InputError if this process cannot start worker processes."""
+    """Raise InputError if this process cannot start worker processes."""
     if multiprocessing.current_process().daemon:
         raise InputError(
-            f"workers: found {count}, cannot be started by a daemonic process, such as a Dask worker; leave them out "
-            "to run on the cluster of the task"
+            f"workers: found {count}, cannot be started by a daemonic process, such as a Dask worker; leave the option "
+            "out to run on the cluster of the task"
         )
 
 
 @contextmanager
 def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
-    """Worker processes of one thread each, reachable from this machine only, and by this process alone.
+    """Start worker processes of one thread each, and yield their client.
 
-    A scheduler runs any code that it receives, and other users of this machine reach its port: connections need a
-    certificate that is made here and lies in the memory of these processes. The ``dashboard`` can only be looked at; it
-    is at DASHBOARD or, where that port is taken, at one that is free, if Bokeh is installed.
-    Dask's profiler is off: nobody looks at it, and Python 3.11 can crash when the frames of a running thread are read.
+    Only this process can reach them, and only from this host. A scheduler runs any code that it receives, and other
+    users of this host reach its port. Connections therefore need a certificate that is created here and lies in the
+    memory of these processes. The ``dashboard`` is read-only and needs Bokeh. Its address is DASHBOARD, or another port
+    if that port is in use. Dask's profiler is off: its output is not used, and Python 3.11 can crash when the frames of
+    a running thread are read.
     """
     import dask
     from distributed import Client, LocalCluster, Security
@@ -130,7 +144,7 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
 
 
 def has_dashboard() -> bool:
-    """Whether Dask can draw its dashboard and its reports: it needs Bokeh."""
+    """Return True if Dask can draw its dashboard and its reports, which need Bokeh."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of a Bokeh that is too old
         try:
@@ -141,7 +155,7 @@ def has_dashboard() -> bool:
 
 
 def dashboard_link(client: "Client") -> str:
-    """The address of a cluster's dashboard, by ``distributed.dashboard.link``; empty if it is unknown."""
+    """Return the address of a cluster's dashboard, by ``distributed.dashboard.link``; empty if it is unknown."""
     try:
         return client.dashboard_link or ""
     except (KeyError, ValueError):  # the user's template names a variable that this environment does not have
@@ -154,7 +168,7 @@ def performance_reported(
 ) -> Iterator[None]:
     """Write Dask's performance report of the block into an HTML file that needs no network; nothing if path is None.
 
-    If the report cannot be written at the end, the run stands, and ``failed`` is called with the reason.
+    If the report cannot be written at the end, the run is unaffected, and ``failed`` is called with the reason.
     """
     if path is None:
         yield
@@ -176,7 +190,7 @@ def performance_reported(
 
 @contextmanager
 def loss_reported(client: "Client") -> Iterator[None]:
-    """Raise RunError in place of Dask's errors if the cluster goes away in the middle of a call."""
+    """Raise RunError in place of Dask's errors if the cluster is lost within the block."""
     from distributed import CancelledError
     from distributed.comm.core import CommClosedError
 
@@ -191,7 +205,7 @@ def loss_reported(client: "Client") -> Iterator[None]:
 
 
 def worker_threads(client: "Client") -> dict[str, int]:
-    """Threads of each worker by its address; RunError if the cluster is gone."""
+    """Return the number of threads of each worker by its address; raise RunError if the cluster is lost."""
     if client.status != "running":
         raise RunError(CLUSTER_LOST_MESSAGE)
     with loss_reported(client):
@@ -199,14 +213,14 @@ def worker_threads(client: "Client") -> dict[str, int]:
 
 
 def worker_memory(client: "Client") -> dict[str, tuple[int, bool]]:
-    """The workers by address: memory limit in bytes, 0 for none, and whether Dask has paused the worker."""
+    """Return, by worker address, the memory limit in bytes (0 for none) and True if Dask has paused the worker."""
     with loss_reported(client):
         infos = client.scheduler_info(n_workers=-1)["workers"]  # all: releases from 2025.4 on list five by default
     return {name: (int(info.get("memory_limit") or 0), info.get("status") == "paused") for name, info in infos.items()}
 
 
 def active_client() -> "Client | None":
-    """The client that the caller has open, Dask's default client; None if there is none."""
+    """Return the client that the caller has open, Dask's default client; None if there is none."""
     if "distributed" not in sys.modules:
         return None
     from distributed import default_client
@@ -218,7 +232,10 @@ def active_client() -> "Client | None":
 
 
 def task_client() -> "AbstractContextManager[Client] | None":
-    """The client of the Dask task that this is called in, which leaves its thread to others meanwhile; None outside."""
+    """Return the client of the Dask task that this is called in; None outside a task.
+
+    While the client is in use, the task leaves its thread to other tasks.
+    """
     if "distributed" not in sys.modules:
         return None
     from distributed import get_worker, worker_client
@@ -233,10 +250,11 @@ def task_client() -> "AbstractContextManager[Client] | None":
 def count_threads(
     client: "Client", waiting: Callable[[float], None], limit: float = math.inf, poll: float = 0.5
 ) -> int:
-    """Threads of a cluster, once its first worker is there; until then ``waiting`` is called with the seconds.
+    """Return the number of threads of a cluster, once its first worker is there.
 
-    A cluster that grows with its work has no worker before it has work: a task is submitted, and waited for as long as
-    it takes. InputError if none has come within ``limit`` seconds.
+    Until then ``waiting`` is called with the seconds passed, every ``poll`` seconds. A cluster that grows with its work
+    has no worker before it has work, so a Dask task is submitted and waited for. Raise InputError if no worker has
+    joined within ``limit`` seconds.
     """
     if client.asynchronous:
         raise InputError("client: found an asynchronous one, must be synchronous")
@@ -259,7 +277,7 @@ def count_threads(
 
 
 def leave_if_bootstrapping() -> None:
-    """End a worker process that imports its parent's script: a script without a __main__ guard gets here.
+    """End a worker process that imports its parent's script: a script without a ``__main__`` guard gets here.
 
     The parent then explains the guard; an exception here would print a traceback for every worker.
     """
@@ -269,7 +287,7 @@ def leave_if_bootstrapping() -> None:
 
 @contextmanager
 def _quiet(*more: str) -> Iterator[None]:
-    """Keep the logs of Dask and of the packages ``more`` off the terminal: outcomes and errors come back as values."""
+    """Keep the logs of Dask and of the packages ``more`` off the terminal, since outcomes and errors are values."""
     # Importing distributed has given several of its loggers a level and a handler of their own.
     packages = ("distributed", "tornado", *more)
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]

@@ -1,4 +1,4 @@
-"""Finding a plane's curves on the workers: stages of tasks, finished ones kept in the store, the curves at the end."""
+"""Finding a plane's curves on the workers: stages of jobs, whose parts are kept in the store, then the curves."""
 
 import time
 from collections.abc import Mapping
@@ -32,7 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CurveSummary:
-    """The curves of a store, and the cost of finding them: none if the store had them."""
+    """The curves of a store, and the cost of finding them.
+
+    store              path or URL of the store
+    curves             the curves
+    seconds            duration of the search
+    processor_seconds  processor time of the workers
+    workers            number of worker threads
+    tasks              number of jobs
+
+    The cost is 0 if the store had the curves already.
+    """
 
     store: str
     curves: Curves
@@ -42,7 +52,7 @@ class CurveSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas find curves --json`` prints."""
+        """Return the dict that ``atlas find curves --json`` prints."""
         report, kinds = self.curves.report, [curve.kind for curve in self.curves]
         edges: Mapping[str, Any] = report["edges"]
         return {
@@ -90,11 +100,11 @@ def find_curves(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunOptionFields],
 ) -> CurveSummary:
-    """Find the curves of a finished plane and keep them in its store.
+    """Find the curves of a finished plane, and write them into its store.
 
-    Returns at once if the store has the curves for these settings. The search runs on ``client`` or on the workers
-    given by the options, like ``run``. The same call resumes a search that was stopped.
-    Raises InputError if the store is not a finished plane; see also ``run``.
+    Return at once if the store has the curves for these settings. The search runs on ``client`` or on the workers of
+    the options, like ``run``. The same call resumes a search that was stopped. Raise InputError if the store is not a
+    finished plane; see also ``run``.
     """
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         settings = CurveSettings() if settings is None else settings
@@ -112,11 +122,11 @@ def find_curves(
 
 
 def _stored(handle: AtlasStore, digest: str) -> Curves | None:
-    """The stored curves, if a search with this digest found them; else None."""
+    """Return the stored curves if a search with this digest found them, else None."""
     try:
         stored = read_curves(handle)
     except ChunkError:
-        return None  # they are found anew
+        return None  # the search runs again
     if stored is None or stored.report.get("digest") != digest:
         return None
     if not handle.backend.read_only_reason and any(part_names(handle, CURVES)):
@@ -126,7 +136,7 @@ def _stored(handle: AtlasStore, digest: str) -> Curves | None:
 
 @dataclass
 class _CurveRun:
-    """A search on a claimed store."""
+    """A search for curves on a leased store."""
 
     handle: AtlasStore
     search: CurveSearch
@@ -134,7 +144,7 @@ class _CurveRun:
     pool: WorkerPool[CurveJob, PartReport]
 
     def run(self) -> CurveSummary:
-        """Do the stages that are due, and write the curves."""
+        """Run the unfinished stages, write the curves, and return the summary."""
         kept = finished_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
             jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]

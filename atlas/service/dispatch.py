@@ -1,4 +1,7 @@
-"""Handing jobs to workers and collecting the outcomes: a window of jobs under way; failed jobs are tried again."""
+"""Sending jobs to workers and collecting the outcomes.
+
+A limited number of jobs is in flight, and failed jobs are retried.
+"""
 
 import logging
 import math
@@ -24,27 +27,38 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 """Decisions, and errors of workers with their tracebacks, at level DEBUG."""
 IN_FLIGHT, MAX_IN_FLIGHT = 2, 64
-"""Jobs under way for each thread: one running, one waiting, so that no thread idles and no queue grows.
+"""Number of jobs in flight for each thread, at least and at most: one running, one waiting, so that no thread idles.
 
-If jobs are short, enough of them to keep the thread busy for AHEAD seconds, at most MOST_IN_FLIGHT.
+If jobs are short, enough of them are in flight to keep the thread busy for QUEUED_SECONDS.
 """
 QUEUED_SECONDS = 10.0
-"""Seconds of work that Dask is shown for each thread: a cluster that adapts itself grows while it sees over 5 s."""
+"""Seconds of work queued per thread. Dask's adaptive scaling adds workers while more than 5 s are queued."""
 EXTRA_IN_FLIGHT = 1
-"""Jobs under way beyond one for each thread where their order may change: the next begins as soon as one ends."""
+"""Number of jobs in flight beyond one per thread if their order may change: the next begins as soon as one ends."""
 MAX_ATTEMPTS = 3
-"""How often a tile that raises, or whose workers die, is tried in one run."""
+"""Maximum number of attempts, in one run, at a tile that raises or whose workers die."""
 MAX_NAMED_WORKERS = 3
-"""Workers, or tiles of a worker, named in a line about several."""
+"""Maximum number of workers, or of tiles of a worker, that a message names."""
 SLOW = 10.0
-"""Times the longest job so far, after which a worker that has ended none hangs, if ``Timing.hung`` is over too."""
+"""Factor on the duration of the longest job so far.
+
+A worker that finishes no job for longer hangs, if ``Timing.hung`` has passed too.
+"""
 MAX_ALLOWED_WORKERS = 64
-"""Workers that jobs are restricted to, and four for each job: Dask keeps a copy of the list for each job."""
+"""Maximum number of workers that jobs are restricted to, with four more for each job.
+
+Dask keeps a copy of the list for each job.
+"""
 
 
 @dataclass(frozen=True)
 class WorkerStatus:
-    """The workers of a run: number of threads, excluded workers with the reason, and why no job has ended lately."""
+    """The workers of a run.
+
+    threads   number of worker threads
+    excluded  reasons for the exclusion of workers, by address
+    trouble   reason why no job has finished lately; empty if none is known
+    """
 
     threads: int
     excluded: Mapping[str, str]
@@ -53,7 +67,7 @@ class WorkerStatus:
 
 @contextmanager
 def open_dispatcher(client: "Client", job_type: JobType[J, R], timing: Timing = TIMING) -> "Iterator[Dispatcher[J, R]]":
-    """The workers of a cluster, set up for their jobs until the end of the block."""
+    """Set up the workers of a cluster for their jobs until the end of the block, and yield their dispatcher."""
     from atlas.service.worker_setup import prepare_workers  # imports Dask, which takes a while to load
 
     with prepare_workers(client, job_type, timing.connect) as act:
@@ -61,12 +75,17 @@ def open_dispatcher(client: "Client", job_type: JobType[J, R], timing: Timing = 
 
 
 class Dispatcher(Generic[J, R]):
-    """The workers of a cluster, and the record of their successes and failures.
+    """Sends jobs to the workers of a cluster and collects their outcomes.
 
-    A job that fails is tried again, on another worker or machine if there is one. A worker is excluded if FAILURES jobs
-    in a row failed there while other workers succeed, if it has too little memory, or while it hangs. Its jobs are then
-    given to others, each once: a job that is as slow elsewhere is slow. ``ahead`` is the number of seconds of work that
-    wait for each thread; with 0 the next job is chosen as late as possible.
+    A job that fails is retried, on another worker or host if there is one. A worker is excluded if MAX_FAILURES
+    consecutive jobs failed on it while other workers succeed, if it has too little memory, or while it hangs. Jobs of a
+    worker that hangs are sent to others, each once: a job that is as slow elsewhere is slow.
+
+    client  client of the cluster
+    act     function that does a job on a worker
+    timing  waiting times
+    memory  bytes of memory that a worker needs
+    ahead   seconds of work queued for each thread; with 0 the next job is chosen as late as possible
     """
 
     def __init__(
@@ -91,11 +110,12 @@ class Dispatcher(Generic[J, R]):
         self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
-        """Submit jobs in a window, and yield their outcomes as they end; at an error, jobs under way are dropped.
+        """Submit jobs, a limited number at a time, and yield their outcomes as they finish.
 
-        ``jobs`` may be empty now and have a job later: while jobs are under way, it is asked again whenever there is
-        room. ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to
-        stop. Raises RunError if the cluster is lost, all workers are excluded, or the store has no room.
+        ``jobs`` may run dry and yield again later. It is polled whenever there is room, as long as jobs are in flight.
+        ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop. At
+        an error the jobs in flight are cancelled. Raise RunError if the cluster is lost, all workers are excluded, or
+        the store is full.
         """
         self.pending, ticked = iter(jobs), -math.inf
         self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
@@ -122,7 +142,7 @@ class Dispatcher(Generic[J, R]):
                 self.in_flight.cancel(lambda _: True)
 
     def refresh_workers(self) -> None:
-        """Look at the cluster, which may grow and shrink during the run."""
+        """Update the workers from the cluster, which may grow and shrink during the run."""
         threads, now = worker_threads(self.client), time.monotonic()
         self.thread_seconds += sum(self.threads.values()) * (now - self.refreshed_at)
         self.refreshed_at = now
@@ -135,14 +155,14 @@ class Dispatcher(Generic[J, R]):
         # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
         lost = self.in_flight.cancel(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
         if lost:
-            LOG.debug("workers are gone: %s given to others", plural(len(lost), "tile"))
+            LOG.debug("workers are gone: %s sent to others", plural(len(lost), "tile"))
         self.retries.extend(lost)
         for worker in threads:
             self.heard.setdefault(worker, now)
         self.move_jobs(now)
 
     def move_jobs(self, now: float) -> None:
-        """Take jobs from workers that hang, and give workers that hang no more jobs again."""
+        """Take jobs from workers that hang, and readmit workers that have finished the jobs taken from them."""
         for worker in self.in_flight.returned():
             LOG.debug("%s has ended the tiles that were taken from it", worker)
             self.fitness.readmit(worker)
@@ -160,28 +180,28 @@ class Dispatcher(Generic[J, R]):
                 hung[worker] = [attempt for attempt in attempts if not attempt.is_moved]
         for worker, attempts in hung.items() if willing - hung.keys() else ():  # else there is no other worker
             silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
-            reason = f"it has had {_tiles(attempts)} for {silent}, the longest before took {duration(self.longest)}"
+            reason = f"it has had {_tiles(attempts)} for {silent}, the longest job took {duration(self.longest)}"
             LOG.debug("%s hangs: %s", worker, reason)
-            self.fitness.record_refusal(WorkerRefusal(worker, f"{reason}; others do them"))
+            self.fitness.record_refusal(WorkerRefusal(worker, f"{reason}; other workers do them"))
             self.in_flight.set_apart(worker, attempts)
             self.retries.extend(replace(attempt, is_moved=True) for attempt in attempts)
 
     def require_memory(self, memory: int) -> None:
-        """Set the bytes that jobs need from now on: workers with less memory are excluded."""
+        """Set the bytes of memory that jobs need from now on. Workers with less memory are excluded."""
         self.memory = memory
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:
-                needed = f"needs {byte_size(memory)}: dask worker --memory-limit"
+                needed = f"required {byte_size(memory)}; raise it with: dask worker --memory-limit"
                 self.fitness.record_refusal(
-                    WorkerRefusal(worker, f"its memory limit is {byte_size(limit)}, a worker {needed}")
+                    WorkerRefusal(worker, f"memory limit {byte_size(limit)} is below the {needed}")
                 )
 
     def worker_status(self) -> WorkerStatus:
-        """The workers, by the last look at the cluster and the outcomes so far."""
+        """Return the status of the workers, by the last refresh and the outcomes so far."""
         return WorkerStatus(sum(self.threads.values()), self.fitness.excluded, self.describe_trouble())
 
     def describe_trouble(self) -> str:
-        """Why no job has ended for a while, empty if nothing is known to be wrong."""
+        """Return the reason why no job has finished for a while; empty if nothing is known to be wrong."""
         silent = time.monotonic() - self.last_finished_at
         if silent < self.timing.stall_after or not self.in_flight:
             return ""
@@ -193,18 +213,19 @@ class Dispatcher(Generic[J, R]):
             shown = [f"{worker} has {_tiles(attempts)}" for worker, attempts in held.items()]
             more = ", ..." if len(shown) > MAX_NAMED_WORKERS else ""
             return (
-                f"nothing has ended for {duration(silent)}: {', '.join(shown[:MAX_NAMED_WORKERS])}{more}"
-                if shown
-                else ""
+                f"no job finished for {duration(silent)}: {', '.join(shown[:MAX_NAMED_WORKERS])}{more}" if shown else ""
             )
         names = ", ".join(paused[:MAX_NAMED_WORKERS]) + (", ..." if len(paused) > MAX_NAMED_WORKERS else "")
         return (
-            f"nothing has ended for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} for lack of "
+            f"no job finished for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} short of "
             f"memory: {names}"
         )
 
     def submit_jobs(self) -> None:
-        """Fill the window with jobs, starting with jobs that are to be tried again."""
+        """Submit jobs until the maximum number is in flight, jobs to be retried first.
+
+        Raise RunError if the cluster is lost, or if all workers are excluded and no replacement has come.
+        """
         left_out = self.fitness.excluded
         willing = [worker for worker in self.threads if worker not in left_out]
         if willing or not left_out:
@@ -216,11 +237,12 @@ class Dispatcher(Generic[J, R]):
             if not self.fitness.readmit_failed():
                 worker, reason = next(iter(left_out.items()))
                 raise RunError(
-                    f"no worker can do this run: {worker}: {reason}; finished tiles are kept; the same command resumes"
+                    f"all workers are excluded, for example {worker}: {reason}; finished tiles are kept, rerun the "
+                    "same command to resume"
                 )
             return
         else:
-            return  # a worker that did jobs is gone, and may come back
+            return  # a worker that did jobs is gone, and may reconnect
         if self.client.status != "running":
             raise RunError(CLUSTER_LOST_MESSAGE)
         room = max(0, self.window_size(max(1, sum(self.threads[worker] for worker in willing))) - len(self.in_flight))
@@ -235,14 +257,17 @@ class Dispatcher(Generic[J, R]):
         self.in_flight.submit(attempts)
 
     def window_size(self, threads: int) -> int:
-        """The number of jobs to keep under way for this number of threads, by the times of jobs so far."""
+        """Return the number of jobs to keep in flight for this number of threads, by the durations of jobs so far."""
         if not self.ahead:
             return threads + EXTRA_IN_FLIGHT
         jobs = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
         return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, jobs))
 
     def cancel_stale(self, stale: Callable[[J], bool]) -> list[J]:
-        """Take back jobs that are no longer wanted, and return them; a job that a worker has begun is finished."""
+        """Cancel the jobs for which ``stale`` is True, and return them.
+
+        Jobs that a worker has begun are not cancelled.
+        """
         dropped = self.in_flight.cancel(lambda attempt: stale(attempt.job), waiting=True)
         for attempts in (self.retries, self.doubtful):
             gone = [attempt for attempt in attempts if stale(attempt.job)]
@@ -252,7 +277,7 @@ class Dispatcher(Generic[J, R]):
         return [attempt.job for attempt in dropped]
 
     def handle_result(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
-        """The outcome of a job; None if it is to be tried again, or is in doubt."""
+        """Return the outcome of a job; None if the job is retried, or in doubt."""
         self.last_finished_at = time.monotonic()
         if result.worker:
             self.heard[result.worker] = self.last_finished_at
@@ -267,7 +292,7 @@ class Dispatcher(Generic[J, R]):
             self.retries.append(attempt)
             return None
         if result.store_full:
-            raise RunError(f"{result.reason}; finished tiles are kept; make room and give the same command again")
+            raise RunError(f"{result.reason}; finished tiles are kept, make room and rerun the same command")
         where, trace = result.worker or "a worker that died", f"\n{result.traceback}".rstrip()
         LOG.debug("tile %s failed on %s: %s%s", attempt.job.index, where, result.reason, trace)
         self.fitness.fail(attempt.job.index, result, attempt.failures)
@@ -275,14 +300,12 @@ class Dispatcher(Generic[J, R]):
         at_fault = self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS)
         if at_fault:
             return _given_up(attempt)
-        LOG.debug(
-            "tile %s is tried again, %s", attempt.job.index, "later" if at_fault is None else "elsewhere if possible"
-        )
+        LOG.debug("tile %s is retried, %s", attempt.job.index, "later" if at_fault is None else "elsewhere if possible")
         (self.retries if at_fault is False else self.doubtful).append(attempt)
         return None
 
     def judge_doubtful(self) -> Iterator[TileFailure]:
-        """Judge the jobs in doubt once all others are done: a job is tried again or given up."""
+        """Decide on the jobs in doubt once all others are finished: retry a job, or yield its failure."""
         if self.fitness.excluded.keys() >= self.threads.keys():
             self.fitness.readmit_failed()
         for attempt in self.doubtful:
@@ -294,13 +317,16 @@ class Dispatcher(Generic[J, R]):
 
 
 def _tiles(attempts: list[JobAttempt[J]]) -> str:
-    """The first of some attempts' tiles, in words."""
+    """Return the first few tiles of some attempts as text."""
     names = ", ".join(str(attempt.job.index) for attempt in attempts[:MAX_NAMED_WORKERS])
     return f"tile{'s' * (len(attempts) > 1)} {names}{', ...' * (len(attempts) > MAX_NAMED_WORKERS)}"
 
 
 def _elsewhere(willing: list[str], failures: tuple[AttemptFailure, ...]) -> tuple[str, ...] | None:
-    """The workers for the next attempt: on machines without a failure, else workers without a failure, else any."""
+    """Return the workers for the next attempt.
+
+    They are those on hosts without a failure, else those without a failure, else all.
+    """
     failed = {failure.worker for failure in failures}
     hosts = {host_of(worker) for worker in failed}
     apart = [worker for worker in willing if host_of(worker) not in hosts]
@@ -308,7 +334,7 @@ def _elsewhere(willing: list[str], failures: tuple[AttemptFailure, ...]) -> tupl
 
 
 def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Enough workers for Dask to choose from, for this number of jobs; None if there are none."""
+    """Return enough workers for Dask to choose from, for this number of jobs; None if there are no workers."""
     enough = MAX_ALLOWED_WORKERS + 4 * jobs
     return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
 

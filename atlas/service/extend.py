@@ -1,4 +1,4 @@
-"""Extending an atlas: a new store of more cells, which takes over the cells of an old one."""
+"""Extending an atlas: a new store with more cells, which takes over the cells of an old store."""
 
 import math
 from collections.abc import Mapping
@@ -38,10 +38,10 @@ def extend(
     """Compute a larger or finer atlas into a new store, reusing the finished cells of ``store`` to the bit.
 
     ``spec`` is the spec of the new atlas; only the values on its axes may differ. Alternatively ``refine`` is the
-    factor by which all axes, or the named axes, become finer. ``store`` does not change, and has to stay in place until
-    the new store is complete; at URLs ``storage_options`` are for both. The same call resumes an extension that was
-    stopped. ``client``, ``options`` and ``fields``: as for ``run``.
-    Raises InputError, before anything is written, if the two atlases do not fit together; see also ``run``.
+    factor by which all axes, or the named axes, become finer. ``store`` does not change, and must stay in place until
+    the new store is complete; at URLs ``storage_options`` are for both stores. The same call resumes an extension that
+    was stopped. ``client``, ``options`` and ``fields`` are those of ``run``. Raise InputError, before anything is
+    written, if the two atlases do not fit together; see also ``run``.
 
     Of 7 x 5 cells, each axis twice as fine:
 
@@ -55,18 +55,20 @@ def extend(
         validate_type("spec", spec, Spec, "an atlas.Spec")
     old = handle_from(store, options.storage_options)
     if old.spec.points or (spec is not None and spec.points):
-        raise InputError(f"{old.backend}: a table of points is not extended: run the new table into a store of its own")
+        raise InputError(
+            f"{old.backend}: a table of points cannot be extended: run the new table into a store of its own"
+        )
     if old.spec.attractors is not None or (spec is not None and spec.attractors is not None):
         raise InputError(
-            f"{old.backend}: an atlas of all attractors is not extended: run the new one into its own store"
+            f"{old.backend}: an atlas of all attractors cannot be extended: run the new one into a store of its own"
         )
     if (spec is None) == (refine is None):
-        raise InputError("give either a spec or by how much to refine")
+        raise InputError("extend: give either spec or refine")
     grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.backend))
     place = place_from(old, into, options.storage_options)
     kept = count_shared(old, grown, done_tiles(old))
     if not kept:
-        raise InputError(f"{old.backend}: no finished cell of it lies on the new grid; compute that by atlas run")
+        raise InputError(f"{old.backend}: no finished cell lies on the new grid; compute the new atlas with atlas run")
     with progress_reporter(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
@@ -74,20 +76,25 @@ def extend(
 
 
 def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:
-    """The handle of a store whose cells are reused; the options, of the new store, apply to it too at a URL."""
+    """Return the handle of a store whose cells are reused. At a URL the options of the new store apply to it, too."""
     return open_store(store, storage_options if is_url(store) else None)
 
 
 def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] | None = None) -> StoreBackend:
-    """The place of a new store that reuses the cells of an old one; InputError if it cannot reuse any."""
+    """Return the backend of a new store that reuses the cells of an old one.
+
+    Raise InputError if it cannot reuse any.
+    """
     place = open_backend(into, storage_options=storage_options)
     if place == old.backend:
-        raise InputError(f"{place}: is the store to take cells from; the new one needs another path")
+        raise InputError(f"{place}: found the store to take cells from, must be another path")
     if sibling_backend(place, str(old.backend)) != old.backend:
-        raise InputError(f"{old.backend}: workers reach it by its name, as they reach {place}; give both alike")
+        raise InputError(
+            f"{old.backend}: workers reach it in the same way as {place}; give both as paths or both as URLs"
+        )
     if old.solver_version != SOLVER_VERSION:
         raise InputError(
-            f"{old.backend}: made by solver version {old.solver_version}, this is version {SOLVER_VERSION}; "
-            "their numbers do not mix: compute the new atlas by atlas run"
+            f"{old.backend}: computed by solver version {old.solver_version}, installed is {SOLVER_VERSION}; "
+            "a store cannot mix solver versions, compute the new atlas with atlas run"
         )
     return place

@@ -20,14 +20,14 @@ from workers.results import LABEL
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """The counts of a store's labels, and the seconds spent finding them; 0 if the store had them already."""
+    """The counts of a store's labels, and the seconds spent on labelling; 0 if the store had labels already."""
 
     store: str
     count: LabelCounts
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas attractors label --json`` prints."""
+        """Return the dict that ``atlas attractors label --json`` prints."""
         return {"store": self.store, **asdict(self.count), "seconds": self.seconds}
 
     __repr__ = text_repr
@@ -53,7 +53,7 @@ def label_attractors(
 ) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
-    Returns at once if the store has labels. Raises InputError if the store is not a finished atlas of all attractors.
+    Return at once if the store has labels. Raise InputError if the store is not a finished atlas of all attractors.
     """
     with open_store_call(store, None, merge_options(options, fields)) as (handle, options, _):
         stored = stored_count(handle)

@@ -1,10 +1,12 @@
-"""The claim of a store by one coordinator at a time, proved by a counter that advances, not by a clock.
+"""The lease of a store: at most one coordinator writes a store at a time.
 
-A claim is one small note outside the store. At every beat its holder increments a counter in it. Another run that
-finds a claim watches the counter. If it moves, the claim stands; if it stands still for ``Timing.dead`` seconds by the
-watcher's own clock, or the holder's process is gone, the claim is replaced. Everything rests on one operation: write a
-note only if the stored note is still the one that was read. A holder that merely slept thus learns of its replacement
-at its next beat. Status and cancel report a silent claim, and leave it in place.
+A lease is a small file in the store's sidecar. Its holder renews it with heartbeats, each of which increments a
+counter. A run that finds a lease watches the counter by its own clock, so clocks of different hosts need not agree. If
+the counter moves, the lease is valid. If the counter stands still for ``Timing.expire_after`` seconds, or the holder's
+process no longer exists, the lease has expired and is taken over. All of this rests on one operation, compare-and-set:
+a file is written only if it still holds the bytes that were read. A holder that was suspended therefore notices at its
+next heartbeat that it has lost the lease. ``atlas status`` and ``atlas cancel`` report an expired lease and leave it in
+place.
 """
 
 import json
@@ -25,14 +27,22 @@ from atlas.store.object_backend import StoreBackend
 from atlas.store.sidecar import LEASE_NAME, Sidecar, token_fence
 
 ENDED = "ended"
-"""The name of the note about the end of the last submitted run."""
+"""Name of the sidecar file about the end of the last submitted run."""
 
 
 @dataclass(frozen=True)
 class LeaseRecord:
-    """The contents of a claim. ``process`` is a unique name of the holder's process; empty where no such name exists.
+    """The contents of a lease file.
 
-    ValueError for a field that no holder writes.
+    token      unique identifier of the lease
+    beat       number of heartbeats so far
+    host       name of the holder's host
+    pid        process id of the holder
+    process    unique name of the holder's process; empty on systems without such names
+    cancelled  True if the holder has been asked to stop
+    progress   the holder's report of its progress; empty before the first report
+
+    Raise ValueError for a field that no holder writes.
     """
 
     token: str
@@ -52,23 +62,26 @@ class LeaseRecord:
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
-        """The record as the bytes of a note."""
+        """Return the record as the bytes of a lease file."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def unpack(cls, data: bytes) -> "LeaseRecord | None":
-        """The inverse; None for a damaged claim, for example if its holder was killed while it wrote."""
+        """Return the record of a lease file; None if the file is damaged.
+
+        It is damaged, for example, if its holder was killed while writing.
+        """
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
             return None
 
     def number(self, name: str) -> float:
-        """A number in the holder's report of its progress; 0 if it is missing."""
+        """Return a number of the holder's progress report; 0 if it is missing."""
         value = self.progress.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return 0
-        return value if abs(value) < 2**63 else 0  # nor is NaN
+        return value if abs(value) < 2**63 else 0  # NaN fails the comparison
 
     @property
     def trouble(self) -> str:
@@ -78,7 +91,7 @@ class LeaseRecord:
 
     @property
     def is_alive(self) -> bool | None:
-        """Whether the holder runs; None if this machine cannot know."""
+        """True if the holder's process runs, False if it does not; None if this host cannot know."""
         return is_running(self.pid, self.process)
 
     def __str__(self) -> str:
@@ -86,12 +99,12 @@ class LeaseRecord:
 
 
 class Lease:
-    """A claim held by this run: a thread advances its counter until ``release``.
+    """A lease held by this run; a background thread renews it until ``release``.
 
-    ``lost`` is the reason why this run no longer holds the claim, empty while it does. If the counter stands still for
-    ``timing.dead`` seconds because the store does not answer, another run may replace the claim as soon as the store is
-    back. This run then waits for a beat to succeed, which happens only if nobody has replaced the claim; it waits at
-    most ``patience`` seconds, or ``timing.dead`` if that is more.
+    ``lost`` is the reason why the lease is no longer held, and empty while it is. If no heartbeat succeeds for
+    ``timing.expire_after`` seconds, another run may take the lease over as soon as the store responds again. This run
+    then waits for a heartbeat to succeed, which is possible only if no other run has taken over. It waits at most
+    ``patience`` seconds, or ``timing.expire_after`` if that is longer.
     """
 
     def __init__(self, sidecar: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
@@ -101,32 +114,35 @@ class Lease:
         self._failure: OSError | None = None
         self._released, self._one_beat = threading.Event(), threading.Lock()
         self._progress: Mapping[str, Any] = {}
-        self._thread = threading.Thread(target=self._beat_on, name="atlas-claim", daemon=True)
+        self._thread = threading.Thread(target=self._beat_on, name="atlas-lease", daemon=True)
         self._thread.start()
 
     @property
     def token(self) -> str:
-        """The unique token of this run's claim."""
+        """The unique token of this run's lease."""
         return self._record.token
 
     def set_progress(self, progress: Mapping[str, Any]) -> None:
-        """Set the progress that the next beats write; the first report is written at once, before the first tile."""
+        """Set the progress that the next heartbeats write.
+
+        The first report is written at once, before the first tile.
+        """
         first, self._progress = not self._progress, progress
         if first:
             with suppress(OSError):
                 self._beat()
 
     def check(self, waiting: Callable[[], None] = lambda: None) -> None:
-        """Raise RunError if this run has lost the claim, or has been asked to stop.
+        """Raise RunError if this run has lost the lease or has been asked to stop.
 
-        While it is unknown whether another run has replaced the claim, wait; ``waiting`` is called before each pause.
+        While it is unknown whether another run has taken over, wait; ``waiting`` is called before each pause.
         """
         while (silent := time.monotonic() - self._advanced) > self._timing.expire_after and not self.lost:
-            if silent > self._most_silent or isinstance(self._failure, PermissionError):  # which does not pass
+            if silent > self._most_silent or isinstance(self._failure, PermissionError):  # it does not pass
                 reason = f" ({self._failure.strerror or self._failure})" if self._failure else ""
                 self.lost = (
-                    f"this run could not renew its claim of the store for {silent:.0f} s{reason}, so that another run "
-                    "may have replaced it; finished tiles are kept, and the same command resumes"
+                    f"lease lost: no heartbeat succeeded for {silent:.0f} s{reason}, so another run may have taken "
+                    "over; finished tiles are kept, rerun the same command to resume"
                 )
                 break
             waiting()
@@ -134,14 +150,14 @@ class Lease:
         if self.lost:
             raise RunError(self.lost)
         if self._record.cancelled:
-            raise RunError("stopped by atlas cancel; finished tiles are kept, and the same command resumes from them")
+            raise RunError("stopped by atlas cancel; finished tiles are kept, rerun the same command to resume")
 
     def fence_backend(self, place: StoreBackend) -> StoreBackend:
-        """The claimed place behind a fence: every write and removal first calls ``check`` and reads the claim.
+        """Return the backend behind a fence: before each write and removal the lease is checked and read.
 
-        A process that has slept since the last beat may not know yet that its claim was replaced.
+        The read is needed because a process that was suspended does not know yet that its lease was taken over.
         """
-        lost = "this run has lost its claim of the store: another run has taken it; finished tiles are kept"
+        lost = "lease lost: another run has taken over the store; finished tiles are kept"
         look = token_fence(place, LEASE_NAME, self.token, RunError, lost)
 
         def fence() -> None:
@@ -151,7 +167,7 @@ class Lease:
         return place.with_fence(fence)
 
     def release(self) -> None:
-        """Free the store."""
+        """Stop the heartbeats and remove the lease file."""
         self._released.set()
         self._thread.join()
         with suppress(OSError):
@@ -162,7 +178,7 @@ class Lease:
         while not self._released.wait(self._timing.heartbeat) and not self.lost:
             try:
                 self._beat()
-            except OSError as error:  # a disk that is away comes back, or another run replaces the claim
+            except OSError as error:  # an unreachable disk returns, or another run takes over
                 self._failure = error
 
     def _beat(self) -> None:
@@ -177,9 +193,9 @@ class Lease:
                 data = self._notes.read(LEASE_NAME)
                 record = LeaseRecord.unpack(data) if data is not None else None
                 if data is None:
-                    self.lost = "this run's claim of the store was removed; finished tiles are kept"
+                    self.lost = "lease lost: its file was removed; finished tiles are kept"
                 elif record is None or record.token != self._record.token:
-                    self.lost = f"another run has claimed this store ({record or 'its claim is damaged'})"
+                    self.lost = f"lease lost: another run has taken over the store ({record or 'its file is damaged'})"
                 else:
                     self._record, self._data = record, data
 
@@ -192,10 +208,11 @@ def hold_lease(
     timing: Timing = TIMING,
     patience: float = 0.0,
 ) -> Iterator[Lease]:
-    """Hold the claim of a store; InputError, naming ``name``, if another run that is alive holds it.
+    """Acquire the lease of a store and hold it within the block.
 
-    To watch the claim of a holder that may be dead takes up to ``timing.dead`` seconds; ``notify`` is called with a
-    line about it. ``patience``: see ``Lease``.
+    Raise InputError, naming the store as ``name``, if another live run holds the lease. Waiting for a lease that may
+    have expired takes up to ``timing.expire_after`` seconds; ``notify`` is called with a line of text about it.
+    ``patience`` is explained at ``Lease``.
     """
     mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
     try:
@@ -217,12 +234,12 @@ def hold_lease(
 
 @dataclass(frozen=True)
 class LeaseObservation:
-    """A claim as it was last seen.
+    """A lease as it was last observed.
 
-    record    its contents, None for a damaged claim
-    alive     whether its holder runs, None if this machine cannot know
-    silence   seconds by the observer's own clock since the counter was first seen at its present value
-    timing    ``timing.silent`` and ``timing.dead`` decide when the silence is reported, and what it means
+    record   contents of the lease file; None if it is damaged
+    alive    True if the holder's process runs; None if this host cannot know
+    silence  seconds, by the observer's clock, since the counter was first seen at its present value
+    timing   ``timing.warn_after`` and ``timing.expire_after``: silences that are reported, and that end a lease
     """
 
     record: LeaseRecord | None
@@ -232,25 +249,25 @@ class LeaseObservation:
 
     @property
     def trouble(self) -> str:
-        """The reason to doubt that a run is at work in spite of this claim; empty without one."""
+        """The reason to doubt that a run writes the store in spite of this lease; empty if there is no reason."""
         if self.record is None:
-            return "the claim is damaged; the next run replaces it"
+            return "the lease file is damaged; the next run takes it over"
         if self.alive is False:
-            return f"{self.record} is gone without releasing its claim; the next run replaces it"
+            return f"{self.record} ended without releasing its lease; the next run takes it over"
         if self.alive is None and self.silence >= self.timing.warn_after:
             return (
-                f"no sign of life of {self.record} for {self.silence:.0f} s; "
-                f"if it is dead, the next run replaces its claim after {self.timing.expire_after:.0f} s"
+                f"no heartbeat from {self.record} for {self.silence:.0f} s; "
+                f"its lease expires after {self.timing.expire_after:.0f} s"
             )
         return ""
 
 
 class LeaseObserver:
-    """An observer of a store's claim from outside; it measures how long the counter stands still.
+    """An observer of a store's lease from outside. It measures how long the heartbeat counter stands still.
 
-    Whether a process of this machine is alive is known at once. For a holder on another machine a single look says
-    nothing, since clocks of machines differ: ``settle`` looks until the counter moves, for at most ``timing.silent``
-    seconds. ``mark`` is the part of the claim that only its holder changes.
+    Whether a process of this host is alive is known at once. For a holder on another host a single observation says
+    nothing, since clocks of hosts differ. ``observe_until_settled`` therefore observes until the counter moves, for at
+    most ``timing.warn_after`` seconds. ``mark`` is the part of the lease file that only its holder changes.
     """
 
     def __init__(self, sidecar: Sidecar, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
@@ -258,11 +275,11 @@ class LeaseObserver:
         self.mark, self._since = object(), 0.0
 
     def observe(self) -> LeaseObservation | None:
-        """The present claim, None if there is none."""
+        """Return the present lease; None if there is none."""
         begin = time.monotonic()
         data = self._notes.read(LEASE_NAME)
         mark, now = None if data is None else _mark(data), time.monotonic()
-        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # the store was away, for the holder too
+        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # nor could the holder write
             self.mark, self._since = mark, now
         if data is None:
             return None
@@ -270,7 +287,7 @@ class LeaseObserver:
         return LeaseObservation(record, record.is_alive if record else None, now - self._since, self._timing)
 
     def observe_until_settled(self) -> LeaseObservation | None:
-        """The claim, once it is known to move, to stand still, or to be gone."""
+        """Return the lease once its counter is known to move or to stand still; None once the lease is gone."""
         seen, first = self.observe(), self.mark
         while seen and seen.record and seen.alive is None and not seen.trouble and self.mark == first:
             self._sleep(self._timing.lease_poll)
@@ -285,10 +302,10 @@ def cancel(
     notify: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
 ) -> LeaseRecord:
-    """Ask the run that holds a store to stop, and wait until it has; InputError if no run holds it.
+    """Ask the run that holds a store's lease to stop, wait until it has stopped, and return its record.
 
-    Raises RunError if the claim is damaged, shows no sign of life, or is still held after ``wait_seconds``; the request
-    stands.
+    Raise InputError if no run holds the lease. Raise RunError if the lease file is damaged, if no heartbeat is
+    observed, or if the lease is still held after ``wait_seconds``. The request to stop remains.
     """
     while True:
         data = sidecar.read(LEASE_NAME)
@@ -312,44 +329,56 @@ def cancel(
         if seen.trouble:
             raise RunError(f"{name}: {seen.trouble}")
         time.sleep(timing.lease_poll)
-    raise RunError(f"{name}: {record} has not stopped after {wait_seconds:g} s; it will at its next beat")
+    raise RunError(f"{name}: {record} has not stopped within {wait_seconds:g} s; it stops at its next heartbeat")
 
 
 def record_end(sidecar: Sidecar, text: str) -> None:
-    """Note the end of a submitted run, for the status; the next run that ends well clears the note."""
-    with suppress(Exception):  # a failure to write the note must not hide the run's own error
+    """Write the end of a submitted run into the sidecar, for ``atlas status``.
+
+    The next run that ends well clears it.
+    """
+    with suppress(Exception):  # a failure to write the file must not hide the run's own error
         sidecar.compare_and_set(ENDED, text.encode(), expected=sidecar.read(ENDED))
 
 
 def read_end(sidecar: Sidecar) -> str:
-    """The note about the end of the last submitted run, empty if it ended well."""
+    """Return the text about the end of the last submitted run; empty if it ended well."""
     return (sidecar.read(ENDED) or b"").decode(errors="replace")
 
 
 def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
-    """Watch a claim: True once its counter has stood still long enough; InputError as soon as the counter moves."""
+    """Return True once a lease has expired.
+
+    Its counter has then stood still for ``timing.expire_after`` seconds, or its holder is gone. Raise InputError as
+    soon as the counter moves.
+    """
     record = LeaseRecord.unpack(data)
     if record and record.is_alive is False:
-        notify(f"replacing the claim of {record}, which is gone")
+        notify(f"taking over the lease of {record}, which no longer runs")
         return True
     notify(
-        f"another run may be at work ({record}): watching for a sign of life" if record else "watching a damaged claim"
+        f"the store is leased by {record}: waiting for a heartbeat"
+        if record
+        else "the lease file is damaged: waiting for its holder to rewrite it"
     )
     observer = LeaseObserver(sidecar, timing)
     while (seen := observer.observe()) is not None:
         if observer.mark != _mark(data):
             raise InputError(
-                f"{name}: another run is at work on it ({seen.record or record}); wait for it to end, or stop it: "
+                f"{name}: leased by another run ({seen.record or record}); wait until it finishes, or stop it with: "
                 f"atlas cancel {name}"
             )
         if seen.silence >= timing.expire_after:
-            notify("replacing a claim without a sign of life")
+            notify("taking over an expired lease")
             return True
         time.sleep(min(timing.lease_poll, timing.expire_after / 4))
     return False  # released meanwhile
 
 
 def _mark(data: bytes) -> object:
-    """The part of a claim that only its holder changes: a request to stop, written by others, is no sign of life."""
+    """Return the part of a lease file that only its holder changes.
+
+    A request to stop, written by others, is no heartbeat.
+    """
     record = LeaseRecord.unpack(data)
     return (record.token, record.beat) if record else data

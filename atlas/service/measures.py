@@ -1,4 +1,4 @@
-"""Measuring the attractors of a finished atlas on the workers: in parts that the store keeps, and all at the end."""
+"""Measuring the attractors of a finished atlas on the workers: parts that the store keeps, then the measures."""
 
 import hashlib
 import time
@@ -56,7 +56,17 @@ Request = dict[str, Any]
 
 @dataclass(frozen=True)
 class MeasureSummary:
-    """Statistics of a store's measures, and the seconds spent computing them; 0 if the store had them already."""
+    """Statistics of a store's measures, and the cost of computing them.
+
+    store              path or URL of the store
+    measures           statistics by measure
+    requests           stored requests by family of measures
+    seconds            duration
+    processor_seconds  processor time of the workers
+    tasks              number of jobs
+
+    The cost is 0 if the store had the measures already.
+    """
 
     store: str
     measures: Mapping[str, Mapping[str, float]]
@@ -66,7 +76,7 @@ class MeasureSummary:
     tasks: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas attractors measure --json`` prints."""
+        """Return the dict that ``atlas attractors measure --json`` prints."""
         times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
         given = {name: {k: v for k, v in request.items() if k != "content"} for name, request in self.requests.items()}
         return {"store": self.store, "measures": dict(self.measures), **given, **times}
@@ -96,15 +106,15 @@ def measure_attractors(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunOptionFields],
 ) -> MeasureSummary:
-    """Measure the stability of all attractors of a finished atlas, and keep the measures in its store.
+    """Measure the stability of all attractors of a finished atlas, and write the measures into its store.
 
     The measures are ``return_time``, ``reactivity`` and ``amplification``, as defined by ``atlas.stability``, in its
     ``norm``. ``shocks`` adds ``fatal_shock`` in an atlas of all attractors, which takes seconds to minutes for each
-    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``, with lengths along
-    an axis divided by its ``scale``, by default its width. Stored measures are not computed again; without ``shocks``
-    and ``margin`` stored ones are kept as long as the cells, and the curves, are the same. The work is done on
-    ``client`` or on the workers given by the options, like ``run``; the same call resumes work that was stopped.
-    Raises InputError if the store is not a finished atlas; see also ``run``.
+    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``. Its lengths along an
+    axis are divided by the ``scale`` of the axis, by default its width. Stored measures are not computed again. Without
+    ``shocks`` and ``margin`` stored ones remain as long as the cells, and the curves, are the same. The jobs run on
+    ``client`` or on the workers of the options, like ``run``; the same call resumes a measurement that was stopped.
+    Raise InputError if the store is not a finished atlas; see also ``run``.
     """
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)
@@ -125,7 +135,7 @@ def measure_attractors(
         crew = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
         handle = crew.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
-            raise RunError(f"{handle.backend}: another run has measured it meanwhile; run the same command again")
+            raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")
         measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
@@ -144,9 +154,11 @@ def measure_attractors(
 def _requests(
     handle: AtlasStore, shocks: bool, margin: Request | None, norm: Mapping[str, float]
 ) -> dict[str, Request]:
-    """The request of each family; ``content`` is a digest of the cells that its measures depend on."""
+    """Return the request of each family; ``content`` is a digest of the cells that its measures depend on."""
     if shocks and not handle.spec.coexistence:
-        raise InputError(f"{handle.backend}: has one attractor a cell; shocks need an atlas of all, see [attractors]")
+        raise InputError(
+            f"{handle.backend}: has one attractor per cell; shocks need an atlas of all attractors, see [attractors]"
+        )
     content = _content(handle)
     requests: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
@@ -155,7 +167,10 @@ def _requests(
 
 
 def _still_true(handle: AtlasStore, stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
-    """The stored measures that still hold: computed from the present cells, and margins to the present curves."""
+    """Return the stored measures that are still valid.
+
+    These are measures of the present cells, and margins to the present curves.
+    """
     content = wanted[LINEAR]["content"]
     kept = {
         family: request
@@ -168,7 +183,7 @@ def _still_true(handle: AtlasStore, stored: StoredMeasures, wanted: Mapping[str,
 
 
 def _content(handle: AtlasStore) -> str:
-    """A digest of the results of cells that the measures of attractors depend on."""
+    """Return a digest of the results of cells that the measures of attractors depend on."""
     content = hashlib.sha256(handle.digest.encode())
     for index in sorted(tile.index for tile in handle.tiling.tiles()):
         for name, values in sorted(read_tile(handle, index, NEEDED).items()):
@@ -182,7 +197,7 @@ def _digest(requests: Mapping[str, Request]) -> str:
 
 @dataclass
 class _MeasureRun:
-    """The measuring of attractors in a claimed store."""
+    """The measurement of attractors in a leased store."""
 
     handle: AtlasStore
     pool: WorkerPool[MeasureJob, PartReport]
@@ -191,7 +206,10 @@ class _MeasureRun:
     done: int = 0
 
     def run(self, families: Mapping[str, str]) -> Arrays:
-        """The measures of some families over all cells; a family's digest identifies the kept parts of its request."""
+        """Return the measures of some families over all cells.
+
+        The digest of a family identifies the stored parts of its request.
+        """
         handle = self.handle
         kept = {
             f"{family}/{name}"

@@ -1,4 +1,4 @@
-"""A run's progress in a notebook: one bar under the cell, changed in place."""
+"""A run's progress in a notebook: one bar under the cell, updated in place."""
 
 import sys
 import time
@@ -13,12 +13,12 @@ from atlas.argument_checks import validate_type
 from atlas.service.progress import Progress
 
 INTERVAL = 0.25
-"""Seconds between two changes of the bar: each is a message to the browser."""
+"""Minimum seconds between two updates of the bar; each is a message to the browser."""
 
 
 @contextmanager
 def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterator[Callable[[Progress], None] | None]:
-    """The function called with each Progress: the given function; without one a bar in a notebook, elsewhere none."""
+    """Yield the function to call with each Progress: the given one, or that of a bar in a notebook; None elsewhere."""
     if on_progress is not None:
         validate_type("on_progress", on_progress, Callable, "a function of a Progress")
     display = None if on_progress is not None else _notebook_display()
@@ -30,9 +30,9 @@ def progress_reporter(on_progress: Callable[[Progress], None] | None) -> Iterato
 
 
 class NotebookReporter(AbstractContextManager["NotebookReporter"]):
-    """A bar that ``display``, IPython's function, shows once and changes from then on; its last state stays.
+    """A progress bar that ``display``, IPython's function, shows once and then updates; its last state remains.
 
-    It needs IPython's own displays alone: Rich's bar needs ipywidgets, which may not be installed.
+    The bar needs only IPython's own displays: Rich's bar needs ipywidgets, which may not be installed.
     """
 
     def __init__(self, display: Callable[..., Any], interval: float = INTERVAL) -> None:
@@ -85,7 +85,7 @@ class NotebookProgressBar:
 
 
 def _notebook_display() -> Callable[..., Any] | None:
-    """IPython's display function in the kernel of a notebook; None elsewhere, as in a terminal."""
+    """Return IPython's display function in the kernel of a notebook; None elsewhere, as in a terminal."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     if getattr(shell, "kernel", None) is None:

@@ -18,25 +18,27 @@ from atlas.store.outage import LONG_PATIENCE
 
 F = TypeVar("F", bound=Callable[..., Any])
 MAX_WORKERS = 1024
-"""Processes of a local cluster: more than a machine has processors, and few enough to start."""
+"""Maximum number of processes of a local cluster: more than a host has processors, and few enough to start."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of ``run``, ``extend`` and ``submit``; InputError for options that contradict each other.
+    """Options of ``run``, ``extend`` and ``submit``.
 
-    workers             processes of a local cluster, by default one a processor; not with a scheduler or a client; an
-                        open client is then not used
+    workers             processes of a local cluster, by default one per processor; not with a scheduler or a client; an
+                        active client is then not used
     scheduler           address of a Dask scheduler, such as ``tcp://host:8786``
-    tls                 files for an encrypted connection to it
+    tls                 files for an encrypted connection to the scheduler
     tile                index of a tile to solve alone in this process, for debugging: its exceptions are not caught
-    on_progress         called with each Progress; None for a bar in a notebook, and nothing elsewhere
-    dashboard           whether a local cluster has a dashboard, whose address is reported; with Bokeh only
-    performance_report  HTML file for Dask's report on the workers' time; with Bokeh only
+    on_progress         function called with each Progress; None for a bar in a notebook, and nothing elsewhere
+    dashboard           True if a local cluster has a dashboard, whose address is reported; needs Bokeh
+    performance_report  HTML file for Dask's report on the workers' time; needs Bokeh
     storage_options     access to a store at a URL beyond the environment: ``{"endpoint": ..., "anon": True}``
-    patience            seconds to wait for a server at a URL that stops answering
-    wait                seconds to wait for the first worker of a cluster; its job may be queued for days
+    patience            seconds to wait for a server at a URL that stops responding
+    wait                seconds to wait for the first worker of a cluster, whose own job may be queued for days
     timing              all other waiting times of the run
+
+    Raise InputError if the options contradict each other.
 
     >>> import atlas
     >>> atlas.RunOptions(workers=2, on_progress=print).workers
@@ -66,15 +68,17 @@ class RunOptions:
         if self.tile is not None and not whole:
             raise InputError(f"tile: found {brief_repr(self.tile)}, must be the index of a tile, whole numbers")
         if self.tls is not None and self.scheduler is None:
-            raise InputError("tls: has the files of a connection to a scheduler, found no scheduler; give its address")
+            raise InputError("tls: found files for a connection to a scheduler, but no scheduler; give its address")
         if self.tile is not None and self.scheduler is not None:
-            raise InputError("tile: is done in this process, found a scheduler; give one of the two")
+            raise InputError("tile: is solved in this process, found a scheduler, too; give only one")
         if self.performance_report is not None:
             if self.tile is not None:
-                raise InputError("performance_report: is of workers, and a tile is done in this process; give one")
+                raise InputError(
+                    "performance_report: is about workers, found a tile to solve in this process; give only one"
+                )
             path = validate_path(self.performance_report)
             if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-                raise InputError(f"performance_report {path}: cannot be written; give a file in a folder that is there")
+                raise InputError(f"performance_report {path}: cannot be written; give a file in an existing folder")
         for name, seconds in (("patience", self.patience), ("wait", self.wait)):
             if not seconds >= 0:
                 raise InputError(f"{name}: found {brief_repr(seconds)}, must be 0 s or more")
@@ -96,7 +100,7 @@ class RunOptions:
         validate_type("timing", self.timing, Timing, "an atlas.service.timing.Timing")
 
     def replace_fields(self, **changed: Unpack["RunOptionFields"]) -> "RunOptions":
-        """The options with these fields in place of their own; TypeError for a name that is no field."""
+        """Return the options with these fields in place of their own; raise TypeError for a name that is no field."""
         return replace(self, **changed) if changed else self
 
     def report(self, progress: Progress) -> None:
@@ -105,12 +109,15 @@ class RunOptions:
             self.on_progress(progress)
 
     def wait_for_first(self, seconds: float) -> None:
-        """Report that a cluster has had no worker for these seconds."""
+        """Report that a cluster has had no worker for ``seconds``."""
         self.report(Progress("waiting for the cluster's first worker", seconds=seconds))
 
 
 def with_fields(function: F) -> F:
-    """The function with the fields of ``RunOptions`` in its signature, as ``help`` shows them, for its ``**fields``."""
+    """Return the function with the fields of ``RunOptions`` in its signature, in place of its ``**fields``.
+
+    ``help`` shows the signature.
+    """
     signature = inspect.signature(function)
     own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
     named = [
@@ -138,7 +145,7 @@ class RunOptionFields(TypedDict, total=False):
 
 
 def merge_options(options: RunOptions, fields: RunOptionFields) -> RunOptions:
-    """The options of a call, with its separate fields."""
+    """Return the options of a call, with its separate fields."""
     return validate_type("options", options, RunOptions, "an atlas.RunOptions").replace_fields(**fields)
 
 

@@ -1,4 +1,4 @@
-"""Packing a store into one zip file, which every reading command and plain xarray open."""
+"""Packing a store into one zip file, which every reading command and plain xarray can open."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -20,12 +20,17 @@ from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.zip_backend import SUFFIX, write_zip
 
 SHOWN = 3
-"""Number of missing chunks that a message names."""
+"""Maximum number of missing chunks that a message names."""
 
 
 @dataclass(frozen=True)
 class PackSummary:
-    """The result of packing: the file, its objects and bytes, and the tiles of the atlas, all and done."""
+    """The result of packing a store.
+
+    file               path of the zip file
+    objects, bytes     number of its objects, and its size
+    tiles, tiles_done  numbers of tiles of the atlas: all, and finished ones
+    """
 
     file: str
     objects: int
@@ -35,7 +40,7 @@ class PackSummary:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every tile is finished."""
+        """True if every tile is finished."""
         return self.tiles_done == self.tiles
 
     __repr__ = text_repr
@@ -48,7 +53,7 @@ class PackSummary:
         return f"{packed}\n{done}: the rest reads as pending, and a zip file cannot be completed; keep the store"
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas pack --json`` prints."""
+        """Return the dict that ``atlas pack --json`` prints."""
         return asdict(self) | {"complete": self.is_complete}
 
 
@@ -61,10 +66,10 @@ def pack(
 ) -> PackSummary:
     """Pack a store, a folder or a URL, into one zip file; the store stays as it is, and may be incomplete.
 
-    The file's name ends in .zip. It appears whole or not at all, and replaces a file of that name only with ``force``.
-    Raises ChunkError if a chunk of a finished tile or of a table is missing; InputError for another suffix, if the file
-    exists, if there is no store or it contains links or special files, and if a run is at work on it, since the file
-    could then contain part of a tile.
+    The name of the file ends in .zip. The file appears whole or not at all, and replaces an existing file only with
+    ``force``. Raise ChunkError if a chunk of a finished tile or of a table is missing. Raise InputError for another
+    suffix, if the file exists, or if there is no store or it contains links or special files. Raise InputError also if
+    a run holds the lease of the store, since the file could then contain part of a tile.
 
     >>> import atlas
     >>> atlas.pack("plane.zarr", "plane.zip").is_complete
@@ -73,7 +78,7 @@ def pack(
     target = validate_path(file, "file").absolute()
     validate_flag("force", force)
     if target.suffix.lower() != SUFFIX:
-        raise InputError(f"{file}: must end in {SUFFIX}, by which the other commands know it")
+        raise InputError(f"{file}: must end in {SUFFIX}, by which other commands recognise a zip file")
     if target.is_dir():
         raise InputError(f"{file}: is a folder")
     handle = open_store(store)
@@ -92,7 +97,7 @@ def pack(
 
 
 def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[Progress], None], timing: Timing) -> int:
-    """Pack the objects of these keys, and return the bytes of the file."""
+    """Pack the objects of these keys, and return the number of bytes of the file."""
 
     def members() -> Iterator[tuple[str, bytes]]:
         notify(Progress(f"packing {plural(len(keys), 'object')}"))
@@ -100,7 +105,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
             data = handle.backend.get(key)
             if data is None:
                 raise InputError(
-                    f"{handle.backend}: {key} has gone meanwhile, by a run at work on it; pack it afterwards"
+                    f"{handle.backend}: {key} was removed meanwhile by a run; pack the store when the run has ended"
                 )
             yield key, data
             notify(Progress(f"packing: {k} of {plural(len(keys), 'object')}", transient=True))
@@ -113,7 +118,7 @@ def _pack(handle: AtlasStore, keys: list[str], target: Path, notify: Callable[[P
 
 
 def _refuse_links(store: Path) -> None:
-    """InputError if something in a store is neither a folder nor a file of its own."""
+    """Raise InputError if something in a store is neither a folder nor a file of its own."""
     for folder, folders, files in os.walk(store):
         for name in (*folders, *files):
             path = Path(folder) / name
@@ -123,7 +128,7 @@ def _refuse_links(store: Path) -> None:
 
 
 def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]) -> None:
-    """ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
+    """Raise ChunkError if a chunk of a finished tile is not among the keys, or a table cannot be read."""
     needed = [v for v in handle.variables if not v.sparse]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
@@ -135,4 +140,4 @@ def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]
 def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
     seen = LeaseObserver(sidecar_of(handle.backend), timing).observe_until_settled()
     if seen is not None and seen.alive is not False and not seen.trouble:
-        raise InputError(f"{handle.backend}: {seen.record} is at work on it; pack it when that has ended")
+        raise InputError(f"{handle.backend}: leased by another run ({seen.record}); pack it when the run has ended")

@@ -1,4 +1,4 @@
-"""The plan: the tiles of an atlas and its expected cost, as a value."""
+"""The plan of an atlas: its tiles, its size on disk and its expected cost."""
 
 import math
 import shutil
@@ -24,35 +24,44 @@ from atlas.store.tiling import Index, Tiling
 from workers.results import REGIMES
 
 DEFAULT_TILE, LARGE_TILE = 64, 256
-"""Cells along a side of a tile by default, and in a large atlas: object stores work best with large objects."""
+"""Number of cells along a side of a tile, by default and in a large atlas.
+
+Object stores work best with large objects.
+"""
 MANY_TILES, MOST_TILES = 1024, 50_000
-"""Tiles are larger than the default if at least MANY_TILES remain, and larger still above MOST_TILES."""
+"""Number of tiles above which tiles are larger than the default, and larger than LARGE_TILE."""
 TILES_PER_WORKER = 16
-"""Costs of tiles differ a hundredfold; with fewer tiles, one worker is busy with the last tile while others wait."""
+"""Minimum number of tiles per worker.
+
+Costs of tiles differ a hundredfold; with fewer tiles, one worker is busy with the last tile while others wait.
+"""
 CLEAR_RANGE = 1.5
-"""An expected time is printed as a range if the ratio of its ends exceeds this."""
+"""Ratio of the upper to the lower expected time above which a range is printed."""
 FILE_BLOCK = 4096
 """Bytes that a small file or folder takes on a disk."""
 NAME_BYTES = 64
 """Bytes of a name in a large folder."""
 COPIED_BYTES = 3 * FILE_BLOCK
-"""Most bytes of the copies of an array's metadata: in the root, in its spare, and in an overview's level."""
+"""Maximum bytes of the copies of an array's metadata: in the root, in its backup, and in an overview's level."""
 OTHER_BYTES = 32 * FILE_BLOCK
-"""Bytes of the groups, of the root's own attributes and of the records of machines."""
+"""Bytes of the groups, of the root's own attributes and of the records of hosts."""
 MANY_OBJECTS = 10_000_000
-"""Objects in a bucket beyond which some providers refuse more, or advise against it."""
+"""Number of objects in a bucket above which some providers refuse more, or advise against more."""
 NO_BASINS = (
     "all axes are initial states, and each cell is solved by itself; for basins of attraction "
-    "add a table [attractors], and give another store"
+    "add a table [attractors] and choose another store"
 )
-"""For a spec whose user may not know of basins: the store of a run cannot become one of basins."""
+"""Hint for a spec whose user may not know of basins: the store of a run cannot become a store of basins."""
 
 
 @dataclass(frozen=True)
 class ProbeResult:
-    """Cells solved for their cost, and the average cost of a cell of the atlas: forcing periods, processor seconds.
+    """The cost of an atlas, measured on some of its cells.
 
-    ``low`` and ``high`` are the range of the seconds, which few cells leave uncertain.
+    cells             number of cells solved
+    periods_per_cell  average number of forcing periods of a cell of the atlas
+    seconds_per_cell  average processor seconds of a cell of the atlas
+    low, high         limits of ``seconds_per_cell``, which few cells leave uncertain
     """
 
     cells: int
@@ -66,9 +75,10 @@ class ProbeResult:
 class Plan:
     """Cells, tiles, bytes and time of an atlas. ``str(plan)`` is the text for a terminal.
 
-    tiling    the tiles of the atlas
-    workers   number of workers that share the work
-    probe     measured cost of a cell, or None
+    spec     spec of the atlas
+    tiling   tiles of the atlas
+    workers  number of workers that share the jobs
+    probe    measured cost of a cell, or None
     """
 
     spec: Spec = field(repr=False)
@@ -78,9 +88,10 @@ class Plan:
 
     @cached_property
     def bytes(self) -> int:
-        """An upper bound of the store's size on a disk, as ``du`` has it: files and folders in whole blocks, unpacked.
+        """An upper bound of the store's size on a disk as ``du`` reports it, with files and folders in whole blocks.
 
-        It counts results, records, coordinates, overviews, and the metadata and folders of all of them.
+        The store is not packed. The size includes results, tile records, coordinates, overviews, and the metadata and
+        folders of all of these.
         """
         spec, tiling = self.spec, self.tiling
         results = _chunks(spec, tiling.tile)
@@ -100,7 +111,7 @@ class Plan:
 
     @cached_property
     def objects(self) -> int:
-        """About how many files or objects the store has: chunks and records of tiles, and chunks of overviews."""
+        """Approximate number of files or objects of the store: chunks and records of tiles, and chunks of overviews."""
         spec, tiling = self.spec, self.tiling
         levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
         chunks = sum(
@@ -112,7 +123,7 @@ class Plan:
 
     @property
     def note(self) -> str:
-        """Hints at other specs that the user may have meant, empty for most specs."""
+        """Hints at other specs that the user may have meant; empty for most specs."""
         notes = [NO_BASINS] if self.spec.has_state_axes and self.spec.attractors is None else []
         if self.objects > MANY_OBJECTS:
             notes.append(
@@ -123,19 +134,19 @@ class Plan:
 
     @property
     def seconds(self) -> float | None:
-        """Expected seconds of the whole on these workers, a processor each, or None if nothing was probed."""
+        """Expected seconds of the whole atlas on these workers, with a processor each; None if nothing was probed."""
         return self._seconds(self.probe.seconds_per_cell) if self.probe else None
 
     @property
     def seconds_range(self) -> tuple[float, float] | None:
-        """The range of the expected seconds, or None if nothing was probed."""
+        """Lower and upper limit of the expected seconds; None if nothing was probed."""
         return (self._seconds(self.probe.low), self._seconds(self.probe.high)) if self.probe else None
 
     def _seconds(self, per_cell: float) -> float:
         return per_cell * self.tiling.cells / min(self.workers, self.tiling.count)
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas plan --json`` prints."""
+        """Return the dict that ``atlas plan --json`` prints."""
         return {
             "axes": self.spec.axis_descriptions,
             "dims": self.spec.dims,
@@ -180,9 +191,12 @@ class Plan:
 
 
 def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | None = None) -> Plan:
-    """The plan of a spec for a number of workers; ``tile`` is the shape of tiles in an existing store, and wins.
+    """Return the plan of a spec.
 
-    Raises InputError if a tile is too large for a store, and if a store of the spec could not be read.
+    workers  number of workers, by default the number of processors
+    tile     shape of the tiles in an existing store, which takes precedence over that of the spec
+
+    Raise InputError if a tile is too large for a store, or if a store of the spec could not be read.
     """
     spec.check_stored_form()
     count = processors() if workers is None else workers
@@ -191,16 +205,17 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     name, size = max(_chunks(spec, chosen).items(), key=lambda item: item[1])
     if size > LARGEST_CHUNK:
         raise InputError(
-            f"store.tile: the values of {name} in tiles of {' x '.join(map(str, chosen))} take {size} bytes a chunk, "
-            f"at most {LARGEST_CHUNK} are possible; choose smaller tiles or fewer solve.section_samples"
+            f"store.tile: found {' x '.join(map(str, chosen))}, in which a chunk of {name} has {size} bytes, must be "
+            f"at most {LARGEST_CHUNK}; choose smaller tiles or fewer solve.section_samples"
         )
     return Plan(spec, Tiling(spec.shape, chosen), count)
 
 
 def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
-    """The plan of a run that makes the store at a place, or completes the one with this handle.
+    """Return the plan of a run that creates the store at ``place``, or completes the store of ``handle``.
 
-    InputError if a new store cannot be made, if its disk cannot hold it, and if ``tile`` is not the index of a tile.
+    Raise InputError if a new store cannot be created, if its disk is too small, or if ``tile`` is not the index of a
+    tile.
     """
     plan = make_plan(spec, workers, None if handle is None else handle.tile)
     if handle is None and place.local is not None:
@@ -213,7 +228,10 @@ def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, work
 
 
 def check_free_space(plan: Plan, target: Path, tiles: int | None = None) -> None:
-    """InputError if the disk of ``target`` has no room for this number of tiles, by default all."""
+    """Raise InputError if the disk of ``target`` has too little free space for ``tiles`` tiles.
+
+    By default, these are all tiles of the plan.
+    """
     home = next(folder for folder in (target, *target.absolute().parents) if folder.exists())
     free = shutil.disk_usage(home).free
     needed = plan.bytes if tiles is None else plan.bytes * tiles // plan.tiling.count
@@ -223,8 +241,9 @@ def check_free_space(plan: Plan, target: Path, tiles: int | None = None) -> None
 
 
 def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
-    """64 along each dimension, the longer side halved until there are 16 tiles a worker; continued lines are whole.
+    """Return the default shape of tiles, which has a side of 64 cells along each dimension.
 
+    The longer side is halved until there are 16 tiles per worker; a tile contains whole continued lines. The side is
     128 or 256 if there are many tiles nevertheless, doubled again until there are at most MOST_TILES. No tile has cells
     of two planes of a stack.
     """
@@ -253,9 +272,11 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
 
 
 def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
-    """Most bytes of an array on a disk: its chunks, in files of their own, its folders and its metadata.
+    """Return the maximum bytes of an array on a disk: its chunks, in files of their own, its folders and its metadata.
 
-    ``inner`` is the number of its dimensions beside the grid's, by which the path of a chunk is longer.
+    grid   number of chunks along each dimension of the grid of tiles
+    chunk  bytes of a chunk
+    inner  number of further dimensions, by which the path of a chunk is longer
     """
     files, path = math.prod(grid), (*grid, *(1,) * inner)
     folders = 2 + sum(math.prod(path[:depth]) for depth in range(1, len(path)))
@@ -264,7 +285,7 @@ def _array_bytes(grid: Index, chunk: int, inner: int = 0) -> int:
 
 
 def _chunks(spec: Spec, tile: tuple[int, ...]) -> dict[str, int]:
-    """Bytes of a chunk of each variable."""
+    """Return the bytes of a chunk of each variable."""
     sizes = spec.extra_sizes
     return {
         variable.name: np.dtype(variable.dtype).itemsize

@@ -1,4 +1,4 @@
-"""The probe: expected cost of a spec, measured on cells that are spread over the plane."""
+"""The probe: the expected cost of a spec, measured on cells that are spread over the plane."""
 
 import math
 import time
@@ -19,19 +19,28 @@ from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
 CELLS = 256
 STEPS = (4, 16, 64, CELLS)
-"""Cells solved in all after each step. A step begins only if it should keep the whole within BUDGET."""
+"""Number of cells solved in all after each step.
+
+A step begins only if it should keep the processor seconds of the whole within BUDGET.
+"""
 BUDGET, LONG_BUDGET = 2.0, 10.0
-"""Processor seconds; and those for the first FEW cells, since fewer tell next to nothing."""
+"""Budget of the probe, in processor seconds, and its budget for the first FEW cells.
+
+Fewer cells say next to nothing.
+"""
 FEW = 16
 MAX_PROBE_PERIODS, MAX_SURVIVAL = 20_000, 48_000
 """Largest budget and largest survival of a probed cell, in forcing periods.
 
-Its error shows the cost with a larger budget, its ``survived`` the cost of a longer survival.
+The error of the cell shows the cost with a larger budget, its ``survived`` the cost of a longer survival.
 """
 SEGMENT = 8
-"""Cells of a probed segment of a continued line; the first does not count, since it alone has no cell before it."""
+"""Number of cells of a probed segment of a continued line.
+
+The first cell does not count, since it alone has no cell before it.
+"""
 STANDARD_ERRORS = 2.0
-"""Standard errors by which the range extends beyond the measurement."""
+"""Number of standard errors by which the range extends beyond the measurement."""
 
 Array = NDArray[np.float64]
 _Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
@@ -39,7 +48,12 @@ _Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
 
 
 class _ProbeStep(NamedTuple):
-    """One step: processor seconds, periods simulated, the least and the most that cells (starts, cells) will take."""
+    """The measurement of one step.
+
+    seconds      processor seconds
+    simulated    forcing periods simulated
+    least, most  (starts, cells) limits of the forcing periods that the cells will take
+    """
 
     seconds: float
     simulated: float
@@ -48,7 +62,7 @@ class _ProbeStep(NamedTuple):
 
 
 def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """A reporter of a run's progress that adds the measured time to the first plan it gets.
+    """Return a reporter of a run's progress that adds the measured time to the first plan it gets.
 
     Nothing is probed for a complete atlas, or for an atlas so small that the probe would solve all of it.
     """
@@ -66,18 +80,23 @@ def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
 
 
 def add_probe(plan: Plan, report: Callable[[Progress], None]) -> Plan:
-    """The plan with the time that a probe of its spec measures."""
+    """Return the plan with the time that a probe of its spec measures."""
     prepare_kernels(report, *kernels_of(plan.spec))
     report(Progress("probing a few cells"))
     return replace(plan, probe=probe(plan.spec, plan.tiling.tile))
 
 
 def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.thread_time) -> ProbeResult:
-    """The cost of a cell of the spec in tiles of this shape, measured on 256 cells, or fewer if they cost much.
+    """Return the cost of a cell of the spec, measured on 256 cells, or on fewer if they cost much.
 
-    A first solution, which loads the kernels, does not count. Cells are solved in batches, as in a tile. ``clock``
-    gives seconds, by default the processor time of this thread: a kernel runs on one thread. Continued cells are
-    measured in short segments of lines. With all attractors, the cost above the probed budget is unknown and left out.
+    spec   spec of the atlas
+    tile   shape of its tiles
+    clock  function that returns seconds, by default the processor time of this thread, since a kernel runs on one
+           thread
+
+    A first solution, which loads the kernels, does not count. Cells are solved in batches, as in a tile. Continued
+    cells are measured in short segments of lines. With all attractors, the cost above the probed budget is unknown and
+    left out.
     """
     warm_up(*kernels_for(spec.system_def, settings=spec.settings))
     starts, length = spread_cells(spec)
@@ -108,7 +127,7 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
-    """Distinct cells that fill the plane ever more evenly, and the length of the segments that they begin."""
+    """Return distinct cells that fill the plane ever more evenly, and the length of the segments that they begin."""
     from scipy.stats import qmc
 
     room, length = list(spec.shape), 1
@@ -125,7 +144,10 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
 
 
 def brief(settings: Settings) -> tuple[Settings, float]:
-    """The settings with at most LONGEST periods, and LONGEST_WATCH of survival; and the share of the full budget."""
+    """Return the settings with limited periods and survival, and the share of the full budget that they have.
+
+    The limits are MAX_PROBE_PERIODS and MAX_SURVIVAL.
+    """
     if settings.method == "adaptive":
         share = min(1.0, MAX_PROBE_PERIODS / settings.max_periods)
         survival = min(MAX_SURVIVAL, settings.survival)
@@ -137,9 +159,9 @@ def brief(settings: Settings) -> tuple[Settings, float]:
 
 
 def _evenness(steps: list[_ProbeStep]) -> float:
-    """The fraction of the starts that would do all the work if it were shared equally; 1 before the first step.
+    """Return the fraction of the starts that would do all the work if it were shared equally; 1 before the first step.
 
-    The cells of a tile cost about the same; a batch of cells from all over the plane must be larger by this factor.
+    The cells of a tile cost about the same. A batch of cells from all over the plane must be larger by this factor.
     """
     work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
     return float(work.sum() ** 2 / (work.size * (work**2).sum()))
@@ -163,7 +185,7 @@ def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[
 
 
 def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> _Solved:
-    """Solve the cells, or the segments of lines, that begin at these starts."""
+    """Solve the cells, or the segments of lines, that begin at these starts; return their parameters and results."""
     from workers.sweep import solve_lines
 
     along = -1 if spec.continuation is None else spec.continuation[0]
@@ -176,7 +198,7 @@ def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length
 
 
 def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
-    """The least and the most periods that cells cost with their full budget, when solved with a share of it.
+    """Return the least and the most periods that cells cost with their full budget, when solved with a share of it.
 
     The square of a chaotic cell's error falls as one over its periods. Nothing is known of an undetermined cell.
     """
@@ -190,7 +212,7 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
         watched = np.isin(regime, (CHAOTIC, APERIODIC))
         least[watched] += _unwatched(spec, params, arrays, few.survival)[watched]
     if "error" in arrays:
-        with np.errstate(over="ignore"):  # a tolerance of next to nothing
+        with np.errstate(over="ignore"):  # if the tolerance is tiny
             wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
         spent = np.minimum(used, few.deciding_periods)
         least += np.where((regime == CHAOTIC) & (wanted > 1.0), spent * (wanted - 1.0), 0.0)
@@ -198,7 +220,7 @@ def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], 
 
 
 def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
-    """The remaining periods of watching chaotic cells that were watched with a survival of ``few`` periods."""
+    """Return the remaining periods of watching chaotic cells that were watched with a survival of ``few`` periods."""
     from workers.cell.schedule import relaxation_periods, survival_share
 
     survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
@@ -211,7 +233,10 @@ def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few
 
 
 def _estimate(steps: list[_ProbeStep], cells: int, of: int) -> ProbeResult:
-    """The estimate: periods from all steps, time of a period from the last, whose cells fill the processor best."""
+    """Return the estimate: periods from all steps, the time of a period from the last.
+
+    The cells of the last step fill the processor best.
+    """
     last = steps[-1]
     rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
     least, most = (np.concatenate([getattr(step, name).mean(axis=1) for step in steps]) for name in ("least", "most"))

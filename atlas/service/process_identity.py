@@ -1,4 +1,4 @@
-"""Unique names of processes on this machine, so that a dead one is recognised with certainty."""
+"""Unique names of processes on this host, so that the end of a process is recognised with certainty."""
 
 import os
 
@@ -8,12 +8,12 @@ from atlas.platform import machine_name, process_start
 
 
 def this_process() -> str:
-    """The name of this process, empty on a system without such names."""
+    """Return the name of this process; empty on a system without process names."""
     return process_name(os.getpid())
 
 
 def process_name(pid: int) -> str:
-    """Machine (two words), process id and start time of a process; empty if they cannot be read."""
+    """Return the machine (two words), process id and start time of a process; empty if they cannot be read."""
     try:
         return f"{machine_name()} {pid} {process_start(pid)}"
     except OSError:
@@ -21,12 +21,12 @@ def process_name(pid: int) -> str:
 
 
 def is_name(text: str) -> bool:
-    """Whether a text can be the name of a process, or is empty."""
+    """Return True if a text can be the name of a process, or is empty."""
     return len(text.split()) in (0, 4)
 
 
 def is_running(pid: int, name: str) -> bool | None:
-    """Whether the process with this id and name runs; None if this machine cannot know."""
+    """Return True if the process with this id and name runs, False if it does not; None if this host cannot know."""
     here, there = this_process().split(), name.split()
     if not here or here[:2] != there[:2]:
         return None

@@ -1,4 +1,4 @@
-"""Progress of a run: one frozen snapshot."""
+"""Progress of a run, as snapshots for displays and logs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -9,22 +9,22 @@ from atlas.task.compile import CompileProgress, compile_notice, compile_once
 from workers.results import REASONS, REGIME
 
 LOG_INTERVAL = 5.0
-"""Seconds between two plain lines in a log."""
+"""Length, in seconds, of the interval between two lines in a log."""
 
 
 @dataclass(frozen=True)
 class Progress:
     """A snapshot of a run.
 
-    stage                     the present work, in words
-    plan                      known from its stage on, else None
-    tiles, cells              in all
-    tiles_done, cells_done    in the store, including earlier runs
-    cells_solved, seconds     of this run, since its first tile was submitted; before it of the stage, where it counts
-    counts                    cells solved in this run by regime
-    failures                  tiles that ended with an error in this run
-    passing                   whether it is of interest only while it lasts, and not for a log
-    note                      a line that stays in sight, or empty
+    stage                   present activity, as text
+    plan                    plan of the run, from the stage on at which it is known; else None
+    tiles, cells            numbers in all
+    tiles_done, cells_done  numbers in the store, including earlier runs
+    cells_solved, seconds   of this run, since its first tile was submitted; before it of the stage, if it counts
+    counts                  cells solved in this run by regime
+    failures                number of tiles that ended with an error in this run
+    transient               True if it is of interest only while it lasts, and not for a log
+    note                    a line that remains on the display; empty for none
     """
 
     stage: str
@@ -42,23 +42,23 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Cells a second in this run; 0 before the first tile."""
+        """Cells per second in this run; 0 before the first tile."""
         return self.cells_solved / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds to the end at this rate, or None before the first tile."""
+        """Seconds to the end at this rate; None before the first tile."""
         return (self.cells - self.cells_done) / self.rate if self.rate else None
 
     @property
     def format_speed(self) -> str:
-        """Cells a second and time left, empty before the first tile."""
+        """Cells per second and time left; empty before the first tile."""
         left = self.seconds_left
         return "" if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
 
     @property
     def outcome(self) -> str:
-        """Regimes solved and tiles failed, empty before the first tile."""
+        """Regimes solved and tiles failed; empty before the first tile."""
         failed = f"{plural(self.failures, 'tile')} failed" if self.failures else ""
         return ", ".join(part for part in (shares(self.counts), failed) if part)
 
@@ -79,13 +79,16 @@ class Progress:
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """A line for each reason why results are missing or uncertain: ``3 invalid cells: the initial state lies ...``."""
+    """Return a line for each reason why results are missing or uncertain.
+
+    An example is ``3 invalid cells: the initial state lies ...``.
+    """
     meant = {reason.text: REGIME.meaning(reason.regime).name for reason in REASONS}
     return [f"{plural(count, f'{meant[text]} cell')}: {text}" for text, count in reasons.items()]
 
 
 def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
-    """Compile the kernels of cells, and ``more``, on this machine if they are not, and report the progress."""
+    """Compile the kernels of cells, and ``more``, on this host unless they are compiled, and report the progress."""
     stage = compile_notice(*more)
 
     def report_compilation(now: CompileProgress) -> None:

@@ -1,4 +1,4 @@
-"""Solving some cells of an atlas again: a new store, which takes over all other cells of the old one."""
+"""Solving some cells of an atlas again, into a new store that takes over all other cells of the old store."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _NEED = {UNDETERMINED: BUDGET, CHAOTIC: SURVIVAL, APERIODIC: SURVIVAL}
 DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.code in _NEED}
-"""The allowance that cells of a regime need more of to come out different; cells of other regimes never do."""
+"""The budget that must be raised for cells of a regime to come out different; cells of other regimes never do."""
 
 
 @with_fields
@@ -41,16 +41,18 @@ def retry(
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunOptionFields],
 ) -> RunSummary:
-    """Solve some cells of a complete atlas again, with more periods, into a new store that takes over all others.
+    """Solve some cells of a complete atlas again, with more periods, into a new store that takes over all other cells.
 
-    ``regimes`` are one or more of undetermined, which a larger budget ``max_periods`` may decide, chaotic and
-    aperiodic, which a longer ``survival`` watches for longer. Each such cell is solved from its beginning, and has the
-    bits of an atlas whose spec has these settings; the variables ``budget`` and ``survival`` of the new store say how
-    much each cell was given. All other cells are those of ``store`` to the bit; where both stores lie on one disk, or
-    in one bucket, tiles without a cell to solve take no more room on that disk, or time on the network. ``store`` does
-    not change, and has to stay where it is until the new one is complete. The same call resumes a retry that was
-    stopped. ``client``, ``options`` and ``fields``: as for ``run``.
-    Raises InputError, before anything is written, for a retry that could change no cell; see also ``run``.
+    ``regimes`` are one or more of undetermined, chaotic and aperiodic. A larger budget ``max_periods`` may decide
+    undetermined cells; a longer ``survival`` watches chaotic and aperiodic cells for longer. Each of these cells is
+    solved from its beginning, and has the bits of an atlas whose spec has these settings. The variables ``budget`` and
+    ``survival`` of the new store say how many periods each cell was given.
+
+    All other cells are those of ``store`` to the bit. If both stores lie on one disk, or in one bucket, tiles without a
+    cell to solve take no further space and no time on the network. ``store`` does not change, and must stay in place
+    until the new store is complete. The same call resumes a retry that was stopped. ``client``, ``options`` and
+    ``fields`` are those of ``run``. Raise InputError, before anything is written, for a retry that could change no
+    cell; see also ``run``.
 
     >>> import atlas
     >>> summary = atlas.retry("plane.zarr", "again.zarr", "chaotic", survival=100_000, client=client)
@@ -73,7 +75,10 @@ def submit_retry(
     survival: int | None,
     options: RunOptions,
 ) -> str:
-    """Have the cluster at ``options.scheduler`` do a ``retry``, and leave; see ``submit.submit``."""
+    """Start the coordinator of a ``retry`` on the cluster at ``options.scheduler``, and return its address.
+
+    See ``submit.submit``.
+    """
     spec, place, origin, report = prepare_retry(store, into, regimes, max_periods, survival)
     options.report(Progress(report))
     return submit(spec, place, options, origin)
@@ -87,16 +92,16 @@ def prepare_retry(
     survival: int | None,
     storage_options: Mapping[str, Any] | None = None,
 ) -> tuple[Spec, StoreBackend, Origin, str]:
-    """The spec of a retry, the place of its new store, the origin of its other cells, and a line about its work.
+    """Return the spec of a retry, the backend of its new store, the origin of its other cells, and a progress line.
 
-    InputError if the retry could change no cell.
+    Raise InputError if the retry could change no cell.
     """
     old = handle_from(store, storage_options)
     if old.spec.attractors is not None:
         raise InputError(f"{old.backend}: an atlas of all attractors cannot be retried: run it again with more periods")
     if old.spec.continuation is not None:
         raise InputError(
-            f"{old.backend}: a continued sweep cannot be retried: each cell of it depends on those before it"
+            f"{old.backend}: a continued sweep cannot be retried: each cell depends on the cells before it"
         )
     names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
     wanted = validate_retry(old, tuple(names), max_periods, survival)
@@ -104,7 +109,7 @@ def prepare_retry(
     status = read_status(old)
     if status.fraction < 1:
         done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
-        raise InputError(f"{old.backend}: {done} done: complete it first, by the command that began it")
+        raise InputError(f"{old.backend}: {done} done: complete it first, with the command that began it")
     count = sum(status.regimes.get(name, 0) for name in wanted.regimes)
     report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"
     return old.spec.in_tiles(old.tile), place, Origin(str(old.backend), old.run_id, wanted), report
@@ -113,13 +118,13 @@ def prepare_retry(
 def validate_retry(
     old: AtlasStore, regimes: tuple[str, ...], max_periods: int | None = None, survival: int | None = None
 ) -> RetryRequest:
-    """A user's retry of a store; InputError if it could not change a cell."""
+    """Return a user's retry of a store as a request; raise InputError if it could not change a cell."""
     for name in regimes:
         check_name("regimes", name)
     names = [name.strip() for name in regimes if name.strip()]
     check_names("regime to retry", names, DECIDED_BY)
     if not names:
-        raise InputError(f"retry: found none, must be one or more of {', '.join(DECIDED_BY)}")
+        raise InputError(f"regimes: found no name, must be one or more of {', '.join(DECIDED_BY)}")
     request = RetryRequest(tuple(dict.fromkeys(names)), max_periods, survival)
     for allowance in ALLOWANCES:
         _check_amount(old, allowance, getattr(request, allowance.setting))
@@ -148,6 +153,6 @@ def _check_amount(old: AtlasStore, allowance: BudgetVariable, amount: int | None
 
 
 def _least(old: AtlasStore, allowance: BudgetVariable) -> int:
-    """The largest allowance that cells of a store were given."""
+    """Return the largest budget, in periods, that cells of a store were given."""
     retried = old.origin.retry if old.origin is not None else None
     return max(allowance.from_spec(old.spec), retried.least_budget(allowance) if retried is not None else 0)

@@ -1,4 +1,4 @@
-"""Running an atlas: plan, claim, create or resume, solve the unfinished tiles, add up their receipts."""
+"""Running an atlas: lease and create or resume its store, solve the unfinished tiles, and add up their reports."""
 
 import math
 from contextlib import ExitStack
@@ -38,7 +38,10 @@ if TYPE_CHECKING:
 
 
 SMALL_TILE_CELLS, BYTES_PER_CELL = 4096, 750
-"""Cells of a tile that fit into any worker's memory, and bytes of each further cell: 200 MB for 512 x 512 cells."""
+"""Number of cells of a tile that fits into any worker's memory, and bytes of memory for each further cell.
+
+The further cells of a tile of 512 x 512 cells take 200 MB.
+"""
 
 
 @with_fields
@@ -52,14 +55,15 @@ def run(
     """Compute an atlas into a store, or complete one that an earlier run of the same spec began.
 
     ``fields`` are those of ``RunOptions``, as in ``run(spec, "plane.zarr", workers=4)``; they replace those of
-    ``options``. The tiles run on ``client`` (used, not closed), or where the options say: on the cluster of a
-    scheduler, else on the Dask client that the caller has open, else on a local cluster. In a notebook a bar shows the
+    ``options``. The tiles are solved on ``client``, which stays open. Without it the workers are those of the options'
+    scheduler, else of the Dask client that the caller has open, else of a local cluster. In a notebook a bar shows the
     progress, unless there is an ``on_progress``. The store is a path, a URL (with ``storage_options``), or an obstore
-    store. Where a server stops answering, the run waits ``patience`` seconds for it.
-    Raises InputError, before anything is written, for input that cannot be run, and where another run is at work on
-    the store; RunError if the cluster is lost, the store has no room, or the run is cancelled; NetworkError if a
-    server does not answer.
-    A tile that raises does not stop the others: see ``RunSummary.failures``. After Ctrl-C the same call resumes.
+    store. If a server stops responding, the run waits ``patience`` seconds for it.
+
+    Raise InputError, before anything is written, for input that cannot be run, or if another run holds the lease of the
+    store. Raise RunError if the cluster is lost, the store is full, or the run is cancelled. Raise NetworkError if a
+    server does not respond. A tile that raises does not stop the others: see ``RunSummary.failures``. After Ctrl-C the
+    same call resumes.
 
     ``client`` is a Dask client here:
 
@@ -84,10 +88,10 @@ def complete(
     origin: Origin | None = None,
     run_id: str = "",
 ) -> RunSummary:
-    """Make or complete a store; see ``run``.
+    """Create or complete a store, and return the summary of the run; see ``run``.
 
-    ``origin`` is the store whose cells it reuses. ``run_id``, if given, is that of the run that the store belongs to,
-    else RunError; a new store gets it.
+    ``origin`` is the store whose cells are reused; None for a store of its own. ``run_id``, if given, is the id of the
+    run to which the store must belong, and a new store gets it. Raise RunError if the store belongs to another run.
     """
     leave_if_bootstrapping()
     check_client(client, options)
@@ -99,12 +103,12 @@ def complete(
         plan = plan_of_run(spec, place, handle, workers, options.tile)
         claim = stack.enter_context(hold_store_lease(place, options))
         place = claim.fence_backend(waiting(place, options.patience))
-        before = handle  # before the claim another run may have made the store, or another one in its place
+        before = handle  # before the lease another run may have created or replaced the store
         handle = find_store(place) if before is None else before.with_backend(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:
             check_run(place, spec, handle, origin, run_id)
         if handle is None:
-            options.report(Progress("making the store"))
+            options.report(Progress("creating the store"))
             handle = create_store(place, spec, plan.tiling.tile, origin, run_id)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
         crew = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
@@ -120,7 +124,7 @@ def complete(
 
 
 class _Run:
-    """A run whose store is claimed: the tiles due, handing them out, and the end."""
+    """A run on a leased store: its unfinished tiles, the jobs for them, and its end."""
 
     def __init__(self, handle: AtlasStore, crew: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
         self.handle, self.pool, self.stage = handle, crew, "solving"
@@ -130,7 +134,7 @@ class _Run:
         self.totals = RunTotals(plan, int(self.stored.done.sum()), cells, retried)
 
     def begin(self) -> None:
-        """Report the progress of the store, and make the groups of its overviews."""
+        """Report the progress of the store, and create the groups of its overviews."""
         totals, stage = self.totals, "starting"
         if totals.tiles_done:
             stage = f"resuming: {totals.tiles_done} of {totals.tiles} tiles are done"
@@ -142,14 +146,14 @@ class _Run:
 
     @property
     def needs_workers(self) -> bool:
-        """Whether there is a tile to solve, or basins to label."""
+        """True if a tile is unfinished, or basins are not labelled yet."""
         return bool(self.due.any()) or (self.handle.spec.basins and group_attributes(self.handle, ATTRACTORS) is None)
 
     def do_alone(self, index: Index) -> None:
-        """Do one of the tiles due in this process. Its exceptions are not caught."""
+        """Solve one unfinished tile in this process. Its exceptions are not caught."""
         handle = self.handle
         if not self.due[index]:
-            raise InputError(f"{handle.backend}: nothing is to be done in tile {index}")
+            raise InputError(f"{handle.backend}: tile {index} is already finished")
         prepare_kernels(self.pool.options.report, *self.pool.kernels)
         self.begin()
         self.totals.start()
@@ -159,7 +163,7 @@ class _Run:
         self.totals.add(report)
 
     def hand_out(self) -> None:
-        """Send unfinished tiles to the workers and add up their receipts; then make the overviews, level by level."""
+        """Send unfinished tiles to the workers and add up their reports; then build the overviews, level by level."""
         handle, totals, order, site = self.handle, self.totals, TileOrder(self.due), self.pool.store_ref
         dispatcher = self.pool.dispatcher
         totals.start()
@@ -179,32 +183,37 @@ class _Run:
             for level in self.overviews.levels:
                 self._make([RunJob(index, site, level) for index in self.overviews.missing_chunks(level)])
         except KeyboardInterrupt:
-            self.report("interrupted, dropping the tiles under way")
+            self.report("interrupted, cancelling the tiles in flight")
             raise
 
     def _make(self, jobs: list[RunJob]) -> None:
-        """Let workers do jobs other than tiles. A failed chunk of an overview is left to ``finish``, which raises."""
+        """Run jobs other than tiles on the workers.
+
+        A failed chunk of an overview is left to ``finish``, which raises.
+        """
         for outcome in self.pool.iter_outcomes(jobs, self._tick):
             if isinstance(outcome, TileFailure) and jobs[0].level == LABELS:
-                raise RunError(f"the attractors could not be labelled: {outcome.message}; the same command resumes")
+                raise RunError(f"labelling the attractors failed: {outcome.message}; rerun the same command to resume")
             if isinstance(outcome, DerivedReport):
                 for index, row in outcome.records:
                     self.records.add(index, row)
             failed = outcome.message if isinstance(outcome, TileFailure) else ""
             if fault := outcome.fault if isinstance(outcome, DerivedReport) else failed:
-                note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process makes it at the end"
+                note = f"overview {jobs[0].level}, chunk {outcome.index}: {fault}; this process builds it at the end"
                 self.pool.options.report(replace(self.totals.progress(self.stage), note=note))
 
     def _tick(self, workers: WorkerStatus) -> None:
         totals = self.totals
-        self.pool.lease.check(lambda: self.report("waiting for the store, which does not answer"))
+        self.pool.lease.check(lambda: self.report("waiting for the store: no response"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.excluded
         totals.trouble = workers.trouble
         self.pool.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
-        self.report(workers.trouble or (self.stage if workers.threads else "no worker left: waiting for one"))
+        self.report(
+            workers.trouble or (self.stage if workers.threads else "no workers connected: waiting for one to join")
+        )
 
     def finish(self) -> None:
-        """Make the overviews that no worker has made, and collect all records in one chunk."""
+        """Build the overviews that no worker has built, and compact all tile records into one chunk."""
         self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
         self.records.compact(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
@@ -214,5 +223,5 @@ class _Run:
 
 
 def memory_of(cells: int) -> int:
-    """Bytes that a worker needs for tiles of this number of cells."""
+    """Return the bytes of memory that a worker needs for tiles of this number of cells."""
     return MIN_WORKER_MEMORY + BYTES_PER_CELL * max(0, cells - SMALL_TILE_CELLS)

@@ -1,4 +1,4 @@
-"""The progress of a store, from its contents and from the notes of a run beside it."""
+"""The status of a store: its progress, from its contents and from the lease of the run that writes it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -21,11 +21,18 @@ from workers.results import REASONS, REGIMES
 
 @dataclass(frozen=True)
 class StoreStatus:
-    """Tiles and cells done of a store, the regimes of these cells, and the run at work on it.
+    """The finished tiles and cells of a store, the regimes of these cells, and the run that writes the store.
 
-    ``reasons`` counts the cells without a certain result by the reason in words.
-    ``trouble`` says why no run may be at work in spite of a claim (its holder is dead or silent, or it is damaged), or
-    why the run at work makes no progress; ``ended``, how the last submitted run ended. Both are empty if all is well.
+    handle      handle of the store
+    tiles_done  number of finished tiles
+    cells_done  number of finished cells
+    regimes     numbers of cells by regime
+    reasons     numbers of cells without a certain result, by the reason as text
+    run         lease of the run that writes the store, or None
+    trouble     reason to doubt the lease (holder dead or silent, file damaged), or why the run makes no progress
+    ended       how the last submitted run ended
+
+    ``trouble`` and ``ended`` are empty if all is well.
     """
 
     handle: AtlasStore
@@ -39,7 +46,7 @@ class StoreStatus:
 
     @property
     def fraction(self) -> float:
-        """Fraction of the cells that are done."""
+        """Fraction of the cells that are finished."""
         return self.cells_done / self.handle.tiling.cells
 
     @property
@@ -81,7 +88,7 @@ class StoreStatus:
 
     @property
     def shares(self) -> list[tuple[str, str, str]]:
-        """The regimes: name, number of cells, and share of the cells that are done."""
+        """The regimes: name, number of cells, and fraction of the finished cells."""
         total = max(1, self.cells_done)
         return [(name, str(count), f"{100 * count / total:.2f} %") for name, count in self.regimes.items()]
 
@@ -108,7 +115,7 @@ class StoreStatus:
         return f"{self.run}, {workers} workers{speed}{left}{asked}"
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas status --json`` prints."""
+        """Return the dict that ``atlas status --json`` prints."""
         spec = self.handle.spec
         return {
             "store": str(self.handle.backend),
@@ -144,7 +151,12 @@ class StoreStatus:
 
 @dataclass(frozen=True)
 class StoreCounts:
-    """The contents of a store: number of tiles done, and the counts above 0 of cells by regime and by reason."""
+    """The contents of a store.
+
+    tiles    number of finished tiles
+    regimes  numbers of cells by regime, without zeros
+    reasons  numbers of cells by reason, without zeros
+    """
 
     tiles: int
     regimes: dict[str, int]
@@ -152,7 +164,7 @@ class StoreCounts:
 
     @classmethod
     def from_lease(cls, seen: LeaseObservation | None) -> "StoreCounts | None":
-        """The counts that the run on a store reports; None if there is no such run, or no sound report."""
+        """Return the counts that the run on a store reports; None if there is no live run, or no sound report."""
         if seen is None or seen.record is None or seen.alive is False or seen.trouble:
             return None
         try:
@@ -166,9 +178,9 @@ class StoreCounts:
 
 
 class StatusReader:
-    """A counter of a store's cells: by the report of the run at work on it, else by the records.
+    """Reads the status of a store, from the report of the run that writes it, else from the tile records.
 
-    A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of such tiles.
+    A finished tile without a record is counted by its chunks; ``tiles_read`` is the number of these tiles.
     """
 
     def __init__(self, handle: AtlasStore, timing: Timing = TIMING) -> None:
@@ -178,10 +190,11 @@ class StatusReader:
         self.observer = LeaseObserver(self.notes, timing)
 
     def read(self, settled: bool = False) -> StoreStatus:
-        """The present status; ``settled`` waits until a claim of another machine moves, or has stood still for long.
+        """Return the present status.
 
-        If a run was at work before the count and has ended since, the tiles are counted again: its last tiles may have
-        come after the count.
+        With ``settled`` wait until the lease of another host is known to move or to stand still. If a run held the
+        lease before the count and has ended since, the tiles are counted again. Its last tiles may have come after the
+        count.
         """
         look = self.observer.observe_until_settled if settled else self.observer.observe
         seen = look()
@@ -214,21 +227,21 @@ def _token(seen: LeaseObservation | None) -> str:
 
 
 def read_status(handle: AtlasStore, timing: Timing = TIMING) -> StoreStatus:
-    """The status of a store, see ``StatusReader``.
+    """Return the status of a store; see ``StatusReader``.
 
-    If the run at work is on another machine, this takes up to ``timing.silent`` seconds: only its counter shows that
-    it is alive.
+    If the run is on another host, this takes up to ``timing.warn_after`` seconds: only heartbeats show that the run is
+    alive.
     """
     return StatusReader(handle, timing).read(settled=True)
 
 
 def watch(census: StatusReader, seconds: float, sleep: Callable[[float], None] = time.sleep) -> Iterator[StoreStatus]:
-    """Statuses, one every ``seconds``, until the atlas is complete or no run has been at work for a while."""
+    """Yield statuses, one every ``seconds``, until the atlas is complete or no run has held its lease for a while."""
     idle, beat = 0.0, -1
     while True:
         status = census.read()
         yield status
-        alive = status.run is not None and status.run.beat != beat  # a claim that stands still is nobody's
+        alive = status.run is not None and status.run.beat != beat  # a lease without heartbeats belongs to no live run
         idle, beat = 0.0 if alive else idle + seconds, status.run.beat if status.run else -1
         if (status.fraction == 1 and not status.run) or idle > census.timing.expire_after:
             return

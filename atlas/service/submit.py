@@ -1,4 +1,4 @@
-"""Submitted runs: the coordinator is a task on the cluster, and outlives the program that submitted it."""
+"""Submitted runs: the coordinator is a Dask task on the cluster, and outlives the program that submitted it."""
 
 import os
 import time
@@ -34,12 +34,14 @@ if TYPE_CHECKING:
 class Submission:
     """A run sent to the coordinator on a cluster.
 
-    options          options of the run, without a scheduler
-    name             unique name of this submission on the scheduler
-    solver_version   the submitter's: workers of another version must not coordinate
-    run_id           run id of the store, empty if the submitter sees no store
-    origin           the store whose cells the run reuses
-    refused          workers that must not coordinate, and the reasons
+    spec            spec of the atlas
+    store           path or URL of the store
+    options         options of the run, without a scheduler
+    name            unique name of this submission on the scheduler
+    solver_version  the submitter's version: workers of another version must not coordinate
+    run_id          run id of the store; empty if the submitter sees no store
+    origin          the store whose cells the run reuses, or None
+    refused         reasons of the workers that refused to coordinate, by address
     """
 
     spec: Spec
@@ -52,20 +54,20 @@ class Submission:
     refused: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, refusal: WorkerRefusal) -> "Submission":
-        """The same submission, without the worker that refused."""
+        """Return the same submission, without the worker that refused."""
         return replace(self, refused={**self.refused, refusal.worker: refusal.reason})
 
 
 def submit(
     spec: Spec, store: str | os.PathLike[str] | StoreBackend, options: RunOptions, origin: Origin | None = None
 ) -> str:
-    """Let the cluster at ``options.scheduler`` compute an atlas, and leave; the address of the coordinating worker.
+    """Start the coordinator of a run on the cluster at ``options.scheduler``, and return the address of its worker.
 
-    Returns once tiles are being solved, or the atlas is complete. The coordinator is a task that takes no thread from
-    the tiles. If its worker dies, Dask starts it on another, up to three times (the scheduler's ``allowed-failures``),
-    where it resumes from the stored tiles. A worker that has another solver version than this program, or finds another
-    store at the path, refuses to coordinate, and another is asked.
-    Raises what ``atlas.run`` raises before its first tile, and RunError if all workers refuse.
+    Return once tiles are being solved, or the atlas is complete. The coordinator is a Dask task that takes no thread
+    from the tiles. If its worker dies, Dask starts it on another, up to three times (the scheduler's
+    ``allowed-failures``), and the coordinator resumes from the stored tiles. A worker refuses to coordinate if it has
+    another solver version than this program, or finds another store at the path. The next worker is then tried. Raise
+    the errors that ``atlas.run`` raises before its first tile, and RunError if all workers refuse.
     """
     from distributed import Event, Variable
 
@@ -76,7 +78,7 @@ def submit(
     check_not_packed(place)
     known = isinstance(place, LocalBackend) or getattr(place, "access", None) == BY_ENVIRONMENT
     if options.storage_options is not None or not known or open_backend(str(place)) != place:
-        raise InputError("submit: the coordinator reaches the store by its environment; give a path or a URL alone")
+        raise InputError("submit: the coordinator reaches the store by its own environment; give a path or a URL only")
     options.report(Progress(f"connecting to {scheduler}", transient=True))
     with connect_to_scheduler(scheduler, options.tls, timing) as client:
         count_threads(client, options.wait_for_first, options.wait, timing.poll)
@@ -104,12 +106,12 @@ def submit(
 
 
 def coordinate(task: Submission) -> WorkerRefusal | None:
-    """Coordinate a run on this worker, or return a refusal that names it.
+    """Coordinate a run on this worker, or return a refusal that names the worker.
 
-    As soon as tiles are under way, a variable of the scheduler with the submission's name holds the store's run id, and
-    an event is set, on which the submitter leaves. A coordinator that finds a run id replaces one whose worker died: it
-    resumes that run only, and if its own worker must not coordinate, it starts the next coordinator itself. An error
-    that no submitter waits for is noted for the status.
+    As soon as tiles are in flight, a variable of the scheduler with the submission's name holds the store's run id. An
+    event is then set, at which the submitter returns. A coordinator that finds a run id replaces one whose worker died.
+    It resumes that run only, and if its own worker must not coordinate, it starts the next coordinator itself. An error
+    that no submitter waits for is recorded for ``atlas status``.
     """
     from distributed import Event, Variable, get_worker, worker_client
 
@@ -141,7 +143,7 @@ def coordinate(task: Submission) -> WorkerRefusal | None:
                     task = task.without(refusal)
                     _start(
                         client, task, _willing(client, task, task.options.timing.replacement_worker)
-                    )  # one may be coming back
+                    )  # a worker may be reconnecting
                 return refusal
             _run(task, client, begin)
         except BaseException as error:
@@ -155,7 +157,7 @@ def coordinate(task: Submission) -> WorkerRefusal | None:
 
 
 def check_coordinator(task: Submission) -> None:
-    """Raise RefusedError if this worker must not coordinate."""
+    """Raise WorkerRefusedError if this worker must not coordinate."""
     if not task.run_id:
         check_solver(task.solver_version)
         return
@@ -165,7 +167,7 @@ def check_coordinator(task: Submission) -> None:
         raise
     except OSError as error:
         raise WorkerRefusedError(
-            f"{task.store}: {error.strerror or error}; is the path the same on all hosts?"
+            f"{task.store}: {error.strerror or error}; check that the path is the same on every host"
         ) from None
 
 
@@ -183,11 +185,11 @@ def _run(task: Submission, client: "Client", begin: Callable[[str], None]) -> No
     summary = complete(task.spec, open_backend(task.store), client, options, task.origin, run_id)
     if summary.failures:
         first, count = summary.failures[0], plural(len(summary.failures), "tile")
-        record_end(sidecar_of(task.store), f"{count} raised, the first being {first.index}: {first.message}")
+        record_end(sidecar_of(task.store), f"{count} failed, the first is {first.index}: {first.message}")
 
 
 def _run_id(store: str) -> str:
-    """The run id of the store at a path, empty if this host sees no store: it need not."""
+    """Return the run id of the store at a path; empty if this host sees no store, which is allowed."""
     try:
         return open_store(store).run_id
     except (InputError, OSError):
@@ -195,7 +197,7 @@ def _run_id(store: str) -> str:
 
 
 def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[WorkerRefusal | None]":
-    """Submit the coordinator to workers that may take it, to outlive this client."""
+    """Submit the coordinator to workers that may take it, so that it outlives this client."""
     from distributed import fire_and_forget
 
     future = client.submit(
@@ -211,18 +213,24 @@ def _start(client: "Client", task: Submission, willing: list[str]) -> "Future[Wo
 
 
 def _willing(client: "Client", task: Submission, seconds: float = 0.0) -> list[str]:
-    """Addresses of the workers that have not refused; RunError if all have for these seconds."""
+    """Return the addresses of the workers that have not refused.
+
+    Raise RunError if all workers have refused and no other joins within ``seconds``.
+    """
     end = time.monotonic() + seconds
     while not (willing := [worker for worker in worker_threads(client) if worker not in task.refused]) and task.refused:
         if time.monotonic() >= end:
             worker, reason = next(iter(task.refused.items()))
-            raise RunError(f"no worker can coordinate this run: {worker}: {reason}")
+            raise RunError(f"no worker may coordinate this run, for example {worker}: {reason}")
         time.sleep(task.options.timing.poll)
     return willing
 
 
 def _refusal(future: "Future[WorkerRefusal | None]", begun: "Event", poll: float) -> WorkerRefusal | None:
-    """Wait until the coordinator has begun, ended well (None) or refused; raise its exception."""
+    """Wait until the coordinator has begun or ended, and return its refusal; None if it did not refuse.
+
+    Raise its exception.
+    """
     while not future.done():
         if begun.wait(timeout=poll):
             return None
@@ -235,5 +243,5 @@ def _refusal(future: "Future[WorkerRefusal | None]", begun: "Event", poll: float
 
 
 def _in_words(error: BaseException) -> str:
-    """An error in words: the message alone of this package's errors, with the type for others."""
+    """Return the message of one of this package's errors; for others with the type of the error."""
     return str(error) if isinstance(error, InputError | RunError) else f"{type(error).__name__}: {error}".rstrip(": ")

@@ -1,4 +1,4 @@
-"""The summary of a run: its receipts added up."""
+"""The summary of a run, from the reports of its tiles."""
 
 import time
 from collections import Counter
@@ -15,7 +15,13 @@ from atlas.task.tile_job import TileReport
 
 @dataclass(frozen=True)
 class TileFailure:
-    """A tile that ended with an exception: its index, the last exception with its worker and traceback."""
+    """A tile that was given up after failed attempts.
+
+    index      index of the tile
+    message    its last exception, as text
+    worker     address of the worker of the last attempt; empty if unknown
+    traceback  traceback on the worker
+    """
 
     index: tuple[int, ...]
     message: str
@@ -30,17 +36,19 @@ class TileFailure:
 class RunSummary:
     """The result of a run.
 
-    tiles, tiles_done              tiles in all; tiles done by now
-    tiles_solved, cells_solved     solved by this run
-    counts, reasons                cells solved by regime; cells without a certain result by reason
-    seconds                        from the first tile to the last
-    solve_seconds, write_seconds   wall time in the solver and in the store, summed over workers
-    processor_seconds              processor time in the solver, summed over workers; other programs do not count
-    periods                        forcing periods simulated; without a force natural ones
-    peak_bytes                     largest memory of any worker's process
-    failures, refused              tiles that raised; excluded workers, and the reasons
-    retried, changed               whether the store is one of a retry; number of cells that changed their regime
-    laws                           use of the laws that are expressions, in the cells solved by this run
+    store                         path or URL of the store
+    tiles, tiles_done             number of tiles; number of tiles finished by now
+    tiles_solved, cells_solved    numbers solved by this run
+    counts, reasons               cells solved by regime; cells without a certain result by reason
+    seconds                       from the first tile to the last
+    solve_seconds, write_seconds  wall time in the solver and in the store, summed over workers
+    periods                       forcing periods simulated; natural ones for a machine without a force
+    workers                       number of worker threads
+    peak_bytes                    largest memory of any worker's process
+    failures, refused             tiles that failed; excluded workers, and the reasons
+    retried, changed              True for the store of a retry; number of cells that changed their regime
+    processor_seconds             processor time in the solver, summed over workers; other programs do not count
+    laws                          use of the laws that are expressions, in the cells solved by this run
     """
 
     store: str
@@ -65,12 +73,12 @@ class RunSummary:
 
     @property
     def cells_per_second(self) -> float:
-        """Cells solved a second."""
+        """Cells solved per second."""
         return self.cells_solved / self.seconds if self.seconds else 0.0
 
     @property
     def efficiency(self) -> float:
-        """Share of the workers' time spent solving: the rest is writing, queues and waiting for the last tile."""
+        """Share of the workers' time spent solving; the rest is writing, queues and waiting for the last tile."""
         return self.solve_seconds / (self.seconds * self.workers) if self.seconds else 0.0
 
     __repr__ = text_repr
@@ -95,7 +103,7 @@ class RunSummary:
 
 
 class RunTotals:
-    """The state of a run between its snapshots: its receipts added up."""
+    """The totals of a run, from the reports so far."""
 
     def __init__(self, plan: Plan, tiles_done: int = 0, cells_done: int = 0, retried: bool = False) -> None:
         self.plan, self.retried, self.workers = plan, retried, plan.workers
@@ -115,7 +123,7 @@ class RunTotals:
         self.begin = time.perf_counter()
 
     def add(self, outcome: TileReport | TileFailure) -> None:
-        """Count one tile's outcome."""
+        """Add the outcome of one tile."""
         self.seconds = time.perf_counter() - self.begin
         if isinstance(outcome, TileFailure):
             self.failures += (outcome,)
@@ -130,17 +138,17 @@ class RunTotals:
         self.peak_bytes = max(self.peak_bytes, outcome.peak_bytes)
 
     def progress(self, stage: str) -> Progress:
-        """The present snapshot."""
+        """Return a snapshot of the progress."""
         names = ("plan", "tiles", "cells", "tiles_done", "cells_done", "cells_solved", "seconds")
         now = {name: getattr(self, name) for name in names}
         return Progress(stage, **now, counts=dict(self.counts), failures=len(self.failures))
 
     def report(self, threads: int) -> dict[str, Any]:
-        """The progress in the run's claim, for the status of the store."""
+        """Return the progress for the lease of the run, from which the status of the store is read."""
         names = ("cells", "cells_done", "cells_solved", "seconds", "trouble")
         return {"workers": threads} | {name: getattr(self, name) for name in names}
 
     def summary(self, store: str) -> RunSummary:
-        """The sum, for a store at that path or URL."""
+        """Return the summary of the run, for a store at this path or URL."""
         sums = {entry.name: getattr(self, entry.name) for entry in fields(RunSummary) if entry.name != "store"}
         return RunSummary(store, **sums | {"counts": dict(self.counts), "reasons": dict(self.reasons)})

@@ -1,8 +1,8 @@
 """The order of tiles: a coarse lattice first, then the costliest tiles, as predicted from the lattice.
 
 Costs of tiles differ a hundredfold. A large cluster waits for a costly tile that is begun last, as happens row by row
-if the chaos lies in the last rows. Neighbours cost about the same, so the receipts of the lattice predict the other
-costs for free; a probe of some cells of each tile predicts no better and costs time.
+if the chaos lies in the last rows. Neighbouring tiles cost about the same, so the reports of the lattice predict the
+other costs for free. A probe of some cells of each tile predicts no better and costs time.
 """
 
 from collections.abc import Iterator
@@ -10,13 +10,13 @@ from collections.abc import Iterator
 import numpy as np
 
 STRIDE = 4
-"""Distance in tiles, along each dimension, of the first lattice; the second has half of it."""
+"""Distance, in tiles along each dimension, of the first lattice; the second lattice has half of it."""
 NEIGHBOURS = 4
-"""Number of tiles of known cost from which the cost of another is predicted."""
+"""Number of tiles of known cost from which the cost of another tile is predicted."""
 
 
 class TileOrder:
-    """An iterator over the indices of the unfinished tiles; costs noted meanwhile decide the order of the rest."""
+    """An iterator over the indices of the unfinished tiles; costs recorded meanwhile decide the order of the rest."""
 
     def __init__(self, unfinished: np.ndarray) -> None:
         self._due = unfinished
@@ -24,7 +24,7 @@ class TileOrder:
         self._noted = 0
 
     def record_cost(self, index: tuple[int, ...], cost: float) -> None:
-        """Note the cost of a tile, in any unit."""
+        """Record the cost of a tile, in any unit."""
         self._cost[index] = cost
         self._noted += 1
 
@@ -34,7 +34,7 @@ class TileOrder:
         rest = np.concatenate([np.flatnonzero(stage) for stage in stages])
         enough, given, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
         for _ in range(rest.size):
-            if self._noted >= enough and first <= 0:  # decided anew whenever twice as much is known
+            if self._noted >= enough and first <= 0:  # sorted again whenever twice as many costs are known
                 rest, given, enough = self._costly_first(rest[given:]), 0, 2 * self._noted
             yield tuple(map(int, np.unravel_index(rest[given], self._due.shape)))
             given, first = given + 1, first - 1

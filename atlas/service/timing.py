@@ -1,4 +1,4 @@
-"""All waiting times of the service, in one record for runs, watchers and commands."""
+"""All waiting times of the service, in one record for runs, observers and commands."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,17 @@ from atlas.formatting import short_repr
 class Timing:
     """Seconds, each positive or 0; the defaults suit a cluster on a network.
 
-    connect   for a scheduler to answer
-    worker    for a scheduler to get a worker after all others refused
-    tick      between two looks at the cluster and the claim while tiles are solved
-    poll      between two looks at a coordinator that is to begin
-    beat      between two steps of a claim's counter
-    look      between two looks at the claim of another run
-    silent    after which a counter that stands still is reported: one beat may be late, two rarely are
-    stalled   after which a run without a finished tile gives the reason, if known
-    hung      after which a worker that ends no job may hang, if it is also many times the longest job so far
-    dead      after which the holder of a still counter counts as dead: ten beats, for a busy network disk
+    connect             time for a scheduler to answer
+    replacement_worker  time for a scheduler to get a worker after all others refused
+    tick                interval of looking at the cluster and the lease while tiles are solved
+    poll                interval of looking at a coordinator that is to begin
+    heartbeat           interval of the heartbeats of a lease
+    lease_poll          interval of looking at the lease of another run
+    warn_after          silence of a lease that is reported: one heartbeat may be late, two rarely are
+    stall_after         time without a finished tile after which a run gives the reason, if known
+    hung                time after which a worker that finishes no job may hang, if it is also many times the longest
+                        job so far
+    expire_after        silence after which a lease has expired: ten heartbeats, for a busy network disk
     """
 
     connect: float = 5.0
@@ -38,8 +39,8 @@ class Timing:
     def __post_init__(self) -> None:
         for name, seconds in vars(self).items():
             if not seconds >= 0:
-                raise InputError(f"timing: {name} is {brief_repr(seconds)}, must be 0 s or more")
+                raise InputError(f"timing: {name}: found {brief_repr(seconds)}, must be 0 s or more")
 
 
 TIMING = Timing()
-"""The defaults."""
+"""The default waiting times."""

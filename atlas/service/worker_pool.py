@@ -1,4 +1,7 @@
-"""Workers for the jobs of a run: those of a client, or processes that the first job starts."""
+"""The Dask workers of a run, for one leased store.
+
+A pool uses the workers of a given client, or starts a local cluster when the first job is submitted.
+"""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class TimedReport(Protocol):
-    """The receipt of a job."""
+    """The report of a finished job, with its processor time."""
 
     @property
     def processor_seconds(self) -> float:
@@ -41,15 +44,15 @@ T = TypeVar("T", bound=TimedReport)
 
 @dataclass
 class WorkerPool(Generic[J, R]):
-    """The workers for a claimed store; the first use of ``force`` sets them up, as new processes if there are none.
+    """Dask workers for a leased store; the first use of ``dispatcher`` sets them up.
 
-    act       does a job
-    kernels   kernels that the jobs need
-    threads   threads of the workers: the number asked for, later the largest number seen
-    memory    bytes that a worker needs
-    begin     when the jobs began, by the monotonic clock
+    run      function that does a job on a worker
+    kernels  kernels that the jobs need, compiled before the first job
+    threads  number of worker threads: as requested, later the largest number observed
+    memory   bytes of memory that a worker needs
+    begin    start of the jobs, in seconds of ``time.monotonic``
 
-    ``tasks`` and ``processor_seconds`` count the jobs done by ``do`` and their processor time.
+    ``tasks`` and ``processor_seconds`` are totals over the jobs of ``run_jobs``.
     """
 
     handle: AtlasStore
@@ -78,9 +81,9 @@ class WorkerPool(Generic[J, R]):
         stack: ExitStack,
         needed: bool = True,
     ) -> "WorkerPool[J, R]":
-        """Claim a store until ``stack`` is closed, and return its crew; without workers unless they are ``needed``.
+        """Lease a store until ``stack`` is closed, and return its pool.
 
-        The crew's handle writes behind the fence of the claim.
+        The handle of the pool writes behind the fence of the lease. Workers are connected only if ``needed``.
         """
         client = connect_client(client, options, stack) if needed else None
         threads = worker_count(client, options) if needed else 0
@@ -98,7 +101,7 @@ class WorkerPool(Generic[J, R]):
 
     @cached_property
     def store_ref(self) -> StoreRef:
-        """The store as jobs receive it."""
+        """The reference to the store that jobs receive."""
         handle = self.handle
         return StoreRef(
             picklable_backend(handle.backend), handle.run_id, SOLVER_VERSION, self.options.patience, self.lease.token
@@ -106,7 +109,7 @@ class WorkerPool(Generic[J, R]):
 
     @cached_property
     def dispatcher(self) -> Dispatcher[J, R]:
-        """The workers, until ``stack`` is closed."""
+        """The dispatcher of the pool's workers, open until ``stack`` is closed."""
         site = self.store_ref
         if self.client is None:
             prepare_kernels(self.options.report, *self.kernels)
@@ -118,12 +121,15 @@ class WorkerPool(Generic[J, R]):
         return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
-        """The outcomes of jobs, see ``Dispatcher.outcomes``; RunError, too, if the claim has been taken meanwhile."""
+        """Yield the outcomes of jobs as ``Dispatcher.iter_outcomes`` does.
+
+        Raise RunError also if the lease has been lost meanwhile.
+        """
         try:
             yield from self.dispatcher.iter_outcomes(jobs, on_tick)
         except RunError:
-            with suppress(OSError):  # a store that cannot be reached says nothing of its claim
-                self.handle.backend.check_fence()  # if the claim was taken, workers refuse for that reason
+            with suppress(OSError):  # a store that cannot be reached tells nothing about its lease
+                self.handle.backend.check_fence()  # workers refuse if the lease was lost
             raise
 
     def run_jobs(
@@ -132,21 +138,21 @@ class WorkerPool(Generic[J, R]):
         get_progress: Callable[[], Progress],
         on_result: Callable[[T], None] = lambda _: None,
     ) -> None:
-        """Let the workers do jobs whose results are parts of the store; ``on_result`` is called with every receipt.
+        """Run jobs whose results are parts of the store, and call ``on_result`` with each report.
 
-        ``get_progress`` gives the progress to report. RunError if a job fails for good.
+        ``get_progress`` returns the snapshot to show. Raise RunError if a job fails for good.
         """
 
         def tick(workers: WorkerStatus) -> None:
             self.lease.check()
             self.threads = max(self.threads, workers.threads)
-            waiting = "" if workers.threads else "no worker left: waiting for one"
+            waiting = "" if workers.threads else "no workers connected: waiting for one to join"
             self._report(get_progress(), workers.trouble or waiting)
 
         for outcome in self.iter_outcomes(jobs, tick) if jobs else ():
             if isinstance(outcome, TileFailure):
                 raise RunError(
-                    f"a task failed: {outcome.message}; finished parts are kept, and the same command resumes"
+                    f"a job failed: {outcome.message}; finished parts are kept, rerun the same command to resume"
                 )
             self.tasks += 1
             self.processor_seconds += outcome.processor_seconds
@@ -154,7 +160,7 @@ class WorkerPool(Generic[J, R]):
             self._report(get_progress())
 
     def _report(self, progress: Progress, trouble: str = "") -> None:
-        """Report the progress of the jobs; in a log once every few seconds."""
+        """Report the progress of the jobs; for a log once every LOG_INTERVAL seconds."""
         now = time.monotonic()
         stage = trouble or progress.stage
         passing = now - self.reported < LOG_INTERVAL or stage == self.last
@@ -167,10 +173,10 @@ class WorkerPool(Generic[J, R]):
 def open_store_call(
     store: "Given | AtlasStore", client: "Client | None", options: RunOptions
 ) -> Iterator[tuple[AtlasStore, RunOptions, ExitStack]]:
-    """The beginning of a call that works on a store: its handle, its options with a reporter of progress, and a stack.
+    """Begin a call that works on a store, and yield its handle, the options with a progress reporter, and a stack.
 
     The stack is closed when the call ends. The handle waits ``options.patience`` seconds for a server that does not
-    answer. InputError for a client that contradicts the options, and without an atlas.
+    respond. Raise InputError if the client contradicts the options, or if there is no atlas at ``store``.
     """
     leave_if_bootstrapping()
     check_client(client, options)
@@ -186,11 +192,11 @@ def open_store_call(
 
 @contextmanager
 def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease]:
-    """Hold the claim of a store. Leftovers of dead runs are removed at the beginning, their notes at the end.
+    """Hold the lease of a store within the block.
 
-    A single beat waits only as long as the place does: the next beat follows, and a run whose store does not answer
-    should end without delay. For some beat to succeed, and to remove the notes, the run waits ``options.patience``
-    seconds; meanwhile nothing is written without a look at the claim.
+    Partial stores left by killed runs are removed at the start, and the sidecar files of this run at the end. A single
+    heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
+    store; meanwhile every write still checks the lease.
     """
     notes = sidecar_of(waiting(place, options.patience))
 
@@ -198,7 +204,7 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
         options.report(Progress(text))
 
     def tidy() -> None:
-        if read_lease_token(notes) == claim.token:  # else the notes belong to another run
+        if read_lease_token(notes) == claim.token:  # else the sidecar belongs to another run
             notes.clear(keep=LEASE_NAME)
 
     patience = options.patience if place.local is None else 0.0
@@ -208,7 +214,7 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
         try:
             yield claim
         except Exception:
-            raise  # notes of unfinished tiles stay: the tiles may be the cause
+            raise  # sidecar files of unfinished tiles stay: the tiles may be the cause
         except BaseException:
             tidy()
             raise

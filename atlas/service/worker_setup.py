@@ -1,7 +1,7 @@
-"""The setup of a worker once per run, before its first job: a plugin of Dask's workers.
+"""The setup of a worker once per run, before its first job, by a plugin of Dask's workers.
 
-Dask hands it to every worker, also to one that joins later. It runs in a thread of its own, since Dask's event loop
-must not stand still while kernels are compiled; jobs that come meanwhile wait for it.
+Dask sends the plugin to every worker, including workers that join later. The setup runs in a thread of its own, since
+Dask's event loop must not stand still while kernels are compiled. Jobs that arrive meanwhile wait for the setup.
 """
 
 import asyncio
@@ -21,16 +21,20 @@ if TYPE_CHECKING:
 
 
 class WorkerSetup(WorkerPlugin):
-    """The setup of one run, by ``prepare``; all jobs that waited raise its exception.
+    """The setup of one run on a worker.
 
-    A worker that refuses does so for good. Any other failure may pass, so the next job tries again.
+    name     name of the plugin
+    prepare  function that prepares the worker; all jobs that wait raise its exception
+    forget   function that drops the state of ``prepare``
+
+    A worker that refuses does so for good. Any other failure may be temporary, so the next job tries again.
     """
 
     def __init__(self, name: str, prepare: Callable[[], object], forget: Callable[[], object]) -> None:
         self.name, self._prepare, self._forget = name, prepare, forget
 
     def setup(self, worker: Any) -> None:
-        """Begin; see Dask."""
+        """Begin the setup; see Dask."""
         self._lock, self._ready, self._refusal = threading.Lock(), False, ""
         threading.Thread(target=self._begin, name="atlas-setup", daemon=True).start()
 
@@ -39,7 +43,7 @@ class WorkerSetup(WorkerPlugin):
         self._forget()
 
     def wait(self) -> None:
-        """Return once this worker is ready for jobs of the run; raises if its setup fails."""
+        """Return once this worker is ready for jobs of the run; raise the exception of its setup."""
         with self._lock:
             if self._ready:
                 return
@@ -58,7 +62,7 @@ class WorkerSetup(WorkerPlugin):
 
 
 def run_after_setup(name: str, act: Callable[[J], R], job: J) -> R:
-    """Do a job once the setup of its run is done; at once on a worker without the plugin."""
+    """Do a job once the setup of its run is finished; at once on a worker without the plugin."""
     plugin = get_worker().plugins.get(name)
     if isinstance(plugin, WorkerSetup):
         plugin.wait()
@@ -67,11 +71,11 @@ def run_after_setup(name: str, act: Callable[[J], R], job: J) -> R:
 
 @contextmanager
 def prepare_workers(client: "Client", job_type: JobType[J, R], seconds: float) -> Iterator[Callable[[J], R]]:
-    """Prepare every worker once, and yield ``labour.act`` as a function that waits for its worker's preparation.
+    """Prepare every worker once, and yield ``job_type.run`` as a function that waits for its worker's setup.
 
     A run that resumes after a kill has the same name, and replaces the setup left behind. Dask asks all workers; this
-    waits for at most ``seconds``, so that a worker that hangs does not hold up the others. A worker without the setup
-    does its jobs all the same, since every job checks what it needs.
+    function waits for at most ``seconds``, so that a worker that hangs does not hold up the others. A worker without
+    the setup does its jobs all the same, since every job checks what it needs.
     """
     name = job_type.name
     _asked(client, lambda: client.register_plugin(WorkerSetup(name, job_type.setup, job_type.teardown)), seconds)
@@ -82,7 +86,7 @@ def prepare_workers(client: "Client", job_type: JobType[J, R], seconds: float) -
 
 
 def _asked(client: "Client", request: Callable[[], Any], seconds: float) -> None:
-    """Make a request of a client, which gives a coroutine in the thread of its loop; errors are ignored."""
+    """Make a request of a client, which returns a coroutine in the thread of its loop; errors are ignored."""
 
     async def answer() -> None:
         await asyncio.wait_for(request(), seconds)

@@ -16,7 +16,10 @@ MOST_COST = 2**31 - 1
 
 
 def parse_attractors(given: object, system: System, settings: Settings) -> AttractorSettings | None:
-    """The initial states in a table; InputError with the wrong key. None if no table is given."""
+    """Return the initial states of a table; None if there is no table.
+
+    Raise InputError, naming the key, for a wrong table.
+    """
     if given is None:
         return None
     table: object = attractors_to_json(given) if isinstance(given, AttractorSettings) else given
@@ -40,7 +43,10 @@ def parse_attractors(given: object, system: System, settings: Settings) -> Attra
 
 
 def cell_attractors(starts: int, system: System, settings: Settings) -> AttractorSettings:
-    """The initial states of a search for the attractors of one cell, which keeps all; InputError as above."""
+    """Return the initial states of a search for all attractors of one cell.
+
+    Raise InputError as ``parse_attractors`` does.
+    """
     search = parse_attractors({"starts": starts, "keep": MAX_KEPT}, system, settings)
     assert search is not None
     return search
@@ -49,13 +55,13 @@ def cell_attractors(starts: int, system: System, settings: Settings) -> Attracto
 def search_to_json(
     system: System, parameters: Mapping[str, float], settings: Settings, search: AttractorSettings
 ) -> dict[str, Any]:
-    """The system, parameters, settings and search of one cell in full, as plain JSON."""
+    """Return the system, parameters, settings and search of one cell in full, as plain JSON."""
     described = {"parameters": parameters, "solve": asdict(settings), "search": attractors_to_json(search)}
     return system.to_resolved() | described
 
 
 def attractors_to_json(starts: AttractorSettings) -> dict[str, Any]:
-    """The table as plain JSON."""
+    """Return the table as plain JSON."""
     box = {name: [low, high] for name, low, high in starts.box}
     return {"starts": starts.count, "seed": starts.seed, "box": box, "keep": starts.keep}
 

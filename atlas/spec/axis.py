@@ -18,7 +18,7 @@ KEYS = ("start", "stop", "num", "values", "scale", "continuation")
 SCALES = ("linear", "log")
 DIRECTIONS = ("forward", "backward")
 MAX_POINTS = 1_000_000
-"""Most points on an axis: a million already makes a store of many terabytes, so more is a typing error."""
+"""Maximum number of points on an axis: a million already makes a store of many terabytes, so more is a typing error."""
 
 
 Values = Mapping[str, tuple[float, ...]]
@@ -27,10 +27,13 @@ Values = Mapping[str, tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Axis:
-    """A swept parameter: its name, its strictly increasing values, and the scale of its plots.
+    """An axis of a spec: a swept parameter.
 
-    ``continuation`` is "forward" (rising values) or "backward" if each cell starts from its neighbour's attractor, and
-    None for independent cells.
+    name          name of the parameter
+    values        its values, strictly increasing
+    scale         scale of its plots, "linear" or "log"
+    continuation  "forward" (rising values) or "backward" if each cell starts from its neighbour's attractor; None for
+                  independent cells
     """
 
     name: str
@@ -63,7 +66,7 @@ class Axis:
         return one == another and self.values == other.values
 
     def outline(self) -> dict[str, Any]:
-        """The axis as plain JSON, without the values between the first and the last."""
+        """Return the axis as plain JSON, without the values between the first and the last."""
         ends = {"name": self.name, "scale": self.scale, "start": self.start, "stop": self.stop, "num": len(self)}
         return ends | ({"continuation": self.continuation} if self.continuation else {})
 
@@ -71,7 +74,7 @@ class Axis:
 class StoredAxis(Axis):
     """An axis from its outline, with values read at first use.
 
-    ``read`` gives the values of all axes by name. InputError for an invalid outline.
+    ``read`` returns the values of all axes by name. Raise InputError for an invalid outline.
     """
 
     def __init__(self, outline: Mapping[str, Any], read: Callable[[], Values]) -> None:
@@ -87,7 +90,7 @@ class StoredAxis(Axis):
 
     @cached_property
     def values(self) -> tuple[float, ...]:
-        """See Axis. Raises what ``read`` raises."""
+        """The values, see Axis. Raise the errors of ``read``."""
         return self._read()[self.name]
 
     @property
@@ -108,12 +111,15 @@ class StoredAxis(Axis):
 
 
 def values_from_outline(outline: Mapping[str, Any]) -> tuple[float, ...]:
-    """The values of an axis with even spacing on its scale, from its outline; InputError for an invalid outline."""
+    """Return the values of an axis with even spacing on its scale, from its outline.
+
+    Raise InputError for an invalid outline.
+    """
     return _spaced(str(outline["name"]), outline, outline["scale"])
 
 
 def number(where: str, value: object) -> float:
-    """The value as a float; InputError unless it is a finite real number. ``where`` names it in the message."""
+    """Return the value as a float; raise InputError, naming ``where``, unless the value is a finite real number."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise InputError(f"{where}: found {brief_repr(value)}, must be a number")
     try:
@@ -126,7 +132,7 @@ def number(where: str, value: object) -> float:
 
 
 def admitted(parameter: Parameter, value: object) -> float:
-    """The value as a float inside the parameter's valid range; InputError with the range otherwise."""
+    """Return the value as a float in the parameter's valid range; raise InputError with the range for other values."""
     result = number(parameter.name, value)
     if not parameter.admits(result):
         raise InputError(f"{parameter.name} = {result!r}: must satisfy {parameter.range}")
@@ -134,7 +140,7 @@ def admitted(parameter: Parameter, value: object) -> float:
 
 
 def read_axis(parameter: Parameter, value: object) -> Axis:
-    """An Axis from ``{start, stop, num}``, ``{values}``, or a list or an array of values.
+    """Return the Axis of ``{start, stop, num}``, ``{values}``, or a list or an array of values.
 
     A table may also have a scale and a continuation.
     """
@@ -143,7 +149,7 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
         return value
     if isinstance(value, Axis):
         value = {"values": value.values, "scale": value.scale, "continuation": value.continuation}
-    if isinstance(value, tuple):  # could be meant as start, stop and num
+    if isinstance(value, tuple):  # a tuple could mean start, stop and num
         raise InputError(
             f"{where}: found the tuple {brief_repr(value)}, "
             "must be a list of values, or a table with start, stop and num"
@@ -166,7 +172,7 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
 
 
 def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Scale and continuation of an axis."""
+    """Return scale and continuation of an axis."""
     scale, continuation = table.get("scale", "linear"), table.get("continuation")
     if scale not in SCALES:
         raise InputError(f"{where}.scale: found {brief_repr(scale)}, must be one of {', '.join(SCALES)}")
@@ -178,7 +184,7 @@ def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None
 
 
 def validate_num(where: str, table: Mapping[str, Any]) -> int:
-    """The number of values in a table; InputError unless it is an integer."""
+    """Return the number of values in a table; raise InputError unless it is an integer."""
     num = table["num"]
     if not is_integer(num):
         raise InputError(f"{where}.num: found {brief_repr(num)}, must be a whole number, 1 or more")
@@ -222,13 +228,13 @@ def _spaced(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ..
 
 
 def check_count(where: str, count: int) -> None:
-    """Raise InputError unless an axis may have this number of points; ``where`` names it in the message."""
+    """Raise InputError, naming ``where``, unless an axis may have this number of points."""
     if not 1 <= count <= MAX_POINTS:
         raise InputError(f"{where}: found {brief_repr(count)} points, must be 1 to {MAX_POINTS}")
 
 
 def all_floats(values: Sequence[object]) -> tuple[float, ...]:
-    """The values if all are finite floats, checked at once, since there may be very many; else ()."""
+    """Return the values if all are finite floats, else (). They are checked at once, since there may be very many."""
     if not all(type(value) is float for value in values):
         return ()
     floats = np.array(values, dtype=np.float64) + 0.0  # -0.0 becomes 0.0: equal specs have one digest

@@ -1,4 +1,4 @@
-"""Edges, widths and areas of the cells around the points of an axis."""
+"""The geometry of cells: edges, widths and areas around the points of an axis."""
 
 from typing import TYPE_CHECKING
 
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from atlas.spec.spec import Spec
 
 LONE_CELL = 0.05
-"""Half width of the cell of an axis with one point, relative to its value (absolute where that is 0)."""
+"""Half width of the cell of an axis with one point, relative to its value, or absolute if the value is 0."""
 
 
 def is_uniform(values: NDArray[np.float64]) -> bool:
-    """Whether points are evenly spaced, up to the rounding of storage."""
+    """Return True if points are evenly spaced, up to the rounding of storage."""
     steps = np.diff(values)
     return bool(np.all(np.abs(steps - steps.mean()) <= 1e-6 * np.abs(steps.mean()))) if steps.size > 1 else True
 
 
 def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """The n + 1 edges of the cells around n rising points: midway, on a log axis at the geometric mean.
+    """Return the n + 1 edges of the cells around n rising points: midway, on a log axis at the geometric mean.
 
     The outermost cells are symmetric about their points. A single point gets a cell of +-LONE_CELL of its value.
     """
@@ -35,13 +35,13 @@ def edges_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
 
 
 def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], value: float) -> int:
-    """The index of the point of an axis whose cell, as it is drawn, holds a value.
+    """Return the index of the point of an axis whose cell, as it is drawn, contains a value.
 
-    On a log axis that is the point nearest in ratio. InputError more than half a cell beyond the ends.
+    On a log axis, this is the point nearest in ratio. Raise InputError more than half a cell beyond the ends.
     """
     if not edges[0] <= value <= edges[-1]:
         raise InputError(f"{name} = {value:g} lies outside the grid; valid: {edges[0]:g} to {edges[-1]:g}")
-    exact = np.flatnonzero(values == value)  # edges between neighbouring floats are rounded to one of the two
+    exact = np.flatnonzero(values == value)  # edges between neighbouring floats are rounded to one of the floats
     if exact.size:
         return int(exact[0])
     place = int(np.searchsorted(edges[1:-1], value, side="right"))
@@ -49,13 +49,13 @@ def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], 
 
 
 def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:
-    """Widths of the cells around n rising points, in the axis's own unit; 1 for equal ones.
+    """Return the widths of the cells around n rising points, in the axis's own unit; 1 for equal widths.
 
-    Only their ratios count, and ones are free of rounding.
+    Only the ratios of widths count, and ones are free of rounding.
     """
     return np.ones_like(values) if is_uniform(values) else np.diff(edges_of(values, log))
 
 
 def widths_along(spec: "Spec") -> tuple[NDArray[np.float64], ...]:
-    """``widths_of`` the cells of a whole plane along each of its dimensions."""
+    """Return ``widths_of`` the cells of a whole plane along each of its dimensions."""
     return tuple(widths_of(np.array(axis.values), axis.scale == "log") for axis in reversed(spec.axes))

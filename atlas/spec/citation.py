@@ -21,7 +21,7 @@ _REFERENCE = re.compile(
 
 
 def software(version: str, solver_version: int) -> str:
-    """The entry of the software, with the solver version that a paper needs to be reproducible."""
+    """Return the entry of the software, with the solver version that a paper needs to be reproducible."""
     return f"""@software{{impact-atlas,
   author  = {{{{impact-atlas contributors}}}},
   title   = {{impact-atlas: maps of chaos in vibro-impact oscillators}},
@@ -31,7 +31,7 @@ def software(version: str, solver_version: int) -> str:
 
 
 def sources(system: System) -> list[str]:
-    """An entry for each reference in a system's ``source``; references other than journal articles become notes.
+    """Return an entry for each reference in a system's ``source``; references other than journal articles become notes.
 
     References are separated by semicolons: "Shaw S. W. & Holmes P. J., J. Sound Vib. 90 (1983) 129". The packaged
     systems give no titles of articles. The paper of the method has an entry of its own.
@@ -52,13 +52,13 @@ def sources(system: System) -> list[str]:
 
 
 def software_version(packages: str) -> str:
-    """The version of this package in a store's attribute ``software``."""
+    """Return the version of this package in a store's attribute ``software``."""
     match = re.search(r"\bimpact-atlas (\S+?)(?:[,;]|$)", packages)
     return match[1] if match else "unknown"
 
 
 def bibtex(system: System, version: str, solver_version: int) -> str:
-    """All entries for an atlas of a system computed by a version of the package."""
+    """Return all entries for an atlas of a system computed by a version of the package."""
     return "\n\n".join([software(version, solver_version), METHOD, *sources(system)])
 
 

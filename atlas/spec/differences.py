@@ -1,4 +1,4 @@
-"""The differences of two specs, in words."""
+"""The differences of two specs, as text."""
 
 from atlas.spec.points import describe_difference
 from atlas.spec.spec import Spec
@@ -6,7 +6,7 @@ from workers.model.system import identity
 
 
 def differences(stored: Spec, given: Spec) -> list[str]:
-    """The differences of two specs, a few words for each."""
+    """Return the differences of two specs, a short line for each."""
     texts = []
     if stored.system != given.system:
         texts.append(f"system {stored.system} in the store, {given.system} in the spec")
@@ -43,7 +43,7 @@ def differences(stored: Spec, given: Spec) -> list[str]:
 
 
 def _defined_otherwise(stored: Spec, given: Spec) -> str:
-    """The entries that differ between two systems of the same name."""
+    """Return the entries that differ between two systems of the same name, as text."""
     if stored.system_def.packaged or given.system_def.packaged:
         return "only one of the two is in the package"
     one, other = (identity(spec.system_def.to_resolved())["system"] for spec in (stored, given))

@@ -1,4 +1,4 @@
-"""The equation of motion of a system, in text: its author's, or generated from its definition."""
+"""The equation of motion of a system as text: by its author, or generated from its definition."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,11 +13,11 @@ from workers.model.system import System
 
 
 def equation_of(system: System) -> str:
-    """The equation in the words of the definition, or generated from its entries.
+    """Return the equation as its definition writes it, or generated from the entries of the definition.
 
-    A line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, without zero terms; then
-    the forcing period if it is not 2 pi / omega, the stops, the impact law, friction, phases, the drifting coordinate
-    and the names in expressions.
+    There is a line for each coordinate, ``mass * x'' + damping * x' + stiffness * x = load + force``, without zero
+    terms. Then follows the forcing period if it is not 2 pi / omega. The last lines are the stops, the impact law,
+    friction, phases, the drifting coordinate and the names in expressions.
     """
     if system.equation.strip():
         return system.equation
@@ -57,7 +57,7 @@ def equation_of(system: System) -> str:
 
 
 def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int, int]) -> list[str]:
-    """The lines of a contact: its coordinate, its free range, and its law outside."""
+    """Return the lines of a contact: its coordinate, its free range, and its law outside."""
     gap = _sum(zip(contact.gap, coordinates, strict=True))
     name = gap if gap in coordinates else "gap"
     if not contact.stops:
@@ -76,7 +76,7 @@ def _contact(contact: Contact, coordinates: tuple[str, ...], counts: Mapping[int
 
 
 def _changes(phase: Phase) -> Iterator[str]:
-    """The entries of a phase that replace those of the machine, each with its expression."""
+    """Yield the entries of a phase that replace those of the machine, each with its expression."""
     for key in ("stiffness", "damping"):
         if (matrix := getattr(phase, key)) is not None:
             yield f"{key} ({', '.join(map(_row, matrix)) if len(matrix) > 1 else _number(matrix[0][0])})"
@@ -92,14 +92,14 @@ def _row(row: Row) -> str:
 
 
 def _level(friction: Friction, counts: Mapping[int, int]) -> str:
-    """The force of sliding friction."""
+    """Return the force of sliding friction as text."""
     if friction.law is not None:
         return _law(friction, counts)
     return _sum([(friction.kinetic, ""), (friction.slope, "|v|")])
 
 
 def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str:
-    """The law of an element: its expression, or the first and the last point and the number of segments."""
+    """Return the law of an element: its expression, or its first and last point and the number of segments."""
     law, count = element.law, counts[id(element)]
     if isinstance(law, Expression):
         assert element.within is not None
@@ -110,7 +110,7 @@ def _law(element: Contact | Friction | Spring, counts: Mapping[int, int]) -> str
 
 
 def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
-    """The amplitudes of a harmonic on a coordinate, with sin(order (omega t + tau) + phase) and its cosine."""
+    """Return the amplitudes of a harmonic on a coordinate, with sin(order (omega t + tau) + phase) and its cosine."""
     angle = "omega t + tau" if harmonic.order == 1 else f"{harmonic.order} (omega t + tau)"
     phase = harmonic.phase[i]
     angle = angle if phase.constant == 0.0 else _sum([(None, angle), (phase, "")])
@@ -118,7 +118,7 @@ def _harmonic(harmonic: Harmonic, i: int) -> list[tuple[Expression, str]]:
 
 
 def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
-    """The sum of coefficients times terms; a coefficient of None is 1, zero terms are omitted."""
+    """Return the sum of coefficients times terms; a coefficient of None is 1, zero terms are omitted."""
     text = ""
     for coefficient, of in terms:
         if coefficient is not None and coefficient.constant == 0.0:
@@ -134,7 +134,7 @@ def _sum(terms: Iterable[tuple[Expression | None, str]]) -> str:
 
 
 def _term(coefficient: Expression, of: str) -> str:
-    """A coefficient times its term, or the coefficient alone."""
+    """Return a coefficient times its term, or the coefficient alone."""
     if not of:
         return _factor(coefficient)
     if coefficient.constant in (1.0, -1.0):
@@ -143,7 +143,7 @@ def _term(coefficient: Expression, of: str) -> str:
 
 
 def _factor(expression: Expression) -> str:
-    """An expression as a factor of a product: a sum in parentheses."""
+    """Return an expression as a factor of a product: a sum in parentheses."""
     text, outside = _number(expression), _number(expression)
     while "(" in outside:
         outside = re.sub(r"\([^()]*\)", "", outside)
@@ -151,10 +151,10 @@ def _factor(expression: Expression) -> str:
 
 
 def _number(expression: Expression) -> str:
-    """An expression in usual notation: without spaces between all parts and points in integers."""
+    """Return an expression in usual notation: without spaces between all its parts and points in integers."""
     if expression.constant is not None:
         return f"{expression.constant:.12g}"
     text = re.sub(r"(?<![\w.])(\d+)\.0(?!\d)", r"\1", expression.text)
     text = re.sub(r"(^|[-+*/(,] )([-+]) (?=[^ ])", r"\1\2", text)  # a sign, not a difference
-    text = re.sub(r"\b([A-Za-z_]\w*) \(", r"\1(", text)  # of a function
+    text = re.sub(r"\b([A-Za-z_]\w*) \(", r"\1(", text)  # the call of a function
     return text.replace(" ** ", "**").replace("( ", "(").replace(" )", ")").replace(" ,", ",")

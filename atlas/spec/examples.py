@@ -11,7 +11,7 @@ from workers.model.toml_text import parse_toml
 
 
 def example_names() -> list[str]:
-    """Names of the packaged examples."""
+    """Return the names of the packaged examples."""
     folder = resources.files("atlas").joinpath("examples")
     if not folder.is_dir():
         return []
@@ -19,7 +19,7 @@ def example_names() -> list[str]:
 
 
 def example_text(name: str) -> str:
-    """The packaged example of this name, as TOML; InputError with the nearest name otherwise."""
+    """Return the packaged example of this name as TOML; raise InputError with the nearest name if there is none."""
     names = example_names()
     if name not in names:
         raise InputError(unknown_name("example", name, names))
@@ -27,13 +27,13 @@ def example_text(name: str) -> str:
 
 
 def example_system(name: str) -> System | None:
-    """The system that the packaged example of that name describes itself; None where there is no such example."""
+    """Return the system that the packaged example of this name describes itself; None if there is none."""
     table = parse_toml(example_text(name))["system"] if name in example_names() else None
     return System.from_mapping(table) if isinstance(table, Mapping) else None
 
 
 def packaged_text(name: str) -> str:
-    """The packaged example named in place of a file; InputError if neither exists."""
+    """Return the packaged example named in place of a file; raise InputError if neither exists."""
     if name.endswith(".toml") or "/" in name or os.sep in name:
         raise InputError("no such file")
     try:

@@ -1,4 +1,4 @@
-"""The spec of a larger or finer atlas, which contains the cells of a stored one to the bit."""
+"""The spec of a larger or finer atlas, which contains the cells of a stored atlas to the bit."""
 
 from collections.abc import Mapping
 
@@ -11,16 +11,19 @@ from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 
 SAME_VALUE_ULPS = 64
-"""Difference, in units in the last place, up to which a new value counts as an old one: two ways to space points."""
+"""Difference, in units in the last place, up to which a new value counts as an old one.
+
+Two ways to space points differ that much.
+"""
 
 
 def extend_spec(stored: Spec, given: Spec, name: str) -> Spec:
-    """The given spec with the stored spec's own values, see ``keep_values``.
+    """Return the given spec with the stored spec's own values, see ``keep_values``.
 
-    InputError, beginning with the name of the store, if more than values differ.
+    Raise InputError, beginning with the name of the store, if more than values differ.
     """
     if stored.continuation is not None or given.continuation is not None:
-        raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on those before it")
+        raise InputError(f"{name}: a continued sweep cannot be extended: each cell depends on the cells before it")
     names = [axis.name for axis in stored.axes]
     with_old_axes = given.to_resolved() | ({"axes": stored.to_resolved()["axes"]} if names == _names(given) else {})
     reasons = differences(stored, Spec.from_resolved(with_old_axes))
@@ -31,14 +34,14 @@ def extend_spec(stored: Spec, given: Spec, name: str) -> Spec:
 
 
 def refine_spec(stored: Spec, refine: int | Mapping[str, int] | None, tile: tuple[int, ...] | None = None) -> Spec:
-    """The spec with each axis refined by a factor: new values between the old ones, which stay to the bit.
+    """Return the spec with each axis refined by a factor: new values between the old ones, which stay to the bit.
 
     ``refine`` is one factor for all axes with more than one value, or factors by name. New values divide the step
     between two old ones evenly, on a log axis their ratio. n values become (n - 1) factor + 1.
     """
     names = _names(stored)
     if stored.continuation is not None:
-        raise InputError("refine: a continued sweep cannot be refined: each cell of it depends on those before it")
+        raise InputError("refine: a continued sweep cannot be refined: each cell depends on the cells before it")
     if isinstance(refine, Mapping):
         check_names("axis", refine, names)
         factors = {name: refine.get(name, 1) for name in names}
@@ -68,7 +71,7 @@ def _finer(axis: Axis, factor: int) -> Axis:
 
 
 def keep_values(stored: Axis, given: Axis) -> Axis:
-    """The given axis, with stored values in place of values that differ by rounding only."""
+    """Return the given axis, with stored values in place of values that differ by rounding only."""
     old, new = np.array(stored.values), np.array(given.values)
     after = np.searchsorted(old, new)
     below, above = old[np.maximum(after - 1, 0)], old[np.minimum(after, len(old) - 1)]

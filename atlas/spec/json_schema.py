@@ -1,7 +1,7 @@
-"""The form of a spec file as a JSON Schema, with which editors of TOML complete and check it.
+"""The form of a spec file as a JSON Schema, with which editors of TOML complete and check the file.
 
-It is generated from the records that check a spec. ``Spec`` also refuses every spec that the schema refuses, except for
-an unused ``stop`` of an axis of one value. ``Spec`` alone checks the rest, such as rising values of an axis.
+The schema is generated from the records that check a spec. ``Spec`` also refuses every spec that the schema refuses,
+except for an unused ``stop`` of an axis of one value. ``Spec`` alone checks the rest, such as rising values of an axis.
 """
 
 import math
@@ -40,7 +40,7 @@ _NAME: Schema = {"type": "string", "pattern": f"^{NAME.pattern}$"}
 
 
 def spec_schema() -> Schema:
-    """The schema of a spec file. TOML's infinities and NaN are not JSON: a validator sees floats there."""
+    """Return the schema of a spec file. TOML's infinities and NaN are not JSON: a validator sees floats there."""
     sections = {
         "system": {
             "description": "a packaged system, the path of a .toml file, or a definition",
@@ -77,7 +77,7 @@ def spec_schema() -> Schema:
 
 
 def _of_packaged(system: System) -> Schema:
-    """The schema for a packaged system: its parameters with their ranges."""
+    """Return the schema for a packaged system: its parameters with their ranges."""
     known = system.parameters
     fixed = {p.name: {"description": p.meaning, "default": p.default, **_NUMBER, **_range(p)} for p in known}
     swept = {p.name: {"description": p.meaning, **_values_within(_range(p))} for p in known}
@@ -102,12 +102,12 @@ def _range(parameter: Parameter) -> Schema:
 
 
 def _values_within(ends: Schema) -> Schema:
-    """The values of an axis, a list or a table, within a range."""
+    """Return the schema of the values of an axis, a list or a table, within a range."""
     return {"items": ends, "properties": {"start": ends, "stop": ends, "values": {"items": ends}}} if ends else {}
 
 
 def _axis() -> Schema:
-    """An axis: a list of values, or a table."""
+    """Return the schema of an axis: a list of values, or a table."""
     values = _list(_NUMBER, 1, axis.MAX_POINTS)
     entries: Schema = {
         "start": _NUMBER,
@@ -128,7 +128,7 @@ def _axis() -> Schema:
 
 
 def _settings() -> Schema:
-    """The settings of a cell."""
+    """Return the schema of the settings of a cell."""
     kinds: Schema = {name: {"enum": list(known)} for name, known in VALID_WORDS.items()}
     kinds |= {name: _whole(*ends) for name, ends in INTEGER_BOUNDS.items()}
     kinds |= {"tolerance": {**_NUMBER, **_POSITIVE}, "observe": _TEXT}
@@ -141,7 +141,7 @@ def _settings() -> Schema:
 
 
 def _attractors() -> Schema:
-    """The initial states from which attractors are sought."""
+    """Return the schema of the initial states from which attractors are searched."""
     defaults = {"starts": AttractorSettings.count, "seed": AttractorSettings.seed, "keep": AttractorSettings.keep}
     entries: Schema = {name: {**_whole(*ends), "default": defaults[name]} for name, ends in STARTS.items()}
     entries["box"] = {
@@ -152,7 +152,10 @@ def _attractors() -> Schema:
 
 
 def _definition() -> Schema:
-    """A machine as a table [system]: a part of ``KEYS``, with sizes of rows and matrices by number of coordinates."""
+    """Return the schema of a machine as a table [system].
+
+    Its keys are some of ``KEYS``; the sizes of rows and matrices are limited by the number of coordinates.
+    """
     row, matrix = _list(_ENTRY, 1, MAX_COORDINATES), _list(_list(_ENTRY, 1, MAX_COORDINATES), 1, MAX_COORDINATES)
     entries: Schema = {key: _TEXT for key in TEXTS}
     entries |= {key: _list(_NAME, 1, MAX_COORDINATES) for key in ("coordinates", "velocities")}
@@ -177,7 +180,7 @@ def _definition() -> Schema:
 
 
 def _harmonic(row: Schema) -> Schema:
-    """A harmonic of the force, or a waveform."""
+    """Return the schema of a harmonic of the force, or of a waveform."""
     wave: Schema = {"anyOf": [{"enum": [*WAVEFORMS]}, _list(_list(_NUMBER, 2, 2), 2, POINTS)]}
     known: Schema = {
         "order": {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]},
@@ -193,7 +196,7 @@ def _harmonic(row: Schema) -> Schema:
 
 
 def _element(keys: Iterable[str], required: list[str]) -> Schema:
-    """A contact or a friction element: a name, a row, and constants."""
+    """Return the schema of a contact or a friction element: a name, a row, and constants."""
     known: Schema = {
         "name": _NAME,
         "gap": _list(_ENTRY, 1, MAX_COORDINATES),
@@ -206,7 +209,7 @@ def _element(keys: Iterable[str], required: list[str]) -> Schema:
 
 
 def _phase(row: Schema, matrix: Schema) -> Schema:
-    """A part of each forcing period, and its changes."""
+    """Return the schema of a phase: a part of each forcing period, and its changes."""
     entries: Schema = {
         "start": _ENTRY, "stiffness": matrix, "damping": matrix, "force": row, "cosine": row,
         "load": row, "contacts": _map(_table({key: _ENTRY for key in PAD})),
@@ -216,27 +219,27 @@ def _phase(row: Schema, matrix: Schema) -> Schema:
 
 
 def _measure(row: Schema) -> Schema:
-    """An output and its reports."""
+    """Return the schema of an output and its reports."""
     report = {**_list({"enum": list(REPORTS)}, 1), "uniqueItems": True}
     known: Schema = {"weight": _ENTRY, "report": report}
     return _table({key: known.get(key, row) for key in MEASURE_KEYS}, ["report"])
 
 
 def _own_parameter() -> Schema:
-    """A parameter of a definition: its default, or a table."""
+    """Return the schema of a parameter of a definition: its default, or a table."""
     words: Schema = {"type": "string", "maxLength": 200}
     flags: Schema = {"low_open": _FLAG, "high_open": _FLAG, "symbol": words, "unit": words, "meaning": words}
     return {"anyOf": [_NUMBER, _table({key: flags.get(key, _NUMBER) for key in PARAMETER_KEYS})]}
 
 
 def _table(entries: Mapping[str, Any], required: Iterable[str] = ()) -> Schema:
-    """A table of these keys and no others."""
+    """Return the schema of a table of these keys and no others."""
     needed = {"required": [*required]} if required else {}
     return {"type": "object", "properties": dict(entries), "additionalProperties": False, **needed}
 
 
 def _map(value: Schema, minimum: int = 0, limit: int | None = None) -> Schema:
-    """A table of any names, each with such a value."""
+    """Return the schema of a table of any names, each with a value of the schema ``value``."""
     ends = ({"minProperties": minimum} if minimum else {}) | ({} if limit is None else {"maxProperties": limit})
     return {"type": "object", "additionalProperties": value, **ends}
 
@@ -251,5 +254,5 @@ def _whole(low: int, high: int | None = None) -> Schema:
 
 
 def _without(keys: Iterable[str]) -> Schema:
-    """The absence of all these keys."""
+    """Return the schema of the absence of all these keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}

@@ -1,4 +1,4 @@
-"""How far the laws of a machine that are expressions were used: in words, of one cell or of many."""
+"""How far cells use the laws of a machine that are expressions, as text for one cell or for many."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -16,7 +16,12 @@ SHOWN = 1e-10
 
 
 class LawUse(NamedTuple):
-    """Use of a law by some cells: ``beyond`` of them left its range; its largest share of the range and of error."""
+    """Use of a law by some cells.
+
+    beyond  number of cells that left its range
+    share   largest share of the range that was used
+    error   largest error of the force, as a share
+    """
 
     beyond: int
     share: float
@@ -24,12 +29,15 @@ class LawUse(NamedTuple):
 
 
 def law_names(system: System) -> list[str]:
-    """Variables that tell how far laws were used: none if no law is an expression."""
+    """Return the variables that say how far laws were used; empty if no law is an expression."""
     return [element.name + ending for element in system.definition.fitted for ending in (RANGE_SHARE, LAW_ERROR)]
 
 
 def law_uses(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
-    """Use of each law by its element's name, from results of cells; NaN and missing results are left out."""
+    """Return the use of each law, by its element's name, from results of cells.
+
+    NaN and missing results are left out.
+    """
     uses = {}
     for element in system.definition.fitted:
         shares, errors = (
@@ -43,13 +51,13 @@ def law_uses(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
 
 
 def uses_of_cell(system: System, results: Mapping[str, Any]) -> dict[str, LawUse]:
-    """Use of each law by one cell, and by all its attractors if the results list them."""
+    """Return the use of each law by one cell, and by all its attractors if the results list them."""
     uses = merged(law_uses(system, one) for one in (results, *results.get("coexisting", ())))
     return {name: use._replace(beyond=min(use.beyond, 1)) for name, use in uses.items()}
 
 
 def merged(uses: Iterable[Mapping[str, LawUse]]) -> dict[str, LawUse]:
-    """Use of each law by all cells, from that by parts of them."""
+    """Return the use of each law by all cells, from its use by parts of the cells."""
     total: dict[str, LawUse] = {}
     for part in uses:
         for name, use in part.items():
@@ -59,7 +67,7 @@ def merged(uses: Iterable[Mapping[str, LawUse]]) -> dict[str, LawUse]:
 
 
 def law_lines(uses: Mapping[str, LawUse]) -> list[str]:
-    """A line for each law that was used beyond its range, or whose error decides digits that are shown."""
+    """Return a line for each law that was used beyond its range, or whose error decides digits that are shown."""
     lines = []
     for name, use in uses.items():
         words = []

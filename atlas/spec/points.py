@@ -15,12 +15,12 @@ from workers.model.parameter import Parameter
 from workers.model.system import System
 
 POINT = "point"
-"""The dimension along the rows, numbered from 0."""
+"""Name of the dimension along the rows, which are numbered from 0."""
 FILE = "file"
-"""The key of a spec's [points] with the file name."""
+"""Key of a spec's [points] with the file name."""
 
 MAX_FILE = 10**9
-"""Largest file of a table in bytes: its numbers take some four times as much memory."""
+"""Maximum size, in bytes, of the file of a table: its numbers take about four times as much memory."""
 
 Columns = Values
 """The columns of a table by name."""
@@ -53,15 +53,16 @@ class StoredColumns(Columns):
 
 
 def row_count(points: Columns) -> int:
-    """The rows of a table."""
+    """Return the number of rows of a table."""
     return points.rows if isinstance(points, StoredColumns) else len(next(iter(points.values())))
 
 
 def parse_points(given: object, system: System, folder: Path | None = None) -> Columns:
-    """The columns of a table by name, from ``{"file": path}`` or from a mapping of names to value lists of one length.
+    """Return the columns of a table by name.
 
-    A path is relative to the folder, if any. InputError with row and column for a value that is no number, or outside
-    its parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
+    ``given`` is ``{"file": path}``, with a path relative to ``folder`` if given, or a mapping of names to lists of
+    values of one length. Raise InputError with row and column for a value that is no number, or is outside its
+    parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
     """
     if isinstance(given, StoredColumns):
         check_names("parameter", given, [parameter.name for parameter in system.parameters])
@@ -76,17 +77,17 @@ def parse_points(given: object, system: System, folder: Path | None = None) -> C
 
 
 def axis_of(points: Columns) -> Axis:
-    """The rows of a table as an axis of row numbers."""
+    """Return the rows of a table as an axis of row numbers."""
     return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
 def described(points: Columns) -> str:
-    """A table in a few words."""
+    """Return a table as a short text."""
     return f"{row_count(points)} rows of {', '.join(points)}"
 
 
 def describe_difference(stored: Columns, given: Columns) -> list[str]:
-    """The difference of two tables in a few words; empty if they are equal."""
+    """Return the difference of two tables as a short text; empty if they are equal."""
     if stored == given:
         return []
     if stored.keys() != given.keys():
@@ -100,7 +101,7 @@ def describe_difference(stored: Columns, given: Columns) -> list[str]:
 
 
 def _read_file(path: Path, system: System) -> Columns:
-    """The columns of a CSV file."""
+    """Return the columns of a CSV file."""
     if path.exists() and not path.is_dir() and not path.is_file():  # a device or a pipe may never end
         raise InputError(f"{path}: cannot be read: not a regular file")
     try:
@@ -166,7 +167,7 @@ def _checked_columns(where: str, given: Mapping[str, Any], system: System) -> Co
 
 
 def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float, ...]:
-    """The values if all are floats that the parameter admits; else ()."""
+    """Return the values if all are floats that the parameter admits; else ()."""
     floats = all_floats(values)
     return floats if np.all(parameter.admits(np.array(floats))) else ()
 

@@ -1,4 +1,4 @@
-"""Specs as plain JSON: with the values of their axes for the digest, without them for stores."""
+"""Resolved specs as plain JSON: with the values of their axes for the digest, without these values for stores."""
 
 import hashlib
 import json
@@ -17,12 +17,12 @@ FIRST_SETTINGS = (
 
 
 def outline_names(outline: Mapping[str, Any]) -> list[str]:
-    """The names of the axes of an outline, or of the columns of its points."""
+    """Return the names of the axes of an outline, or of the columns of its points."""
     return list(outline["points"]["columns"]) if "points" in outline else [axis["name"] for axis in outline["axes"]]
 
 
 def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """The resolved spec of an outline, with the values of its axes or of the columns of its points, by name."""
+    """Return the resolved spec of an outline, with the values of its axes or of the columns of its points, by name."""
     if "points" in outline:
         return {**outline, "points": {name: list(values[name]) for name in outline_names(outline)}}
     ends = ("start", "stop", "num")
@@ -34,11 +34,11 @@ def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
 
 
 def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:
-    """SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
+    """Return the SHA-256 of a resolved spec: axes as an ordered list of names and exact values, no tile shape.
 
-    A packaged system enters by its name, with its version from the second on; another system by its definition without
-    words. Settings added since the first version enter only if they differ from their defaults, so that earlier specs
-    keep their digests. ``table`` has the defaults.
+    A packaged system enters by its name, and from its second version on also by its version. Another system enters by
+    its definition without texts. Settings added since the first version enter only if they differ from their defaults,
+    so that earlier specs keep their digests. ``table`` has the defaults.
     """
     axes = [
         [axis["name"], axis["values"]] + ([axis["continuation"]] if "continuation" in axis else [])
@@ -54,5 +54,8 @@ def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Setting
 
 
 def digest_of(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of a mapping as JSON. Python writes floats as shortest exact decimals: equal text is equal bits."""
+    """Return the SHA-256 of a mapping as JSON.
+
+    Python writes floats as shortest exact decimals, so that equal text means equal bits.
+    """
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The spec: everything that decides the numbers of an atlas, checked once."""
+"""The spec of an atlas: everything that decides its numbers, checked once."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping
@@ -31,23 +31,23 @@ FORMS = {1: "one whole number in brackets", 2: "two whole numbers (y, x)", 3: "t
 SETTING_MEANINGS = {
     "exponents": "Which Lyapunov exponents.",
     "tolerance": "Standard error of the largest exponent at which a chaotic cell stops.",
-    "max_periods": "Forcing periods that deciding the class, and averaging, may cost.",
-    "survival": "Further periods for which seemingly chaotic motion may be watched.",
-    "method": "adaptive, or fixed: a transient is dropped, then averaged.",
+    "max_periods": "Maximum forcing periods for deciding the regime, and for averaging.",
+    "survival": "Further periods for which apparently chaotic motion may be watched.",
+    "method": "adaptive; or fixed: a transient is dropped, then exponents are averaged.",
     "transient_periods": "Periods that are dropped, with fixed.",
     "periods": "Periods that are averaged, with fixed.",
-    "max_period": "Longest orbit looked for, in forcing periods.",
-    "section_samples": "How many of the last section states are kept.",
-    "observe": "Observables, with commas between, such as impact_phase:stop.",
-    "observe_values": "How many values of each observable are kept.",
+    "max_period": "Longest orbit to search for, in forcing periods.",
+    "section_samples": "Number of the last section states to store.",
+    "observe": "Observables, separated by commas, such as impact_phase:stop.",
+    "observe_values": "Number of values of each observable to store.",
 }
-"""The settings of a cell in a few words."""
+"""The settings of a cell, each with a line of text."""
 Slices = tuple[slice, ...]
 
 
 @dataclass(frozen=True, init=False)
 class Spec:
-    """A spec: a system, its fixed parameters (defaults filled in), its cells, and how to solve them.
+    """The spec of an atlas: a system, its fixed parameters (defaults filled in), its cells, and how to solve them.
 
     ``Spec("two-mass", axes={"omega": {"start": 2, "stop": 4, "num": 100}}, parameters={"b": 0.15})`` takes the tables
     of the TOML file; an axis may also be a list or array of values. The first axis is x, the last dimension of every
@@ -55,20 +55,21 @@ class Spec:
     cells is in one tile.
 
     ``tile`` is the (y, x) shape of a tile, or None for the default; it does not affect any number. ``system`` is the
-    name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``; the spec keeps its
-    name as ``system`` and its definition as ``record``.
+    name of a packaged system, the path of a .toml file, a table of its form or a ``workers.System``. The spec keeps the
+    name as ``system`` and the definition as ``system_def``.
 
     One axis makes a sweep, two a plane, three a stack of planes: one plane for each value of the third. ``points``
     replaces the axes by a table of parameter sets, one row per cell: its columns by name, or ``{"file": "table.csv"}``.
-    The spec's only axis is then the rows' number, ``point``, and ``points`` has the columns; else it is empty. Columns
-    override ``parameters``.
+    The spec's only axis is then the row number, ``point``, and ``points`` has the columns; otherwise ``points`` is
+    empty. Columns override ``parameters``.
 
-    ``attractors``, ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}`` or a
-    ``workers.attractors.initial_states.AttractorSettings``, asks for all attractors reached from this number of initial
-    states of a cell; None asks for the attractor of the cell's own initial state. If all axes are components of the
-    initial state, the results are basins: the attractor of each initial state of one machine.
+    ``attractors`` asks for all attractors reached from a number of initial states of a cell. It is a table such as
+    ``{"starts": 32, "seed": 0, "box": {"x1": [-0.1, 0.1]}, "keep": 4}``, or a
+    ``workers.attractors.initial_states.AttractorSettings``. None asks for the attractor of the cell's own initial
+    state. If all axes are components of the initial state, the results are basins: the attractor of each initial state
+    of one machine.
 
-    Raises InputError for anything that cannot be solved.
+    Raise InputError for anything that cannot be solved.
 
     >>> import atlas
     >>> spec = atlas.Spec("two-mass", {"omega": {"start": 2, "stop": 4, "num": 5}, "b": [0.1, 0.2]}, {"R": 0.6})
@@ -138,7 +139,10 @@ class Spec:
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
-        """The spec of a mapping in the form of the TOML file; a system's file is relative to the folder."""
+        """Return the spec of a mapping in the form of the TOML file.
+
+        The path of a system's file is relative to ``folder``.
+        """
         check_names("key", tables, SECTIONS)
         if "system" not in tables:
             raise InputError("system missing")
@@ -150,9 +154,10 @@ class Spec:
 
     @classmethod
     def from_toml(cls, source: str | Path, points: str | Path | None = None) -> "Spec":
-        """The spec of a TOML file, or of the packaged example of this name if there is no such file.
+        """Return the spec of a TOML file, or of the packaged example of this name if there is no such file.
 
-        ``points`` is a CSV file of parameter sets that replaces its points or its axes, which must be columns there.
+        ``points`` is a CSV file of parameter sets that replaces the points of the spec or its axes, which must be
+        columns of the file.
         """
         path, where = validate_path(source, "spec"), str(source) or "''"
         try:
@@ -172,33 +177,36 @@ class Spec:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Cells along each of ``dims``."""
+        """Number of cells along each of ``dims``."""
         return tuple(len(axis) for axis in reversed(self.axes))
 
     @property
     def axis_descriptions(self) -> tuple[str, ...]:
-        """Each axis in a few words, or the table of points."""
+        """A short text for each axis, or for the table of points."""
         return (described(self.points),) if self.points else tuple(map(str, self.axes))
 
     @property
     def n_uncoarsened_dims(self) -> int:
-        """The number of leading ``dims`` that are never coarsened: the planes of a stack, the rows of a table."""
+        """Number of leading ``dims`` that are never coarsened: the planes of a stack, the rows of a table."""
         return 1 if self.points or len(self.axes) == MAX_AXES else 0
 
     @property
     def continuation(self) -> tuple[int, bool] | None:
-        """Index in ``dims`` of the continued axis, and whether backward; None for independent cells."""
+        """Index in ``dims`` of the continued axis, and True if backward; None for independent cells."""
         for place, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
                 return place, axis.continuation == "backward"
         return None
 
     def to_resolved(self) -> dict[str, Any]:
-        """The spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
+        """Return the spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
         return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
 
     def outline(self) -> dict[str, Any]:
-        """``resolved`` without the values of axes and points: only names, numbers of values, and the ends of axes."""
+        """Return the resolved spec without the values of axes and points.
+
+        It has the names, the numbers of values, and the ends of axes.
+        """
         cells: dict[str, Any]
         if self.points:
             cells = {"axes": [], "points": {"columns": [*self.points], "num": row_count(self.points)}}
@@ -213,7 +221,7 @@ class Spec:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "Spec":
-        """The inverse of ``resolved``, except for the tile shape."""
+        """Return the spec of a resolved spec; the inverse of ``to_resolved``, except for the tile shape."""
         axes = {
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
@@ -222,13 +230,13 @@ class Spec:
 
     @classmethod
     def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
-        """The inverse of ``outline``; ``read`` gives the values by name at first use."""
+        """Return the spec of an outline; ``read`` returns the values by name, at first use."""
         points = outline.get("points")
         columns = None if points is None else StoredColumns(points["columns"], validate_num("points", points), read)
         return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
 
     def check_stored_form(self) -> None:
-        """Raise InputError unless an equal spec can be read from its ``outline`` as a store keeps it."""
+        """Raise InputError unless an equal spec can be read from its ``outline`` in a store."""
         values: Values = self.points or {axis.name: axis.values for axis in self.axes}
         try:
             again = Spec.from_outline(json.loads(json.dumps(self.outline())), lambda: values)
@@ -239,9 +247,9 @@ class Spec:
 
     @classmethod
     def from_dataset(cls, ds: Any) -> "Spec":
-        """The spec of an atlas opened, exported or loaded whole as an xarray Dataset, except for the tile shape.
+        """Return the spec of an atlas that is opened, exported or loaded whole as an xarray Dataset.
 
-        InputError if the dataset lacks its spec or some of its cells.
+        The tile shape is not part of it. Raise InputError if the dataset lacks its spec or some of its cells.
         """
         validate_atlas(ds)
         try:
@@ -255,7 +263,7 @@ class Spec:
 
     @classmethod
     def _of(cls, resolved: Mapping[str, Any], axes: Mapping[str, Axis], points: Mapping[str, Any] | None) -> "Spec":
-        """The spec of a resolved spec or an outline, with these cells."""
+        """Return the spec of a resolved spec or an outline, with these cells."""
         parts = axes, resolved["parameters"], resolved["solve"]
         return cls(resolved_system(resolved), *parts, points=points, attractors=resolved.get("attractors"))
 
@@ -272,32 +280,32 @@ class Spec:
         return {"exponent": self.system_def.exponents, "state": len(self.system_def.states)} | asked | kept
 
     def with_observables(self, observe: str) -> "Spec":
-        """The same spec with these observables, see ``workers.Settings``."""
+        """Return the same spec with these observables, see ``workers.Settings``."""
         other = copy(self)
         asked = replace(self.settings, observe=observe)
         object.__setattr__(other, "settings", observable_settings(asked, self.system_def))
         return other
 
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
-        """The same spec with tiles of this shape."""
+        """Return the same spec with tiles of this shape."""
         other = copy(self)
         object.__setattr__(other, "tile", tile)
         return other
 
     @property
     def basins(self) -> bool:
-        """Whether the results are basins: the attractor of each initial state of one machine."""
+        """True if the results are basins: the attractor of each initial state of one machine."""
         return self.attractors is not None and self.has_state_axes
 
     @property
     def has_state_axes(self) -> bool:
-        """Whether all its axes are components of the initial state, so that its cells belong to one machine."""
+        """True if all axes are components of the initial state, so that the cells belong to one machine."""
         names = [*self.points] if self.points else [axis.name for axis in self.axes]
         return {*self.system_def.states}.issuperset(names)
 
     @property
     def coexistence(self) -> bool:
-        """Whether it asks for all attractors of each cell."""
+        """True if the spec asks for all attractors of each cell."""
         return self.attractors is not None and not self.basins
 
     @property
@@ -306,7 +314,10 @@ class Spec:
         return resolved_digest(self.to_resolved())
 
     def cell_params(self, slices: Slices) -> dict[str, float | np.ndarray]:
-        """Parameters of a block of cells as for solve_tile: axes as arrays that broadcast to its shape."""
+        """Return the parameters of a block of cells for solve_tile.
+
+        Values of axes are arrays that broadcast to the shape of the block.
+        """
         params: dict[str, float | np.ndarray] = dict(self.parameters)
         if self.points:
             (rows,) = slices
@@ -319,7 +330,7 @@ class Spec:
 
 
 def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
+    """Return values by name, from a mapping, keywords or both, as in xarray's ``sel``."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"found {brief_repr(given)}, must be values by name, such as omega=3 or {{'omega': 3}}")
     for name in named:
@@ -329,7 +340,7 @@ def given_values(given: Mapping[str, Any] | None, named: Mapping[str, Any]) -> d
 
 
 def given_settings(given: Settings | None) -> Settings:
-    """The settings in a call; the defaults for None."""
+    """Return the settings of a call; the defaults for None."""
     return Settings() if given is None else validate_type("settings", given, Settings, "atlas.Settings(...)")
 
 
@@ -342,13 +353,13 @@ def check_parameters(system: System, given: Iterable[object], kind: str = "param
 
 
 def validate_parameters(system: System, given: Mapping[str, Any]) -> dict[str, float]:
-    """All parameters of a system: given ones checked against their ranges, others at their defaults."""
+    """Return all parameters of a system: given values checked against their ranges, others at their defaults."""
     check_parameters(system, given)
     return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in system.parameters}
 
 
 def parse_settings(given: Mapping[str, Any]) -> Settings:
-    """Settings from the [solve] table; InputError with the setting otherwise."""
+    """Return the settings of a [solve] table; raise InputError, naming the setting, for a wrong table."""
     if not isinstance(given, Mapping):
         raise InputError(f"solve: found {brief_repr(given)}, must be a table")
     check_names("key in solve", given, [field.name for field in fields(Settings)])
@@ -366,7 +377,7 @@ def parse_settings(given: Mapping[str, Any]) -> Settings:
 
 
 def observable_settings(settings: Settings, system: System) -> Settings:
-    """These settings; InputError for an observable that the system does not have."""
+    """Return these settings; raise InputError for an observable that the system does not have."""
     try:
         system.observables(settings)
     except ValueError as error:
@@ -375,7 +386,10 @@ def observable_settings(settings: Settings, system: System) -> Settings:
 
 
 def _with_points(tables: Mapping[str, Any], points: Path, folder: Path) -> dict[str, Any]:
-    """A spec's tables with a file of points in place of its axes; InputError unless each axis is a column."""
+    """Return a spec's tables with a file of points in place of its axes.
+
+    Raise InputError unless each axis is a column of the file.
+    """
     check_names("key", tables, SECTIONS)
     if "system" not in tables:
         raise InputError("system missing")
@@ -401,7 +415,7 @@ def _check_tables(**tables: object) -> None:
 def _check_continuation(axes: tuple[Axis, ...], system: System) -> None:
     continued = [axis.name for axis in axes if axis.continuation]
     if len(axes) == MAX_AXES and continued:
-        raise InputError(f"axes.{continued[0]}: a stack has no continued axis; compute its planes one by one")
+        raise InputError(f"axes.{continued[0]}: a stack cannot have a continued axis; compute its planes one by one")
     if len(continued) > 1:
         raise InputError(f"axes: found continuation on {' and '.join(continued)}, must be on one")
     if continued and continued[0] in system.states:
@@ -428,5 +442,5 @@ def _checked_tile(store: Mapping[str, Any], axes: int) -> tuple[int, ...] | None
     if not right:
         raise InputError(f"store.tile: found {brief_repr(tile)}, must be {FORMS[axes]}, each 1 or more")
     if axes == MAX_AXES and tile[0] != 1:
-        raise InputError(f"store.tile: found {brief_repr(tile)}, must begin with 1: a tile is of one plane")
+        raise InputError(f"store.tile: found {brief_repr(tile)}, must begin with 1: a tile lies in one plane")
     return tuple(int(n) for n in tile)

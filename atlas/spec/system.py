@@ -13,10 +13,10 @@ from workers.model.system import System, find_system
 
 
 def parse_system(system: object, folder: Path | None = None) -> System:
-    """The system of this name, .toml file (relative to the folder, if any), or table; a System is returned as it is.
+    """Return the system of a name, a .toml file or a table; a System is returned unchanged.
 
-    The name of a packaged example that describes its own system is one, too.
-    InputError for an unknown name, with the nearest known one, and for a wrong definition.
+    The path of a file is relative to ``folder``, if given. A packaged example that describes its own system may be
+    named, too. Raise InputError for an unknown name, with the nearest known one, and for a wrong definition.
     """
     if not isinstance(system, str | Mapping | System):
         raise InputError(f"system: found {brief_repr(system)}, must be the name of a system, a .toml file or a table")
@@ -33,7 +33,7 @@ def parse_system(system: object, folder: Path | None = None) -> System:
 
 
 def resolved_system(resolved: Mapping[str, Any]) -> System:
-    """The system of a resolved spec; InputError if this program cannot make it."""
+    """Return the system of a resolved spec; raise InputError if this program cannot build it."""
     try:
         return System.from_resolved(resolved)
     except KeyError as error:
@@ -43,14 +43,14 @@ def resolved_system(resolved: Mapping[str, Any]) -> System:
 
 
 def stored_spec(attributes: Mapping[Any, Any]) -> Mapping[str, Any]:
-    """The resolved spec of the store with these root attributes; empty if they have none."""
+    """Return the resolved spec of the store with these root attributes; empty if they have none."""
     return _of_text(str(attributes.get("spec", "")))[0]
 
 
 def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
-    """The system of the store with these root attributes.
+    """Return the system of the store with these root attributes.
 
-    InputError, in the name of ``who`` needs it, if they name none that this program can make.
+    Raise InputError if the attributes name no system that this program can build; the message begins with ``who``.
     """
     system = _of_text(str(attributes.get("spec", "")))[1]
     if isinstance(system, InputError):
@@ -59,20 +59,23 @@ def system_of(attributes: Mapping[Any, Any], who: str = "") -> System:
 
 
 def stored_system(attributes: Mapping[Any, Any]) -> System | None:
-    """The system of the store with these root attributes, or None if they name no known system."""
+    """Return the system of the store with these root attributes; None if they name no known system."""
     system = _of_text(str(attributes.get("spec", "")))[1]
     return None if isinstance(system, InputError) else system
 
 
 def stored_name(attributes: Mapping[Any, Any]) -> str:
-    """The name that a store has for its system, known or not; empty if it has none."""
+    """Return the name that a store has for its system, known or not; empty if it has none."""
     system = stored_spec(attributes).get("system", "")
     return str(system.get("name", "") if isinstance(system, Mapping) else system)
 
 
 @lru_cache(maxsize=16)
 def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
-    """The spec in a text, and its system or why there is none. Cached: a picture asks for it at every label."""
+    """Return the spec in a text, and its system or the error for it.
+
+    The result is cached, since a picture needs the system at every label.
+    """
     lacking = InputError("this dataset lacks the spec of its atlas")
     try:
         spec = json.loads(text)
@@ -89,10 +92,10 @@ def _of_text(text: str) -> tuple[Mapping[str, Any], System | InputError]:
 
 
 def impacts_of(system: System, cell: Mapping[str, Any]) -> str:
-    """Impacts of an orbit at the upper and at the lower stop, p-q; "sticks" if there are infinitely many.
+    """Return the impacts of an orbit at the upper and at the lower stop as p-q; "sticks" if there are infinitely many.
 
-    With several contacts, the counts of each in the order of the definition, p-q/r-s, or the total if the cell lacks
-    them.
+    With several contacts, these are the counts of each in the order of the definition, p-q/r-s, or the total if the
+    cell lacks them.
     """
     one_by_one = [(f"{contact.name}_upper", f"{contact.name}_lower") for contact in system.definition.contacts]
     if not system.has_modes or not any(name in cell for pair in one_by_one for name in pair):
@@ -102,19 +105,21 @@ def impacts_of(system: System, cell: Mapping[str, Any]) -> str:
 
 
 def unused_lines(system: System) -> list[str]:
-    """A line about parameters without effect; none if all are used."""
+    """Return a line about parameters without effect; empty if all are used."""
     return [f"no entry of {system.name} uses {', '.join(system.unused_parameters)}"] if system.unused_parameters else []
 
 
 def must_offer(system: System, what: str, unforced: bool = False) -> None:
-    """InputError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
-    ``unforced``: whether it exists without one."""
+    """Raise InputError, in one line, if ``what`` does not exist for this system.
+
+    It does not exist if a coordinate drifts, and, unless ``unforced``, without a force.
+    """
     with _as_input_error():
         system.must_offer(what, unforced)
 
 
 def must_have_force(system: System, what: str) -> None:
-    """InputError, in one line, that ``what`` does not exist where there is no force."""
+    """Raise InputError, in one line, that ``what`` does not exist for a system without a force."""
     with _as_input_error():
         system.must_have_force(what)
 

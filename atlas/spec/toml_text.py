@@ -1,4 +1,4 @@
-"""A spec as the text of a TOML file for editing."""
+"""A spec as the text of a TOML file, for editing."""
 
 from dataclasses import fields
 from typing import Any
@@ -12,7 +12,7 @@ from workers import Settings
 
 
 def spec_toml(spec: Spec) -> str:
-    """The text of the file of a spec, without defaults. ``Spec.from_toml`` reads it."""
+    """Return the text of the file of a spec, without defaults. ``Spec.from_toml`` reads it."""
     system, settings = spec.system_def, spec.settings
     defaults = {parameter.name: parameter.default for parameter in system.parameters}
     tables = {
@@ -28,7 +28,7 @@ def spec_toml(spec: Spec) -> str:
 
 
 def _axis_table(axis: Axis) -> dict[str, Any]:
-    """An axis by its ends if it is evenly spaced on its scale, else by its values."""
+    """Return an axis by its ends if it is evenly spaced on its scale, else by its values."""
     outline = axis.outline()
     keys = ("start", "stop", "num") if values_from_outline(outline) == tuple(axis.values) else ()
     table = {key: outline[key] for key in keys} or {"values": list(axis.values)}

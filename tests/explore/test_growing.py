@@ -134,7 +134,7 @@ def test_a_run_uses_the_client_that_is_open_and_says_so_in_one_line(tmp_path: Pa
     told: list[str] = []
     summary = atlas.run(plane_of(), tmp_path / "out.zarr", on_progress=lambda progress: told.append(progress.stage))
     assert (summary.tiles_done, summary.workers) == (9, 2)
-    assert told[0] == f"using the Dask client that is open, of {opened.scheduler.address}"
+    assert told[0] == f"using the active Dask client, connected to {opened.scheduler.address}"
     assert not any("starting" in stage and "worker" in stage for stage in told)
     assert opened.status == "running"
 

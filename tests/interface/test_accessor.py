@@ -248,7 +248,7 @@ def test_the_command_draws_a_cell_of_a_store_with_the_settings_of_the_atlas(
 @pytest.mark.parametrize(
     ("args", "says"),
     [
-        (["--at", "omega=3"], "--at is for a cell of a STORE"),
+        (["--at", "omega=3"], "--at needs a STORE"),
         (["a.zarr", "--set", "omega=3"], "--set is for a cell without a STORE"),
         (["a.zarr", "--max-periods", "900"], "--max-periods is for a cell without a STORE"),
     ],

@@ -303,7 +303,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("query", "OUT", "--at", "omega=3"), "the point lacks b"),
         (("query", "OUT", "--at", "omega=99", "--at", "b=0.2"), "omega = 99 lies outside"),
         (("query", "OUT", "--window", "omega=3:2"), "must be LOW:HIGH with LOW <= HIGH"),
-        (("query", "OUT", "--window", "omega=2:3", "--at", "b=1"), "give one of the two"),
+        (("query", "OUT", "--window", "omega=2:3", "--at", "b=1"), "give only one"),
         (("export", "OUT", "-o", "window.txt"), "window.txt: the suffix chooses the format, found '.txt'"),
         (("status", "NONE"), "no such store"),
         (("statsu", "OUT"), "unknown command 'statsu'; did you mean 'status'?"),
@@ -312,7 +312,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("plan",), "Missing argument 'SPEC' (see atlas plan --help)"),
         (("plan", "x" * 6000), "File name too long"),
         (("point", "--set", f"omega={'x' * 6000}"), "--set omega: found 'xxx"),
-        (("run", "tiny", "-o", "NONE", "--workers", "2", "--scheduler", "tcp://x:1"), "give one of the two"),
+        (("run", "tiny", "-o", "NONE", "--workers", "2", "--scheduler", "tcp://x:1"), "give only one"),
     ],
 )
 def test_a_bad_question_is_one_line_and_exit_code_2(folder: Path, args: tuple[str, ...], message: str) -> None:
@@ -386,11 +386,11 @@ def state_of(folder: Path) -> dict[Path, int]:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ([], "--submit leaves the work to a cluster: give its --scheduler too"),
+        ([], "--submit needs a cluster: give its --scheduler, too"),
         (["--scheduler", "tcp://127.0.0.1:1", "--tile", "0,0"], "--tile is for a run that this process coordinates"),
         (["--scheduler", "tcp://127.0.0.1:1", "--log", "a.log"], "--log is for a run that this process coordinates"),
         (["--scheduler", "tcp://127.0.0.1:1", "--performance-report", "a.html"], "--performance-report is for a run"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give one of the two"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give only one"),
     ],
 )
 def test_a_run_that_is_left_to_a_cluster_needs_one_and_refuses_what_this_process_would_do(

@@ -80,10 +80,10 @@ def test_a_kind_of_picture_is_checked_without_an_atlas() -> None:
 def test_files_of_a_connection_are_refused_without_a_scheduler(tmp_path: Path) -> None:
     authority = tmp_path / "ca.pem"
     authority.write_text("")
-    with pytest.raises(InputError, match="tls: has the files of a connection to a scheduler, found no scheduler"):
+    with pytest.raises(InputError, match="tls: found files for a connection to a scheduler, but no scheduler"):
         atlas.RunOptions(tls=Tls(str(authority)))
     done = CliRunner().invoke(main, ["run", "tiny", "-o", str(tmp_path / "a.zarr"), "--tls-ca-file", str(authority)])
-    assert done.exit_code == 2 and "found no scheduler" in done.stderr
+    assert done.exit_code == 2 and "but no scheduler" in done.stderr
     assert list(tmp_path.iterdir()) == [authority]
 
 
@@ -91,7 +91,7 @@ def test_files_of_a_connection_are_refused_without_a_scheduler(tmp_path: Path) -
 def test_access_options_are_refused_without_a_url(words: str, tmp_path: Path) -> None:
     given = words.replace("PATH", str(tmp_path / "a.zarr")).split()
     done = CliRunner().invoke(main, [*given, "--storage-option", "anon=true"])
-    message = "Error: --storage-option: is the access of a store at a URL, found no URL of a server\n"
+    message = "Error: --storage-option: sets the access of a store at a URL, found no URL of a server\n"
     assert (done.exit_code, done.stderr) == (2, message)
 
 

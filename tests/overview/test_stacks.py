@@ -76,7 +76,7 @@ def test_the_third_axis_is_the_first_dimension_and_no_tile_has_two_planes(solved
 
 
 def test_a_tile_of_two_planes_is_refused() -> None:
-    with pytest.raises(InputError, match=r"found \[2, 3, 4\], must begin with 1: a tile is of one plane"):
+    with pytest.raises(InputError, match=r"found \[2, 3, 4\], must begin with 1: a tile lies in one plane"):
         stack_of(tile=[2, 3, 4])  # type: ignore[arg-type]
 
 
@@ -86,7 +86,7 @@ def test_four_axes_are_refused() -> None:
 
 
 def test_a_stack_is_not_continued() -> None:
-    with pytest.raises(InputError, match="a stack has no continued axis; compute its planes one by one"):
+    with pytest.raises(InputError, match="a stack cannot have a continued axis; compute its planes one by one"):
         stack_of(omega={"values": [2.0, 3.0], "continuation": "forward"})
 
 

@@ -241,7 +241,7 @@ def test_cells_are_exported_with_a_column_for_each_attractor(solved: Path, tmp_p
 
 
 def test_what_cannot_be_done_with_all_attractors_is_refused_in_one_line(solved: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="an atlas of all attractors is not extended"):
+    with pytest.raises(InputError, match="an atlas of all attractors cannot be extended"):
         atlas.extend(solved, tmp_path / "more.zarr", refine=2)
     with pytest.raises(InputError, match="an atlas of all attractors cannot be retried"):
         atlas.retry(solved, tmp_path / "again.zarr", "undetermined", 10**5)

@@ -327,7 +327,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
         yield SimpleNamespace(guard=lambda place: place)
 
     monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
-    with pytest.raises(RunError, match="another run has measured it meanwhile; run the same command again"):
+    with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):
         measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
     assert read_measures(handle).requests == theirs.requests
 
@@ -346,7 +346,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Pat
     path = copied(plane, tmp_path)
     store = str(path)
     assert "has no curves to measure margins to" in fails(store, "--margin")
-    assert "shocks need an atlas of all, see [attractors]" in fails(store, "--shocks")
+    assert "shocks need an atlas of all attractors, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
     assert "--scale needs --margin" in fails(store, "--scale", "b=1")
     assert "scale.b: found -1, must be above 0" in fails(store, "--margin", "--scale", "b=-1")

@@ -124,7 +124,9 @@ def test_a_submission_that_every_worker_refuses_is_an_error_with_worker_and_reas
     tmp_path: Path, two: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = refuse(lambda: True, monkeypatch)
-    with pytest.raises(RunError, match=r"^no worker can coordinate this run: tcp://\S+: has another solver$"):
+    with pytest.raises(
+        RunError, match=r"^no worker may coordinate this run, for example tcp://\S+: has another solver$"
+    ):
         submitted(two, tmp_path / "out.zarr")
     assert {*asked} == {*two.nthreads()}
     assert list(tmp_path.iterdir()) == []
@@ -169,7 +171,7 @@ def test_a_coordinator_that_starts_again_in_another_runs_store_computes_nothing_
         time.sleep(0.05)
     found = read_status(handle)
     assert found.cells_done == 0
-    assert found.ended.startswith("no worker can coordinate this run: tcp://")
+    assert found.ended.startswith("no worker may coordinate this run, for example tcp://")
     assert f"{handle.path} is not the store of run 0123" in found.ended
 
 
@@ -231,14 +233,14 @@ FAR = LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"
 
 def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
     line, message = status(claimed_store(FAR.pack()))
-    assert line.startswith("no sign of life of process 1 on far for ")
-    assert (message["run"], str(message["trouble"])[:24]) == ("process 1 on far", "no sign of life of proce")
+    assert line.startswith("no heartbeat from process 1 on far for ")
+    assert (message["run"], str(message["trouble"])[:24]) == ("process 1 on far", "no heartbeat from proces")
 
 
 @pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
 def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
     line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
-    assert line == "none at work; the claim is damaged; the next run replaces it"
+    assert line == "none at work; the lease file is damaged; the next run takes it over"
     assert message["run"] is None
 
 
@@ -248,5 +250,5 @@ def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[byt
         process = process_name(pid)
         sleeper.kill()
     line, message = status(claimed_store(LeaseRecord("t", 7, "here", pid, process).pack()))
-    gone = f"process {pid} on here is gone without releasing its claim; the next run replaces it"
+    gone = f"process {pid} on here ended without releasing its lease; the next run takes it over"
     assert (line, message["run"], message["trouble"]) == (f"none at work; {gone}", None, gone)

@@ -144,7 +144,7 @@ def test_a_report_that_nobody_could_write_is_refused_before_anything_is_done(
         atlas.RunOptions(performance_report=tmp_path / "report.html", tile=(0, 0))
     for module in (cluster, clients):
         monkeypatch.setattr(module, "has_dashboard", lambda: False)
-    with pytest.raises(InputError, match="the scheduler draws it, and has no Bokeh"):
+    with pytest.raises(InputError, match="needs Bokeh on the scheduler's host"):
         atlas.run(plane_of(), tmp_path / "out.zarr", client, performance_report=tmp_path / "report.html")
     words = ["run", "tiny", "-o", str(tmp_path / "b.zarr"), "--performance-report", str(tmp_path / "no" / "r.html")]
     shown = CliRunner().invoke(main, words)

@@ -67,7 +67,7 @@ def test_one_tile_is_done_in_this_process(tmp_path: Path, client: Client) -> Non
     assert done_tiles(open_store(store)) == {FAULTY}
     assert atlas.run(plane_of(), store, client=client).tiles_solved == 8
     assert atlas.verify(store, sample=0).is_sound
-    with pytest.raises(InputError, match=r"nothing is to be done in tile \(1, 1\)$"):
+    with pytest.raises(InputError, match=r"tile \(1, 1\) is already finished$"):
         atlas.run(plane_of(), store, tile=FAULTY)
 
 
@@ -86,7 +86,7 @@ def test_what_a_tile_raises_in_this_process_comes_as_it_is(tmp_path: Path, monke
         (["--tile", "30,0"], "tile: found (30, 0), must be the index of a tile: 0 to "),
         (["--tile", "0"], "tile: found (0,), must be the index of a tile"),
         (["--tile", "a"], "--tile: found 'a', must be a whole number"),
-        (["--tile", "0,0", "--scheduler", "tcp://127.0.0.1:1"], "tile: is done in this process, found a scheduler"),
+        (["--tile", "0,0", "--scheduler", "tcp://127.0.0.1:1"], "tile: is solved in this process, found a scheduler"),
         (["--log", "/nowhere/log"], "--log /nowhere/log: No such file or directory"),
     ],
 )

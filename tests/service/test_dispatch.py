@@ -99,7 +99,7 @@ def test_the_tiles_of_a_worker_that_hangs_are_given_to_others_and_it_is_named(mo
     assert {outcome.index for outcome in found} == {(k,) for k in range(300)}
     assert last.excluded.keys() == {BAD}
     assert re.fullmatch(
-        r"it has had tiles? \(\d+,\)(, .+)? for 1 min \d s, the longest before took 1\.0 s; others do them",
+        r"it has had tiles? \(\d+,\)(, .+)? for 1 min \d s, the longest job took 1\.0 s; other workers do them",
         last.excluded[BAD],
     )
     assert cluster.now < 300 / 2 + 30
@@ -112,7 +112,7 @@ def test_a_run_says_which_worker_has_ended_nothing_for_a_while(monkeypatch: pyte
     jobs = (Numbered((k,)) for k in range(10))
     found = list(outcomes(cluster, LABOUR, jobs, lambda workers: troubles.add(workers.trouble)))  # type: ignore[arg-type]
     assert {outcome.index for outcome in found} == {(k,) for k in range(10)}
-    assert f"nothing has ended for 40 s: {BAD} has tile (8,)" in troubles
+    assert f"no job finished for 40 s: {BAD} has tile (8,)" in troubles
 
 
 def test_a_worker_that_was_only_slow_gets_tiles_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +212,7 @@ def test_dask_gives_the_tiles_of_a_worker_that_hangs_to_another(
     assert sorted(outcome.index for outcome in found) == [(k,) for k in range(40)]
     assert BEGUN.count((3,)) == 2
     (reason,) = seen[-1].excluded.values()
-    assert re.search(r"it has had tiles? .*\(3,\).* for .* s, the longest before took .* s; others do them", reason)
+    assert re.search(r"it has had tiles? .*\(3,\).* for .* s, the longest job took .* s; other workers do them", reason)
 
 
 @contextmanager

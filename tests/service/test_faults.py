@@ -140,7 +140,7 @@ def test_a_full_disk_stops_the_run_and_nothing_is_lost_or_redone(tmp_path: Path)
     run = Run(tmp_path, {"1-0": ["full"]})
     first = run("--workers", "1")
     assert first.returncode == 1
-    advice = "finished tiles are kept; make room and give the same command again"
+    advice = "finished tiles are kept, make room and rerun the same command"
     assert first.stderr.splitlines()[-1] == f"Error: {run.store}: No space left on device; {advice}"
     kept = len(done_tiles(open_store(run.store)))
     assert kept >= 2  # the first two tiles are begun before any cost is known, and 1-0 is not one of them
@@ -307,7 +307,7 @@ def test_a_run_that_every_worker_refuses_ends_with_the_reason(
         raise WorkerRefusedError("sees no store")
 
     monkeypatch.setattr(running, "execute_job", refuse)
-    with pytest.raises(RunError, match=r"no worker can do this run: inproc://\S+: sees no store"):
+    with pytest.raises(RunError, match=r"all workers are excluded, for example inproc://\S+: sees no store"):
         atlas.run(plane, tmp_path / "out.zarr", client=two_workers)
 
 
@@ -319,7 +319,9 @@ def test_a_cluster_that_goes_before_a_result_is_here_ends_the_run_in_one_line(
         raise raised
 
     monkeypatch.setattr(Client, "gather", gone)
-    with pytest.raises(RunError, match=r"^the cluster was lost; the same command resumes from the stored tiles$"):
+    with pytest.raises(
+        RunError, match=r"^the cluster was lost; rerun the same command to resume from the stored tiles$"
+    ):
         atlas.run(plane, tmp_path / "out.zarr", client)
 
 

@@ -307,7 +307,7 @@ def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, mon
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     monkeypatch.setattr(repairing, "drop_tile", taken)
-    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+    with pytest.raises(RunError, match="lease lost: another run has taken over the store"):
         atlas.verify(finished, sample=0, repair=True)
     assert before - done_tiles(open_store(finished)) == {(0, 0)}
 
@@ -326,9 +326,7 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
             written.update(contents(store))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
-    with pytest.raises(
-        RunError, match="this run has lost its claim of the store: another run has taken it; finished tiles are kept"
-    ):
+    with pytest.raises(RunError, match="lease lost: another run has taken over the store; finished tiles are kept"):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
     assert contents(store) == written
     assert sidecar_of(store).read("started-0-0") == b"1"
@@ -347,7 +345,7 @@ def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
             notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
-    with pytest.raises(RunError, match="this run has lost its claim of the store: another run has taken it"):
+    with pytest.raises(RunError, match="lease lost: another run has taken over the store"):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=taken))
     assert len(done_tiles(open_store(store))) < 9
 

@@ -75,7 +75,7 @@ def test_ctrl_c_twice_leaves_at_once_and_the_next_run_goes_on(tmp_path: Path) ->
     assert claim.exists()  # nobody was left to take it back
     again = atlas_in(tmp_path, ATLAS, *RUN)
     assert again.returncode == 0
-    assert "which is gone" in again.stderr
+    assert "which no longer runs" in again.stderr
     assert "12 of 12 tiles done" in again.stdout
     assert not claim.parent.exists()
 
@@ -92,7 +92,7 @@ def test_sigterm_ends_an_extension_in_order_and_the_same_line_goes_on(tmp_path: 
     assert atlas_in(tmp_path, ATLAS, *RUN).returncode == 0
     struck = strike(tmp_path, "SIGTERM", "once", *line)
     assert struck.returncode == 130
-    assert struck.stderr.splitlines()[-1] == "interrupted: finished tiles are kept; the same command resumes"
+    assert struck.stderr.splitlines()[-1] == "interrupted: finished tiles are kept; rerun the same command to resume"
     assert not (tmp_path / ".fine.zarr.run").exists()
     again = atlas_in(tmp_path, ATLAS, *line)
     assert again.returncode == 0

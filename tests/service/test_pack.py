@@ -159,7 +159,7 @@ def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore
     claim = LeaseRecord("theirs", 1, "here", os.getpid(), this_process()).pack()
     assert notes.compare_and_set(LEASE_NAME, claim, expected=None)
     try:
-        with pytest.raises(InputError, match="is at work on it; pack it when that has ended"):
+        with pytest.raises(InputError, match=r"leased by another run .*; pack it when the run has ended"):
             pack(handle.path, tmp_path / "b.zip")
     finally:
         notes.compare_and_remove(LEASE_NAME, claim)

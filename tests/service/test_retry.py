@@ -244,7 +244,7 @@ def test_damage_of_the_old_store_is_not_taken_over(old: Path, tmp_path: Path, cl
         ("failed", MORE, "unknown regime to retry 'failed'"),
         ("chaotic", MORE, "chaotic cells come out the same within the same survival; give --survival above 0"),
         ("chaotc", None, "did you mean 'chaotic'?"),
-        (",", None, "retry: found none, must be one or more of chaotic, undetermined, aperiodic"),
+        (",", None, "regimes: found no name, must be one or more of chaotic, undetermined, aperiodic"),
     ],
 )
 def test_a_retry_that_could_change_nothing_is_refused(old: Path, names: str, max_periods: Any, message: str) -> None:
@@ -283,13 +283,13 @@ def test_a_retry_of_what_no_cell_is_solves_none_and_makes_the_store(old: Path, t
 
 def test_a_retry_of_an_incomplete_atlas_is_refused(tmp_path: Path) -> None:
     create_store(tmp_path / "old.zarr", plane_of_few(), (2, 3))
-    with pytest.raises(InputError, match="0 of 9 tiles done: complete it first, by the command that began it"):
+    with pytest.raises(InputError, match="0 of 9 tiles done: complete it first, with the command that began it"):
         atlas.retry(tmp_path / "old.zarr", tmp_path / "new.zarr", "undetermined", MORE)
     assert not (tmp_path / "new.zarr").exists()
 
 
 def test_a_retry_into_the_store_itself_is_refused(old: Path) -> None:
-    with pytest.raises(InputError, match="is the store to take cells from; the new one needs another path"):
+    with pytest.raises(InputError, match="found the store to take cells from, must be another path"):
         atlas.retry(old, old, "undetermined", MORE)
 
 
@@ -344,14 +344,14 @@ def test_the_command_makes_the_new_store_and_needs_no_spec(old: Path, tmp_path: 
 def test_leaving_a_retry_to_a_cluster_needs_its_address(tmp_path: Path) -> None:
     shown = call("retry", tmp_path / "old.zarr", "undetermined", "-o", tmp_path / "new.zarr", "--submit")
     assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
-    assert "give its --scheduler too" in shown.stderr
+    assert "give its --scheduler, too" in shown.stderr
 
 
 def test_a_retry_can_be_left_to_a_cluster(old: Path, tmp_path: Path, client: Client) -> None:
     given = ["--max-periods", MORE, "--scheduler", client.scheduler.address, "--submit"]
     shown = call("retry", old, "undetermined", "-o", tmp_path / "new.zarr", *given)
     assert shown.exit_code == 0
-    assert "at work on the cluster" in shown.stdout
+    assert "running on the cluster" in shown.stdout
     new = tmp_path / "new.zarr"
     until(lambda: find_store(new) is not None and atlas.status(new).fraction == 1.0 and atlas.status(new).run is None)
     assert open_store(tmp_path / "new.zarr").origin == Origin(

@@ -247,7 +247,7 @@ def test_a_run_within_a_dask_task_uses_the_cluster_of_the_task(tmp_path: Path, p
         tiles, workers, told = outer.submit(run_in_task, plane, str(tmp_path / "out.zarr")).result(timeout=120)
         assert outer.submit(sum, [1, 2]).result(timeout=30) == 3  # the thread is back
     assert (tiles, workers) == (9, 1)
-    assert any("using the Dask client that is open" in text for text in told)
+    assert any("using the active Dask client" in text for text in told)
     assert not any("starting" in text and "worker" in text for text in told)
 
 
@@ -350,6 +350,6 @@ def test_an_overview_that_fails_on_a_worker_is_told_and_made_at_the_end(
     monkeypatch.setattr(Pyramid, "build_chunk", failing)
     notes = list[str]()
     atlas.run(spec, handle.path, client, on_progress=lambda progress: notes.append(progress.note))
-    told = "overview 1, chunk (0, 0): no such codec; this process makes it at the end"
+    told = "overview 1, chunk (0, 0): no such codec; this process builds it at the end"
     assert [note for note in notes if note] == [told]
     assert Pyramid(handle).stored(1, REGIME) == {(0, 0)}

@@ -65,7 +65,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
 
 
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
-    trouble = "nothing has ended for 40 s: Dask has paused 1 worker for lack of memory: tcp://10.0.0.2:1 (limit 300 MB)"
+    trouble = "no job finished for 40 s: Dask has paused 1 worker short of memory: tcp://10.0.0.2:1 (limit 300 MB)"
     reported = {"workers": 1, "cells": 35, "cells_done": 30, "cells_solved": 30, "seconds": 3.0, "trouble": trouble}
     sidecar_of(finished).compare_and_set(LEASE_NAME, claim(reported).pack(), expected=None)
     status = read_status(open_store(finished))

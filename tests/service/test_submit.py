@@ -117,7 +117,7 @@ def test_a_coordinator_that_dask_starts_again_on_a_worker_of_another_solver_goes
 def test_two_jobs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(service: Service) -> None:
     service.submit("one.zarr")
     service.submit("two.zarr")
-    with pytest.raises(InputError, match=r"one.zarr: another run is at work on it \(process \d+ on "):
+    with pytest.raises(InputError, match=r"one.zarr: leased by another run \(process \d+ on "):
         service.submit("one.zarr")
     until(lambda: service.ends("one.zarr") and service.ends("two.zarr"))
 
@@ -208,7 +208,7 @@ def test_a_killed_scheduler_leaves_a_word_for_the_status(
     until(lambda: read_status(open_store(store)).ended != "")
     found = read_status(open_store(store))
     assert found.fraction < 1
-    assert "the cluster was lost; the same command resumes from the stored tiles" in str(found)
+    assert "the cluster was lost; rerun the same command to resume from the stored tiles" in str(found)
 
 
 def test_a_bad_submission_is_one_line_and_exit_code_2(service: Service, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ def test_a_worker_is_left_out_once_several_jobs_in_a_row_failed_there_and_the_re
     fail_at(fitness, BAD, 0, 1)
     assert fitness.excluded == {}
     fail_at(fitness, BAD, 2)
-    reason = "3 tiles in a row failed there, the first being (0,): ImportError: no numba"
+    reason = "3 consecutive tiles failed on this worker, the first is (0,): ImportError: no numba"
     assert fitness.excluded == {BAD: reason}
 
 

@@ -199,7 +199,7 @@ def test_listed_values_of_which_both_copies_are_damaged_are_refused_in_one_line(
     with pytest.raises(ChunkError, match=rf"^{path}: omega {damage}"):
         store.open_store(path).spec.cell_params(tuple(slice(0, 1) for _ in spec.shape))
     (fault,) = verify(path, repair=True).faults
-    assert str(fault).startswith(f"coordinate omega {damage}") and str(fault).endswith(": it cannot be made again")
+    assert str(fault).startswith(f"coordinate omega {damage}") and str(fault).endswith(": it cannot be computed again")
     ended = CliRunner().invoke(main, ["verify", str(path)])
     assert (ended.exit_code, type(ended.exception)) == (1, SystemExit)
 

@@ -106,8 +106,8 @@ for name, values in expected.items():
 @pytest.mark.parametrize(
     ("trouble", "message"),
     [
-        ("full", "No space left on device; finished tiles are kept; make room and give the same command again"),
-        ("read-only", "no worker can do this run: inproc://"),
+        ("full", "No space left on device; finished tiles are kept, make room and rerun the same command"),
+        ("read-only", "all workers are excluded, for example inproc://"),
     ],
 )
 def test_a_disk_that_fails_under_a_run_costs_nothing_that_was_stored(

@@ -32,7 +32,7 @@ def notes(tmp_path: Path) -> LocalSidecar:
     return LocalSidecar(tmp_path / "notes")
 
 
-REPLACED = "the next run replaces it"
+REPLACED = "the next run takes it over"
 
 
 within_20_s = partial(until, seconds=20.0)
@@ -140,7 +140,7 @@ def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: LocalSidecar)
 
 def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalSidecar) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as first:
-        refusal = rf"^out.zarr: another run is at work on it \(process {os.getpid()} on "
+        refusal = rf"^out.zarr: leased by another run \(process {os.getpid()} on "
         with pytest.raises(InputError, match=refusal), hold_lease(notes, "out.zarr", timing=QUICK):
             pass
         first.check()
@@ -153,8 +153,8 @@ def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSideca
     with hold_lease(notes, "out.zarr", said.append, IMPATIENT):
         assert time.monotonic() - begin >= IMPATIENT.expire_after
     assert said == [
-        "another run may be at work (process 1 on far): watching for a sign of life",
-        "replacing a claim without a sign of life",
+        "the store is leased by process 1 on far: waiting for a heartbeat",
+        "taking over an expired lease",
     ]
 
 
@@ -171,7 +171,7 @@ def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: 
 
     thread = threading.Thread(target=beat)
     thread.start()
-    with pytest.raises(InputError, match="another run is at work"), hold_lease(notes, "out.zarr", timing=QUICK):
+    with pytest.raises(InputError, match="leased by another run"), hold_lease(notes, "out.zarr", timing=QUICK):
         pass
     stop.set()
     thread.join()
@@ -187,12 +187,12 @@ def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Lo
     assert notes.read(LEASE_NAME) is not None
     seen = LeaseObserver(notes).observe()
     assert seen is not None
-    assert (seen.alive, seen.trouble) == (False, f"{seen.record} is gone without releasing its claim; {REPLACED}")
+    assert (seen.alive, seen.trouble) == (False, f"{seen.record} ended without releasing its lease; {REPLACED}")
     said: list[str] = []
     with hold_lease(notes, "out.zarr", said.append):
         pass
     assert len(said) == 1
-    assert said[0].endswith("which is gone")
+    assert said[0].endswith("which no longer runs")
 
 
 def test_a_torn_claim_is_replaced(notes: LocalSidecar) -> None:
@@ -205,7 +205,7 @@ def test_a_holder_that_was_asleep_finds_itself_replaced(notes: LocalSidecar) -> 
     with hold_lease(notes, "out.zarr", timing=QUICK) as slept:
         within_20_s(lambda: notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME)))
         within_20_s(lambda: slept.lost != "")
-        with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
+        with pytest.raises(RunError, match=r"another run has taken over the store \(process 1 on far\)"):
             slept.check()
     assert notes.read(LEASE_NAME) == elsewhere().pack()
 
@@ -243,7 +243,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
             away.setattr(LocalSidecar, "compare_and_set", put)
             with pytest.raises(
                 RunError,
-                match=r"could not renew its claim of the store for \d+ s \(Input/output error\), so that another run",
+                match=r"no heartbeat succeeded for \d+ s \(Input/output error\), so another run",
             ):
                 while True:
                     claim.check()
@@ -261,7 +261,7 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
     with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=0.01, expire_after=0.05), patience=600.0) as claim:
         monkeypatch.setattr(LocalSidecar, "compare_and_set", refused)
         time.sleep(0.1)
-        with pytest.raises(RunError, match=r"could not renew its claim of the store for \d+ s \(ExpiredToken\), so"):
+        with pytest.raises(RunError, match=r"no heartbeat succeeded for \d+ s \(ExpiredToken\), so"):
             claim.check()
 
 
@@ -316,7 +316,7 @@ def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_cla
             notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME))
             away()
 
-        with pytest.raises(RunError, match=r"another run has claimed this store \(process 1 on far\)"):
+        with pytest.raises(RunError, match=r"another run has taken over the store \(process 1 on far\)"):
             while True:
                 claim.check(waiting)
     assert notes.read(LEASE_NAME) == elsewhere().pack()
@@ -341,7 +341,7 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
 
     monkeypatch.setattr(LocalSidecar, "read", read)
     with (
-        pytest.raises(InputError, match="another run is at work on it"),
+        pytest.raises(InputError, match="leased by another run"),
         hold_lease(notes, "out.zarr", timing=IMPATIENT),
     ):
         pass
@@ -387,13 +387,13 @@ def test_cancel_without_a_run_is_refused(notes: LocalSidecar) -> None:
 
 def test_cancel_says_when_a_run_has_not_stopped(notes: LocalSidecar) -> None:
     notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
-    with pytest.raises(RunError, match=r"has not stopped after 0.1 s"):
+    with pytest.raises(RunError, match=r"has not stopped within 0.1 s"):
         cancel(notes, "out.zarr", wait_seconds=0.1)
 
 
 def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalSidecar) -> None:
     notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
-    with pytest.raises(RunError, match=r"out.zarr: no sign of life of process 1 on far for 0 s; if"):
+    with pytest.raises(RunError, match=r"out.zarr: no heartbeat from process 1 on far for 0 s; its"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
     assert notes.read(LEASE_NAME) == replace(elsewhere(), cancelled=True).pack()
 
@@ -402,7 +402,7 @@ def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: LocalSideca
     boot, namespace, *_ = this_process().split()
     gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
     notes.compare_and_set(LEASE_NAME, gone.pack(), expected=None)
-    with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far is gone"):
+    with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far ended"):
         cancel(notes, "out.zarr", wait_seconds=600)
 
 
@@ -413,7 +413,7 @@ def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: L
     assert first is not None
     assert settled is not None
     assert (first.alive, first.trouble) == (None, "")
-    assert settled.trouble.startswith("no sign of life of process 1 on far for ")
+    assert settled.trouble.startswith("no heartbeat from process 1 on far for ")
 
 
 def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: LocalSidecar) -> None:
@@ -431,7 +431,7 @@ def test_a_request_to_stop_is_no_sign_of_life(notes: LocalSidecar) -> None:
     notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
 
     def ask(text: str) -> None:
-        if "watching" in text:
+        if "waiting for a heartbeat" in text:
             notes.compare_and_set(LEASE_NAME, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
 
     with hold_lease(notes, "out.zarr", ask, IMPATIENT) as claim:
@@ -456,8 +456,8 @@ def test_a_claim_with_a_field_of_another_type_is_damaged(notes: LocalSidecar, fi
     assert LeaseRecord.unpack(data) is None
     seen = LeaseObserver(notes, IMPATIENT).observe_until_settled()
     assert seen is not None
-    assert seen.trouble == f"the claim is damaged; {REPLACED}"
-    with pytest.raises(RunError, match=rf"^out.zarr: the claim is damaged; {REPLACED}$"):
+    assert seen.trouble == f"the lease file is damaged; {REPLACED}"
+    with pytest.raises(RunError, match=rf"^out.zarr: the lease file is damaged; {REPLACED}$"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
     with hold_lease(notes, "out.zarr", timing=IMPATIENT) as claim:
         claim.check()

@@ -166,7 +166,7 @@ def test_a_store_that_stays_away_ends_the_run_in_words_and_the_same_line_goes_on
     server: FakeObjectStore, solved_plane: Path, client: Client
 ) -> None:
     server.trouble = InjectedFault(4, np.inf)
-    words = rf"no worker can do this run: inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
+    words = rf"for example inproc://\S+: {URL}: no answer for \d+ s \(.*503.*\); finished tiles are kept"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of(), ObjectBackend(URL, patience=0.1), client=client, options=atlas.RunOptions(patience=0.3))
     server.trouble = InjectedFault()
@@ -221,7 +221,7 @@ def test_a_credential_that_expires_gives_up_no_tile_and_the_same_line_goes_on(
     server: FakeObjectStore, solved_plane: Path, client: Client
 ) -> None:
     server.trouble = InjectedFault(4, np.inf, "expired")
-    words = rf"no worker can do this run: inproc://\S+: {URL}: .*400 Bad Request.*; finished tiles are kept; the same"
+    words = rf"for example inproc://\S+: {URL}: .*400 Bad Request.*; finished tiles are kept, rerun the"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of(), URL, client=client)
     server.trouble = InjectedFault()

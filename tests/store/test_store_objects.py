@@ -384,7 +384,7 @@ def test_credentials_that_cannot_be_sent_to_workers_are_refused(server: dict[str
 
 def test_a_submitted_run_takes_no_options() -> None:
     for store, options in (("s3://b/p", {"anon": True}), (obstores.S3Store("b", prefix="p", region="x"), None)):
-        with pytest.raises(InputError, match="submit: the coordinator reaches the store by its environment"):
+        with pytest.raises(InputError, match="submit: the coordinator reaches the store by its own environment"):
             submit(plane_of(), store, atlas.RunOptions(scheduler="tcp://127.0.0.1:1", storage_options=options))  # type: ignore[arg-type]
 
 

@@ -52,7 +52,7 @@ def test_a_worker_at_which_tile_after_tile_fails_is_left_out_and_named_and_costs
     summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures) == (35, ())
     assert summary.refused.keys() == {unfit}
-    assert re.match(r"\d+ tiles in a row failed there, the first being \(\d, \d\): ", summary.refused[unfit])
+    assert re.match(r"\d+ consecutive tiles failed on this worker, the first is \(\d, \d\): ", summary.refused[unfit])
     assert str(error) in summary.refused[unfit]
     # The tiles that make it unfit, and those given to it before it was.
     assert worker_health.MAX_FAILURES <= noted(name).count(unfit) <= worker_health.MAX_FAILURES + 2 * fanout.IN_FLIGHT
@@ -66,7 +66,10 @@ def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_a
         raise ImportError("no numba")
 
     monkeypatch.setattr(running, "execute_job", fail)
-    words = r"^no worker can do this run: inproc://\S+: \d tiles in a row failed there, the first being .*: ImportError"
+    words = (
+        r"^all workers are excluded, for example inproc://\S+: "
+        r"\d consecutive tiles failed on this worker, the first is .*: ImportError"
+    )
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert len({*noted(str(tmp_path))}) < 35
@@ -135,7 +138,10 @@ def test_a_worker_with_too_little_memory_gets_no_tile_and_is_named(tmp_path: Pat
             processes=False, n_workers=1, threads_per_worker=1, memory_limit="300MB", dashboard_address="127.0.0.1:0"
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
-        pytest.raises(RunError, match=r"its memory limit is 300 MB, a worker needs 500 MB: dask worker --memory-limit"),
+        pytest.raises(
+            RunError,
+            match=r"memory limit 300 MB is below the required 500 MB; raise it with: dask worker --memory-limit",
+        ),
     ):
         atlas.run(plane, tmp_path / "out.zarr", client=client)
 
@@ -172,7 +178,7 @@ def test_a_run_whose_workers_are_paused_says_so_to_its_user_and_to_the_status(
         names = sorted(client.nthreads())
     assert summary.tiles_done == 9
     line = next(stage for stage in said if "paused" in stage)
-    assert re.match(r"nothing has ended for .* s: Dask has paused 2 workers for lack of memory: ", line)
+    assert re.match(r"no job finished for .* s: Dask has paused 2 workers short of memory: ", line)
     assert all(name in line for name in names)
     assert "Dask has paused 2 workers" in str(shown[0])
     assert (shown[0].seconds_left, " left" in str(shown[0])) == (None, False)

@@ -165,7 +165,7 @@ def test_points_are_written_as_csv_and_everything_as_json(tmp_path: Path) -> Non
     ("args", "message"),
     [
         (("--set", "omega=2.35"), "a branch starts from a periodic one"),
-        (("--at", "omega=3"), "--at is for a cell of a STORE, and none is given"),
+        (("--at", "omega=3"), "--at needs a STORE"),
         ((*CELL, "-o", "branch.txt"), "possible: .csv, .json, .png, .svg, .pdf"),
     ],
 )

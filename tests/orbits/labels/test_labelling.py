@@ -109,6 +109,8 @@ def test_a_worker_with_too_little_memory_does_not_label_and_is_named(
             processes=False, n_workers=1, threads_per_worker=1, memory_limit="4GB", dashboard_address="127.0.0.1:0"
         ) as cluster,
         Client(cluster, set_as_default=False) as small,
-        pytest.raises(RunError, match=r"its memory limit is 4 GB, a worker needs 10 TB: dask worker --memory-limit"),
+        pytest.raises(
+            RunError, match=r"memory limit 4 GB is below the required 10 TB; raise it with: dask worker --memory-limit"
+        ),
     ):
         atlas.run(spec_of(2, 2), store, client=small)
