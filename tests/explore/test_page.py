@@ -161,7 +161,7 @@ def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_
     click(tab, 0.6, 0.4)
     (line,) = filter(None, tab.models("TextInput", "value"))
     assert line.startswith("atlas point --set ") and "--set omega=" in line
-    tab.until(lambda: "initial states" in tab.text() and "being sought" not in tab.text())
+    tab.until(lambda: "initial states" in tab.text() and "searching from" not in tab.text())
     assert "100 % (" in tab.text() or "n-p-q" in tab.text()
 
 
@@ -207,7 +207,7 @@ def test_a_slider_solves_another_plane(running: ExplorerSession, tab: Tab) -> No
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: "R=" in tab.address())
-    tab.until(lambda: "another plane than the atlas's" in tab.text())
+    tab.until(lambda: "not the plane of the atlas" in tab.text())
     plane = from_address(running.explorer.subject, arguments(tab)).plane
     tab.until(
         lambda: len({key.level_x for key, _ in running.explorer.tiles.tiles_of_plane(plane)}) == STAGES + 1, 120.0
