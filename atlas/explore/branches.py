@@ -134,7 +134,9 @@ class FollowedBranch:
         return {**self.table.parameters, self.table.along: value}
 
     def position_at(self, place: int, value: float) -> BranchPosition:
-        """Return the orbit at a value between point ``place`` and the next, by Newton's method; else that of the point.
+        """Return the orbit at a value between point ``place`` and the next, by Newton's method.
+
+        Return the orbit of the point if the method finds none or the value does not lie between the points.
         """
         from workers.continuation import SolutionPoint
         from workers.continuation.equations import motion_of

@@ -331,7 +331,7 @@ def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
 
 def test_curves_of_another_plane_are_said_to_be_lacking(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}&R=0.7&overlay=curves") as tab:
-        said = "no curves at R = 0.7: a store has curves of its own plane alone, R = 0.8"
+        said = "no curves at R = 0.7: a store has curves only of its own plane, R = 0.8"
         tab.until(lambda: said in tab.text())
         assert tab.until(tab.image)
 

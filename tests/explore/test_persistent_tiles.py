@@ -157,7 +157,7 @@ def test_what_the_disk_refuses_to_read_is_said_and_stays_and_is_read_when_the_di
             assert sheet is not None
             broken.setattr(sheet, "arrays", Refusing(sheet.arrays))
         assert fresh.load(subject.plane, KEYS, names) == {}
-        assert "kept cells cannot be read: [Errno 5] Input/output error" in fresh.trouble
+        assert "saved cells cannot be read: [Errno 5] Input/output error" in fresh.trouble
         assert not any(fresh.has(subject.plane, key) for key in KEYS)
     assert waited(lambda: fresh.load(subject.plane, KEYS, names).keys() == {*KEYS})
     assert waited(lambda: fresh.trouble == "")
