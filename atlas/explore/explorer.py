@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 RETRY_SECONDS = 60.0
 """Time, in seconds, after which a tile that was given up may be requested again."""
 MAX_OTHER_EXPLORERS = 4
-"""Maximum number of remembered explorers of other axes and layers. Beyond it, those that no page shows are dropped."""
+"""Maximum number of remembered explorers of other axes and layers. Beyond it, explorers that no page shows are dropped.
+"""
 MAX_FAILURES = 4096
 """Maximum number of failed tiles that are remembered."""
 

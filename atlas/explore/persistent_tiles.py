@@ -44,7 +44,7 @@ RECENT_SECONDS = 60.0
 
 
 class PersistentTileCache:
-    """The tiles of a subject that are saved in its store, and those that wait to be written.
+    """The tiles of a subject that are saved in its store, and the queue of tiles that wait to be written.
 
     subject      the subject
     most_bytes   maximum size, in bytes, of the zoom levels

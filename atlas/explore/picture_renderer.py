@@ -39,7 +39,7 @@ MAX_PENDING_SHARE = 0.01
 """Maximum share of pending cells in a picture from which colour limits are taken."""
 
 COARSEST_STAGE, ALL_STAGES = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
-"""The stages of a view that are solved while a slider moves, and those that are solved once it rests."""
+"""The stages of a view that are solved while a slider moves, and the stages that are solved once it rests."""
 
 
 @dataclass(frozen=True)

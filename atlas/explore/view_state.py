@@ -250,7 +250,7 @@ def style_query(view: ViewState) -> str:
 
 
 def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewState:
-    """Return a view with the style of a query. Raise InputError, naming the argument, for a style that is impossible."""
+    """Return a view with the style of a query. Raise InputError, naming the argument, for an impossible style."""
     plain = replace(view, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
     for name, value in parse_qsl(query):
         plain = replace(plain, **_fields(subject, plain, name, value))
