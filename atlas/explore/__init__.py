@@ -1,1 +1,3 @@
-"""The explorer: a page in the browser that shows a plane anywhere, at any depth, and computes the cells in view."""
+"""The explorer: a page in the browser that shows a plane in any window, at any zoom level, and solves the visible
+cells.
+"""

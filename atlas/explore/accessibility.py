@@ -1,7 +1,7 @@
-"""The page for keyboards, fingers and screen readers: where the focus is, how large things are, their names, the keys.
+"""Access to the page by keyboard, touch and screen reader: visible focus, sizes, names and keys.
 
-Arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc ends a followed orbit, the
-cut or an enlarged picture; two fingers zoom.
+Arrows move the window, + and - zoom it, and two fingers zoom. Enter on the plane chooses the cell in its middle. Esc
+ends a followed orbit, the cut or an enlarged picture.
 """
 
 from collections.abc import Callable
@@ -20,16 +20,16 @@ HEAD = """
 {% block preamble %}<meta name="viewport" content="width=device-width, initial-scale=1">
 <script>{{ page_script }}</script>{% endblock %}
 """
-"""Without the first a phone lays the page out as wide as a desk's."""
+"""Head of the page. Without its viewport, a phone would lay the page out as wide as on a desktop."""
 
 
 def accessible_name(text: str) -> dict[str, Any]:
-    """The attributes of a model whose parts are called this."""
+    """Return the attributes of a model whose parts have this name as a group."""
     return {"role": "group", "aria-label": text}
 
 
 def make_accessible(document: Document) -> None:
-    """Show where the focus is in all widgets, and name what has no label of its own."""
+    """Show the focus in all widgets, and name the elements that have no label of their own."""
     document.template = HEAD
     document.template_variables["page_script"] = page_script()
     document.theme = Theme(json={"attrs": {"Widget": {"stylesheets": [FOCUS]}, "Toolbar": {"stylesheets": [FOCUS]}}})
@@ -43,7 +43,14 @@ def install_key_handler(
     escape: Callable[[], None],
     choose: Callable[[float, float], None],
 ) -> ColumnDataSource:
-    """Have the keys of a page heard; the source returned has to be sent along with the page."""
+    """Install the key handler of a page, and return the source that has to be sent along with the page.
+
+    document      the document of the page
+    plot          the plot of the plane
+    show_window   called with the windows (x, y) that keys or fingers ask for
+    escape        called for Esc
+    choose        called with the point (x, y) of the cell that Enter chooses
+    """
     heard = ColumnDataSource({"x": [], "y": []})
 
     def hear(attribute: str, old: object, new: dict[str, list[float]]) -> None:

@@ -1,4 +1,4 @@
-"""Actions of a page: files of the picture in view, a cell in detail, the spec of a new atlas."""
+"""Actions of a page: a picture of the viewport as a file, the portrait of a cell, the spec of a new atlas."""
 
 import tempfile
 from dataclasses import dataclass, replace
@@ -23,12 +23,19 @@ from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
 
 PORTRAIT: Any = {"width": "90mm", "dpi": 220}
-"""The size of a portrait: that of the panel, whose pixels may be finer than those of CSS."""
+"""Size of a portrait. The width is that of the panel, and the resolution suits screens finer than CSS pixels."""
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
 def picture_file(explorer: Explorer, view: ViewState, viewport: Viewport, suffix: str, limits: Ends) -> tuple[str, str]:
-    """The picture in view as a file: its name, and its content as an address. ``limits`` are those of its scale."""
+    """Return the picture of the viewport as a file: its name, and its content as a data URL.
+
+    explorer   the explorer
+    view       the view state
+    viewport   the visible cells
+    suffix     png, svg or pdf
+    limits     colour limits of the map
+    """
     subject = explorer.subject
     ds = explorer.known.visible_cells(view.plane, viewport, view.names).ds
     look = replace(view, overlays=view.visible_overlays(subject)).figure_options(limits)
@@ -39,13 +46,15 @@ def picture_file(explorer: Explorer, view: ViewState, viewport: Viewport, suffix
 
 
 def orbit_of(subject: Subject, cell: CellResult) -> CellTrajectory:
-    """The motion of a cell, solved as the cell was; InputError for a cell without a motion to show."""
+    """Return the motion of a cell, solved as the cell was. Raise InputError if the cell has no motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return cell_orbit(cell.parameters, subject.system, settings)
 
 
 def portrait_image(orbit: CellTrajectory) -> str:
-    """The portrait of a motion as the address of an image; its phase plane of the gap coordinate is the page's own."""
+    """Return the portrait of a motion as a data URL, without the phase plane of the gap coordinate, which the page
+    draws.
+    """
     sheet, data = page(**PORTRAIT), BytesIO()
     drawn = portrait.figure(orbit, sheet, gap_plane=False)
     sheet.wrap_texts(drawn)
@@ -55,7 +64,13 @@ def portrait_image(orbit: CellTrajectory) -> str:
 
 @dataclass(frozen=True)
 class NewAtlasSpec:
-    """The spec of an atlas: where its file lies, its text, the line that computes it, and what that costs."""
+    """The spec of a new atlas.
+
+    file   path of the spec
+    text   contents of the spec
+    line   command that computes the atlas
+    cost   estimated cost, as text
+    """
 
     file: Path
     text: str
@@ -64,10 +79,16 @@ class NewAtlasSpec:
 
 
 def new_atlas(subject: Subject, view: ViewState, x: Range, y: Range, cells: int, folder: Path) -> NewAtlasSpec:
-    """Write the spec of a window with this many cells across as a new file in a folder.
+    """Write the spec of a window as a new file in a folder, and return it with its estimated cost.
 
-    Its settings are those of the subject's spec, as are the initial states from which it seeks all attractors, if it
-    does. OSError where it cannot be written.
+    subject   the subject
+    view      the view state, which gives the plane
+    x, y      limits (low, high) of the axes
+    cells     number of cells across
+    folder    the folder
+
+    The settings are those of the subject's spec, and so are the initial states if the spec searches all attractors.
+    Raise OSError if the file cannot be written.
     """
     shape = (x[1] - x[0], y[1] - y[0]), (view.x[1] - view.x[0], view.y[1] - view.y[0])
     up = max(2, round(cells * (shape[0][1] / shape[1][1]) / (shape[0][0] / shape[1][0]) * 0.75))

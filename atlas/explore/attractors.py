@@ -1,4 +1,4 @@
-"""All attractors of the cell clicked, from the store or else found on the cluster; their panel."""
+"""All attractors of the clicked cell, from the store or else searched on the cluster, and their panel."""
 
 import html
 import math
@@ -34,15 +34,16 @@ ALL = "<h4>all attractors of this cell</h4>"
 
 @dataclass(frozen=True)
 class AttractorListing:
-    """The attractors of a cell that are kept, the largest share first, each by its numbers in words.
+    """The stored attractors of a cell, the largest share first.
 
-    listed      the attractors
-    count       how many there are, also beyond those kept
-    starts      initial states solved; undecided: the initial states among them whose attractor is not known
-    unseen      an attractor of that share is missed in one cell of twenty
-    own         place of the one that the cell's own initial state reaches; -1 for none of them
-    stored      whether the atlas has them; else they were found now
-    trouble     why there are none
+    listed      numbers of each attractor, by name
+    count       number of attractors, including those beyond ``listed``
+    starts      number of initial states solved
+    undecided   number of initial states whose attractor is unknown
+    unseen      share of the smallest attractor that the search misses in at most one cell of twenty
+    own_index   index of the attractor that the cell's own initial state reaches; -1 if it is not listed
+    stored      True if the attractors are from the atlas, False if they were searched now
+    trouble     reason why there are no attractors; empty if there is none
     """
 
     listed: tuple[dict[str, Any], ...] = ()
@@ -56,9 +57,12 @@ class AttractorListing:
 
 
 def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | None:
-    """The attractors of a cell of an atlas that has all of them, or why they cannot be found; None where they can."""
+    """Return the attractors of a cell of an atlas that stores all of them, or the reason why no search is possible.
+
+    Return None if the attractors have to be searched.
+    """
     if not subject.can_search_attractors:
-        return AttractorListing(trouble='all attractors are found by the method "adaptive" only')
+        return AttractorListing(trouble='all attractors are found only by the method "adaptive"')
     if subject.all_attractors is None or not cell.of_atlas:
         return None
     results = at(subject.all_attractors, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
@@ -66,14 +70,14 @@ def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | 
 
 
 def attractor_computation(subject: Subject, cell: CellResult) -> Computation[AttractorListing]:
-    """All attractors of a cell to be found."""
+    """Return the computation that searches all attractors of a cell."""
     plane, x, y = subject.point(cell.parameters)
     patch = replace(subject.grid(plane, (x,), (y,)), starts=subject.starts)
     return Computation(solve_patch, patch, partial(_solved, subject), n_cells=1)
 
 
 def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
-    """The attractors of the one cell of these results."""
+    """Return the attractors of the only cell in these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
     many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
@@ -88,7 +92,7 @@ def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool)
 
 
 class AttractorsPanel(Panel[CellResult]):
-    """Their table; ``motion`` gets their portraits."""
+    """The panel with the table of attractors; their portraits are sent to ``motion``."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, motion: MotionPanel) -> None:
         super().__init__(explorer, background)
@@ -96,29 +100,29 @@ class AttractorsPanel(Panel[CellResult]):
         self.panel = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
 
     def start(self, cell: CellResult) -> None:
-        """Look for the attractors of a cell in the store, and have them sought otherwise."""
+        """Look up the attractors of a cell in the store, and search them on the cluster if they are not stored."""
         self.panel.text = ALL
         self.run_in_background(lambda: partial(self._known, cell, stored_attractors(self._subject, cell)))
 
     def clear(self) -> None:
-        """Show none."""
+        """Show no attractors."""
         self.panel.text = ""
 
     def show_error(self, reason: str) -> None:
-        """Say why there are none."""
+        """Show the reason why there are no attractors."""
         self._show(AttractorListing(trouble=reason))
 
     def _known(self, cell: CellResult, kept: AttractorListing | None) -> None:
         if kept is None:
             first = first_compile_notice(self._subject.system, ATTRACTORS)
-            sought = f"being sought from {self._subject.starts.count} initial states{first}"
+            sought = f"searching from {self._subject.starts.count} initial states{first}"
             self.panel.text = f'{ALL}<span class="waiting">{sought}</span>'
             self.submit([attractor_computation(self._subject, cell)], partial(self._take, cell))
         else:
             self._take(cell, kept)
 
     def _take(self, cell: CellResult, kept: AttractorListing) -> None:
-        """Show attractors, and draw the portraits of more than one."""
+        """Show attractors, and draw their portraits if there are several."""
         self._show(kept)
         states = [attractor["state"] for attractor in kept.listed if "state" in attractor]
 
@@ -134,7 +138,7 @@ class AttractorsPanel(Panel[CellResult]):
 
 
 def attractors_table(kept: AttractorListing, subject: Subject) -> str:
-    """The attractors of a cell as an HTML table, and how sure it is that these are all."""
+    """Return the attractors of a cell as an HTML table, with the certainty that the list is complete."""
     if kept.trouble:
         return f'<span class="trouble">{html.escape(kept.trouble)}</span>'
     if not kept.listed:
@@ -160,7 +164,7 @@ def attractors_table(kept: AttractorListing, subject: Subject) -> str:
 
 
 def _attractor(attractor: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
-    """The row of an attractor: its class, its orbit, its exponent, its share and the ends of the share's interval."""
+    """Return the row of an attractor: class, orbit, exponent, and the share with its interval of 95 %."""
     orbit = f"{attractor['period']}-{impacts_of(system, attractor)}" if attractor["period"] else ""
     largest = [f"{attractor[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
     share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))

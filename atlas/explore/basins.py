@@ -1,4 +1,4 @@
-"""The basins of a cell that was clicked: which attractor each initial state of a plane of them reaches."""
+"""The basins of a clicked cell: the attractor that each initial state of a plane reaches."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,16 +15,23 @@ from workers.model.system import System
 from workers.results import LABEL
 
 SIDE = 96
-"""Initial states along each axis."""
+"""Number of initial states along each axis."""
 UNSOLVED = -9
-"""The label of an initial state that is not solved yet."""
+"""Label of an initial state that is not solved yet."""
 BAND = 8
-"""Rows of them that a worker solves at a time."""
+"""Number of rows of initial states in one job."""
 
 
 @dataclass(frozen=True, eq=False)
 class BasinGrid:
-    """A plane of initial states of one machine: a displacement across and its velocity up, (SIDE,) values of each."""
+    """A plane of initial states of one machine.
+
+    system       the system
+    parameters   value of each parameter, by name
+    settings     settings of the solver
+    starts       settings of the attractor search
+    x, y         name and values (SIDE,) of a displacement, across, and of its velocity, up
+    """
 
     system: System
     parameters: Mapping[str, float]
@@ -35,7 +42,9 @@ class BasinGrid:
 
     @classmethod
     def from_cell(cls, subject: Subject, parameters: Mapping[str, float]) -> "BasinGrid":
-        """The plane of the displacement that a stop limits, as far as initial states are sought there by default."""
+        """Return the plane of the displacement that a stop limits, over the range of initial states in the attractor
+        search.
+        """
         system, starts = subject.system, subject.starts
         oscillators, _ = system.build_many({name: np.array([value]) for name, value in parameters.items()})
         low, high = boxes(starts, oscillators, system)
@@ -46,20 +55,20 @@ class BasinGrid:
 
     @property
     def box(self) -> dict[str, list[float]]:
-        """Where the picture lies whose pixels have the initial states at their centres."""
+        """The rectangle of the picture whose pixels have the initial states at their centres."""
         (x, width), (y, height) = ((values[0], values[1] - values[0]) for _, values in (self.x, self.y))
         size = {"w": [width * self.x[1].size], "h": [height * self.y[1].size]}
         return {"x0": [x - 0.5 * width], "y0": [y - 0.5 * height]} | size
 
 
 def label_computation(grid: BasinGrid, rows: slice) -> Computation[tuple[slice, NDArray[np.int32]]]:
-    """Some rows of a plane of initial states to be solved."""
+    """Return the computation that solves some rows of a plane of initial states."""
     count = len(grid.x[1]) * len(grid.y[1][rows])
     return Computation(solve_rows, (grid, rows), lambda labels: (rows, labels), count)
 
 
 def solve_rows(given: tuple[BasinGrid, slice]) -> NDArray[np.int32]:
-    """Labels (rows, SIDE) of the attractors that initial states reach; negative where none of the table is known."""
+    """Return the labels (rows, SIDE) of the attractors that initial states reach; negative for an unknown attractor."""
     from workers.attractors.basins import solve_basins
 
     grid, rows = given

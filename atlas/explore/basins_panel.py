@@ -1,4 +1,4 @@
-"""The panel that shows the basins of a cell that was clicked."""
+"""The panel that shows the basins of the clicked cell."""
 
 import html
 from functools import partial
@@ -25,7 +25,7 @@ from atlas.task.compile import ATTRACTORS
 
 
 class BasinsPanel(Panel[CellResult]):
-    """The button that asks for the basins of a cell, and the plane of initial states that shows them."""
+    """The button that requests the basins of a cell, and the plane of initial states that shows them."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks) -> None:
         super().__init__(explorer, background)
@@ -47,16 +47,16 @@ class BasinsPanel(Panel[CellResult]):
         self.panel = column(self._button, self._says, self._plot, sizing_mode="stretch_width")
 
     def start(self, cell: CellResult) -> None:
-        """Offer the basins of a cell, where they can be found."""
+        """Offer the basins of a cell if they can be searched."""
         self.clear()
         self._button.visible = self._subject.can_search_attractors
 
     def clear(self) -> None:
-        """Offer nothing."""
+        """Hide the button and the plane."""
         self._button.visible = self._says.visible = self._plot.visible = False
 
     def show_error(self, reason: str) -> None:
-        """Say why there are no basins."""
+        """Show the reason why there are no basins."""
         self._says.text = html.escape(f"basins: {reason}")
 
     def _ask(self) -> None:
@@ -71,7 +71,7 @@ class BasinsPanel(Panel[CellResult]):
         )
 
     def _lay_out(self, cell: CellResult, grid: BasinGrid) -> None:
-        """Have the initial states of a plane solved."""
+        """Set up the plot of a plane of initial states, and have the states solved."""
         self._labels = np.full((SIDE, SIDE), UNSOLVED, dtype=np.int32)
         self._plot.xaxis[0].axis_label, self._plot.yaxis[0].axis_label = (
             symbol_of(self._subject.system, name) for name in (grid.x[0], grid.y[0])
@@ -99,7 +99,7 @@ class BasinsPanel(Panel[CellResult]):
 
 
 def label_colors(labels: NDArray[np.int32]) -> NDArray[np.uint32]:
-    """The colour of each label, as Bokeh takes it; grey where none is known, nothing where it is not solved."""
+    """Return the colour of each label as Bokeh expects it: grey for an unknown attractor, transparent if unsolved."""
     colors = np.array([[int(color[k : k + 2], 16) for k in (1, 3, 5)] + [255] for color in BASINS], dtype=np.uint8)
     grey = np.array([[221, 221, 221, 255]], dtype=np.uint8)
     chosen = np.where((labels >= 0)[..., None], colors[labels % len(BASINS)], grey)

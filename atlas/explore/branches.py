@@ -1,4 +1,4 @@
-"""Branches as they are drawn; and the branch of a cell's orbit, orbit by orbit, with the events next to each."""
+"""Branches as the page draws them, and the branch of a cell's orbit with its orbits and neighbouring events."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -31,24 +31,30 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BESIDE = 1e-9
-"""Share of the forcing period before an event at which the motion before it is drawn."""
+"""Time before an event, as a share of the forcing period, at which the motion before the event is drawn."""
 ENDS = {
     "budget": "most points", "stalled": "no further point found", "inadmissible": "orbit ceases",
     "shorter_orbit": "shorter orbit",
 }  # fmt: skip
-"""How a branch ends where it does at no event and not at an end of its range."""
+"""Words for the ends of a branch that are neither an event nor an end of the parameter range."""
 
 
 @dataclass(frozen=True)
 class BranchDiagram:
-    """Branches by the gap coordinate: stretches (stable or not, parameter, gap), and events (kind, parameter, gap)."""
+    """Branches over a parameter, by the gap coordinate.
+
+    stretches   segments of equal stability: True if stable, parameter (N,), gap coordinate (N,)
+    events      kind, parameter and gap coordinate of each event
+    """
 
     stretches: tuple[tuple[bool, Array, Array], ...]
     events: tuple[tuple[str, float, float], ...]
 
     @classmethod
     def from_table(cls, table: BranchTable) -> "BranchDiagram":
-        """All branches of a table, with their mirror images; of these the events are not marked."""
+        """Return the diagram of all branches of a table and their mirror images; events of mirror images are not
+        marked.
+        """
         events = []
         for branch in table.traced:
             gap = next(iter(table.gap_values(branch)))
@@ -58,7 +64,12 @@ class BranchDiagram:
 
 
 class BranchMarker(NamedTuple):
-    """An event of a branch, or its end: the number of its point, its kind in words, and the parameter there."""
+    """An event of a branch, or its end.
+
+    point_index   index of the point
+    kind          kind in words
+    value         parameter at the point
+    """
 
     point_index: int
     kind: str
@@ -66,8 +77,12 @@ class BranchMarker(NamedTuple):
 
 
 class BranchPosition(NamedTuple):
-    """An orbit of a branch: its point, which is that of this number, or lies between it and the next; and the kind in
-    words of the event that it is, else empty.
+    """An orbit of a branch.
+
+    point_index   index of the orbit's point; of the point before, if the orbit lies between two points
+    value         parameter of the orbit
+    point         the orbit as a solution point
+    kind          kind, in words, of the event at the orbit; empty if there is no event
     """
 
     point_index: int
@@ -83,7 +98,11 @@ class BranchPosition(NamedTuple):
 
 @dataclass(frozen=True)
 class FollowedBranch:
-    """The branch of an orbit, which a table has alone, and the number of the point that is the cell's own orbit."""
+    """The branch of a cell's orbit.
+
+    table       table with this branch only
+    own_index   index of the point that is the cell's own orbit
+    """
 
     table: BranchTable
     own_index: int
@@ -101,7 +120,7 @@ class FollowedBranch:
 
     @cached_property
     def events(self) -> list[BranchMarker]:
-        """Its events, in order."""
+        """The events of the branch, in order."""
         events = zip(self.branch.event_indices, self.branch.run.events, strict=True)
         return [BranchMarker(k, event.kind.replace("_", " "), self.values[k]) for k, event in events]
 
@@ -115,7 +134,10 @@ class FollowedBranch:
         return {**self.table.parameters, self.table.along: value}
 
     def position_at(self, place: int, value: float) -> BranchPosition:
-        """The orbit of a point; or at a value between it and the next, by Newton's method where that finds one."""
+        """Return the orbit at a value between point ``place`` and the next, by Newton's method.
+
+        Return the orbit of the point if the method finds none or the value does not lie between the points.
+        """
         from workers.continuation import SolutionPoint
         from workers.continuation.equations import motion_of
         from workers.continuation.floquet import multipliers
@@ -133,16 +155,16 @@ class FollowedBranch:
         return BranchPosition(place, self.values[place], self.branch.run.points[place], kind)
 
     def find_point(self, value: float, here: BranchPosition) -> int | None:
-        """The number of the point at which, or after which, the branch has a value, nearest along it; else None."""
+        """Return the index of the point at or after which the branch has a value, nearest along it; None if there is
+        none.
+        """
         passes = [
             (abs(k + share - here.point_index), k + int(share == 1.0)) for k, share in self.branch.crossings(value)
         ]
         return min(passes)[1] if passes else None
 
     def neighbouring_events(self, here: BranchPosition) -> tuple[BranchMarker | None, BranchMarker | None]:
-        """The events next to an orbit of the branch before and after it, or where the branch ends; None where that is
-        an end of the range.
-        """
+        """Return the events, or ends of the branch, before and after an orbit; None at an end of the range."""
         last, ends = len(self.values) - 1, self.branch.run.ends
         marks = [
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
@@ -156,9 +178,10 @@ class FollowedBranch:
         return (before[-1] if before else None), (after[0] if after else None)
 
     def motion(self, here: BranchPosition) -> MotionPlotData:
-        """The motion of an orbit over all its periods, in closed form from event to event, so that unstable ones close.
+        """Return the motion of an orbit over all its periods, in closed form from event to event, so unstable orbits
+        close.
 
-        Its even steps begin at the sections t = k T, or at the first event of a cycle without a force.
+        Its even steps start at the sections t = k T, or at the first event of a limit cycle.
         """
         from workers.continuation.equations import motion_of
         from workers.continuation.itinerary import many_orbits
@@ -169,7 +192,7 @@ class FollowedBranch:
         turn = orbit.span(machine)
         period = turn * (1 + orbit.itinerary.symmetric) / periods
         events = np.concatenate([orbit.times + k * turn for k in range(1 + orbit.itinerary.symmetric)])
-        events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may leave the turn
+        events = np.mod([events, events - BESIDE * period], periods * period).ravel()  # times may lie outside the turn
         times = np.concatenate([np.arange(periods * count + 1) / count * period, events])
         order = np.argsort(times, kind="stable")
         states = motion_of(machine, many_orbits([orbit])).states_at(times[None, order])[0][0] + machine.rest
@@ -177,7 +200,7 @@ class FollowedBranch:
 
 
 class EventArrow(NamedTuple):
-    """From an orbit to an event over the plane, as far as the view reaches, with its text."""
+    """An arrow over the plane, from an orbit to an event or to the end of the visible range, with its text."""
 
     x0: float
     y0: float
@@ -187,7 +210,7 @@ class EventArrow(NamedTuple):
 
 
 def distance(mark: BranchMarker, here: BranchPosition) -> str:
-    """How far an event lies along the parameter, with its sign, in up to five digits."""
+    """Return the signed distance of an event along the parameter, with up to five digits."""
     away = mark.value - here.value
     return f"{'+' if away > 0 else ''}{number(away, 5)}"
 
@@ -195,7 +218,10 @@ def distance(mark: BranchMarker, here: BranchPosition) -> str:
 def arrows(
     branch: FollowedBranch, here: BranchPosition, subject: Subject, view: ViewState, cell: Where
 ) -> list[EventArrow]:
-    """From an orbit that is followed from a cell to the events beside it; none along a parameter that is no axis."""
+    """Return the arrows from an orbit that is followed from a cell to its neighbouring events.
+
+    The list is empty if the parameter is not an axis.
+    """
     if branch.table.along not in subject.axes:
         return []
     (_, x, y), across = cell, branch.table.along == subject.axes[0]
@@ -210,7 +236,10 @@ def arrows(
 
 
 def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -> FollowedOrbit:
-    """A cell's own orbit, to be followed in smaller steps over the visible part of an axis, or another's slider."""
+    """Return the state of following a cell's own orbit along a parameter.
+
+    The branch has smaller steps over the visible range of an axis, or over the slider range of another parameter.
+    """
     value, parameter = subject.values(*cell)[along], subject.system.parameter(along)
     limits = slider_range(parameter, value)
     seen = dict(zip(subject.axes, (view.x, view.y), strict=True)).get(along, limits)
@@ -219,10 +248,15 @@ def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -
 
 
 def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, float]) -> Computation[FollowedBranch]:
-    """The branch of a cell's orbit along a parameter to be found, in smaller steps between two values of that."""
+    """Return the computation that follows the branch of a cell's orbit.
+
+    subject   the subject
+    cell      the cell
+    part      the parameter, and the limits (low, high) between which the branch has smaller steps
+    """
 
     def read(branch: FollowedBranch) -> FollowedBranch:
-        # The first motion loads the kernels: here, not in the page's thread.
+        # The first motion loads the kernels, which must not happen in the page's thread.
         branch.motion(branch.position_at(branch.own_index, branch.values[branch.own_index]))
         return branch
 
@@ -235,9 +269,12 @@ def branch_computation(subject: Subject, cell: Where, part: tuple[str, float, fl
 
 
 def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[Range, Range]]) -> FollowedBranch:
-    """The branch of the orbit of a cell along a parameter over a window, in smaller steps over a part of that.
+    """Return the branch of a cell's orbit along a parameter.
 
-    InputError, in one line, where there is none.
+    asked   system, parameters of the cell, settings, name of the parameter, and two windows
+
+    The branch covers the first window, with smaller steps in the second window. Raise InputError, with a message of one
+    line, if there is no branch.
     """
     from workers.continuation import section_state
 
@@ -257,17 +294,17 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
         part, place = traced(windows[1])
         tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
     if np.ptp(tree.branches[0].values) == 0.0:
-        raise InputError(f"the branch of this orbit along {along} has one point alone, at {value:g}")
+        raise InputError(f"the branch of this orbit along {along} has only one point, at {value:g}")
     return FollowedBranch(BranchTable.from_tree(tree), own)
 
 
 def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":
-    """A branch with a part of it around a point in smaller steps, and the number of that point now."""
+    """Return a branch with its part around a point replaced by the finer ``part``, and the point's new index."""
     if "closed" in whole.run.ends + part.run.ends:
         return (part, place) if "closed" in part.run.ends else (whole, own)
     outside, last = np.flatnonzero((whole.values < window[0]) | (whole.values > window[1])), len(whole.values)
     before, after = outside[outside < own], outside[outside > own]
-    # Where the part ends within its window, so does the branch.
+    # If the part ends within its window, the branch ends there, too.
     first = int(before[-1]) + 1 if before.size and part.run.ends[0] == "edge" else 0
     second = int(after[0]) if after.size and part.run.ends[1] == "edge" else last
     pieces = (whole, slice(first)), (part, slice(None)), (whole, slice(second, None))

@@ -1,4 +1,4 @@
-"""The known cells of a subject: of the atlas itself, of tiles in memory, of kept tiles; one cell is solved if asked."""
+"""The known cells of a subject: cells of the atlas, of tiles in memory, and of saved tiles."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -16,16 +16,22 @@ from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
 DEPTH = 12
-"""Coarser levels that are looked through for kept tiles."""
+"""Number of coarser levels in which saved tiles are looked up."""
 MOST_VIEWS = 4
-"""Views of which the atlas's own cells are held, as they were when it was last looked at: a page draws them again with
-each tile that is solved.
+"""Number of viewports whose cells of the atlas are cached.
+
+A page draws these cells again with each solved tile. They are read anew after each look at the atlas.
 """
 
 
 @dataclass(frozen=True)
 class CellResult:
-    """A cell that was asked for: its parameters, its results as ``at`` has them, and whether it is the atlas's own."""
+    """A cell that was looked up.
+
+    parameters   value of each parameter, by name
+    results      results by name, in the form that ``at`` returns
+    of_atlas     True for a cell of the atlas, False for an explored cell
+    """
 
     parameters: dict[str, float]
     results: dict[str, Any]
@@ -33,14 +39,16 @@ class CellResult:
 
 
 class CellLookup:
-    """The cells of a subject that are known, by its tiles and its atlas."""
+    """Looks up known cells of a subject in its tiles and its atlas."""
 
     def __init__(self, tiles: TileCache) -> None:
         self.tiles, self.subject = tiles, tiles.subject
         self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
 
     def load_visible(self, plane: PlaneParameters, viewport: Viewport, names: Collection[str]) -> None:
-        """Read the kept tiles in view: the finest first, and coarser ones only where these leave gaps."""
+        """Read the saved tiles of a viewport into memory, the finest first, and coarser tiles only in gaps of the finer
+        ones.
+        """
         hidden: set[TileKey] = set()
         for stage in range(max(STAGES, min(DEPTH, max(viewport.x.level, viewport.y.level))) + 1):
             tiles = viewport.tiles(stage)
@@ -48,13 +56,13 @@ class CellLookup:
             hidden = {above for above in {key.parent for key in tiles} if all(b in shown for b in child_tiles(above))}
 
     def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
-        """The cells in view as far as they are known."""
+        """Return the visible cells of a viewport; unknown cells are pending."""
         wanted = list(names)
         base = self._base(viewport, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
         return compose_view(self.subject, plane, viewport, self.tiles.visible_tiles(plane, viewport), wanted, base)
 
     def cell(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> CellResult | None:
-        """The finest cell that is known at a point in view; None where none is."""
+        """Return the finest known cell at a point of the viewport; None if no cell there is known."""
         for stage in range(max(STAGES, viewport.x.level, viewport.y.level) + 1):
             level_x, level_y = viewport.x.level - stage, viewport.y.level - stage
             if min(level_x, level_y) < 0:
@@ -71,7 +79,9 @@ class CellLookup:
         return self._atlas_cell(plane, x, y)
 
     def point(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> tuple[float, float]:
-        """The cell of a view nearest to a point: one of the atlas itself where its cells lie closer than the view's."""
+        """Return the point of the cell nearest to (x, y): a cell of the viewport, or of the atlas if its cells are
+        denser.
+        """
         if min(viewport.x.level, viewport.y.level) < 0:
             own = self._atlas_cell(plane, x, y)
             if own is not None:
@@ -80,12 +90,12 @@ class CellLookup:
         return self._at(viewport.x.level, viewport.y.level, j, i)
 
     def solve_cell(self, plane: PlaneParameters, x: float, y: float) -> CellResult:
-        """The cell at exactly this point, solved here and now."""
+        """Solve the cell at exactly this point, in the calling thread, and return it."""
         results = solve_patch(self.subject.grid(plane, (x,), (y,)))
         return self._cell_of(plane, results, (0,), (x, y), (x, y))
 
     def _at(self, level_x: int, level_y: int, j: int, i: int) -> tuple[float, float]:
-        """The parameters of a column and a row of a level."""
+        """Return the values of the axes at a column and a row of a level."""
         across, up = self.subject.points(CellRange(level_x, j, 1), CellRange(level_y, i, 1))
         return float(across[0]), float(up[0])
 
@@ -112,7 +122,14 @@ class CellLookup:
         at: tuple[float, float],
         point: tuple[float, float],
     ) -> CellResult:
-        """The cell at a place of arrays, which lies at ``at``, as the one nearest to a point."""
+        """Return a cell of arrays as a ``CellResult``.
+
+        plane    plane of the cell
+        arrays   results of the cells, by name
+        place    index of the cell in the arrays
+        at       the cell's values of the axes
+        point    the point to which the cell is nearest
+        """
         subject, (x, y) = self.subject, at
         results: dict[str, Any] = dict(zip(subject.axes, at, strict=True))
         results["distance"] = dict(zip(subject.axes, (abs(x - point[0]), abs(y - point[1])), strict=True))
@@ -122,6 +139,6 @@ class CellLookup:
 
 
 def child_tiles(key: TileKey) -> list[TileKey]:
-    """The four tiles of the next finer level that have the cells of a tile, and those between."""
+    """Return the four tiles of the next finer level that cover a tile."""
     x, y = 2 * key.x, 2 * key.y
     return [TileKey(key.level_x + 1, key.level_y + 1, x + i, y + j) for j in (0, 1) for i in (0, 1)]

@@ -1,4 +1,4 @@
-"""The cells in view as a dataset for the render code, each from the finest known tile."""
+"""The visible cells as a dataset for the rendering code, each cell from the finest known tile."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -24,10 +24,12 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class VisibleCells:
-    """The cells in view as a dataset, where they are, and how often halved in density a cell (y, x) is known.
+    """The visible cells as a dataset.
 
-    stages   at most STAGES + 1, also of a cell that is not known at all
-    of       names this view, which has the same cells each time
+    ds        the dataset
+    sight     the viewport
+    stages    (y, x) stage at which a cell is known, the number of halvings of density; STAGES + 1 if coarser or unknown
+    view_id   identifier of the viewport's cells; equal identifiers mean equal cells
     """
 
     ds: "xr.Dataset"
@@ -44,10 +46,16 @@ def compose_view(
     names: Iterable[str],
     base: "xr.Dataset | None" = None,
 ) -> VisibleCells:
-    """The cells in view, the named variables and the regime; unknown cells are pending.
+    """Return the visible cells, with the named variables and the regime; unknown cells are pending.
 
-    ``tiles`` come coarse ones first; ``base`` has the cells of the atlas itself, as ``seen_atlas`` reads them. They
-    cover tiles that are no denser than they are.
+    subject    the subject
+    plane      the plane
+    viewport   the viewport
+    tiles      known tiles with their arrays, the coarsest first
+    names      names of the variables
+    base       cells of the atlas from ``seen_atlas``; None if there are none
+
+    Cells of the atlas cover tiles that are not denser than the atlas.
     """
     canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), viewport.shape)
     stages = np.full(viewport.shape, STAGES + 1, np.uint8)
@@ -66,7 +74,7 @@ def compose_view(
 def dataset(
     subject: Subject, plane: PlaneParameters, x: NDArray[np.float64], y: NDArray[np.float64], canvas: Arrays
 ) -> "xr.Dataset":
-    """Cells of the plane as the dataset of an atlas."""
+    """Return cells of a plane as the dataset of an atlas."""
     import xarray
 
     spec, fixed = subject.spec, [name for name, _ in plane.parameters]
@@ -88,12 +96,15 @@ def dataset(
     }
     made = xarray.Dataset(arrays, coords, attrs)
     if subject.store is not None and plane == subject.plane:
-        attach_store(made, subject.store)  # where its curves lie
+        attach_store(made, subject.store)  # which holds the curves
     return made
 
 
 def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
-    """The cells of the atlas itself in view and around it, on the overview that suits the density; None outside."""
+    """Return the cells of the atlas in and around a viewport, from the overview that suits its density.
+
+    Return None if the viewport lies outside the atlas.
+    """
     if subject.ds is None:
         return None
     part: dict[str, slice] = {}
@@ -111,16 +122,16 @@ def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "x
 
 
 def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
-    """Variables of cells of the atlas itself (y, x), by their numbers."""
+    """Return variables of cells (y, x) of the atlas, by their rows and columns."""
     across, up = subject.axes
     part = subject.part({across: columns, up: rows})[[*names]].load()
     return {str(name): array.transpose(up, across, ...).values for name, array in part.data_vars.items()}
 
 
 def atlas_covers(subject: Subject, done: NDArray[np.bool_] | None, plane: PlaneParameters, key: TileKey) -> bool:
-    """Whether the atlas itself has all cells of a tile that is not finer than it.
+    """Return True if the atlas has all cells of a tile that is not finer than the atlas.
 
-    ``done`` says of each cell of the atlas (y, x) whether it is solved.
+    ``done`` (y, x) is the mask of the solved cells of the atlas.
     """
     if done is None or plane != subject.plane or max(key.level_x, key.level_y) > 0:
         return False
@@ -141,7 +152,7 @@ def _lay(canvas: Arrays, stages: NDArray[np.uint8], viewport: Viewport, key: Til
 
 
 def _lay_base(canvas: Arrays, subject: Subject, viewport: Viewport, base: "xr.Dataset") -> NDArray[np.bool_]:
-    """Lay cells of the atlas, and return which cells in view (y, x) have one."""
+    """Copy cells of the atlas onto the canvas, and return the mask (y, x) of visible cells that the atlas has."""
     places, inside = [], []
     dims = subject.axes[::-1]
     for name, values in zip(dims, subject.points(*viewport)[::-1], strict=True):

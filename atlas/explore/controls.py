@@ -1,4 +1,4 @@
-"""The controls of a page: its map and scale, its axes, a slider and a number for each parameter, files."""
+"""The controls of a page: map and style, axes, a slider and a number for each parameter, and files."""
 
 import html
 import math
@@ -20,13 +20,13 @@ from atlas.explore.text import symbol_of
 from atlas.formatting import mathtext_to_unicode
 
 CELLS = 400
-"""Cells across a new atlas, unless asked otherwise."""
+"""Default number of cells across a new atlas."""
 TYPED = 76
-"""Pixels of a number beside a slider."""
+"""Width, in pixels, of the number beside a slider."""
 
 
 class Controls:
-    """The widgets of a page: they show the state, and change it. ``go`` opens another choice of axes or layer."""
+    """The widgets of a page, which show and change its state; ``go`` opens the page of other axes or another layer."""
 
     def __init__(self, subject: Subject, store: PageModel, go: Callable[..., None]) -> None:
         self.subject, self._store = subject, store
@@ -45,12 +45,12 @@ class Controls:
             for name, value in values.items()
         }
         for button in self.files.values():
-            button.js_on_event(ButtonClick, tell)  # before the click itself
+            button.js_on_event(ButtonClick, tell)  # before the click reaches the server
         self._wire()
         self.show(store.now)
 
     def columns(self, cuts: list[Button]) -> list[Any]:
-        """The controls, from the top, with the buttons that cut."""
+        """Return the controls from the top, including the given buttons that make a cut."""
         states = self._sliders(states=True)
         return [
             Div(text=html_part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
@@ -63,7 +63,7 @@ class Controls:
         ]  # fmt: skip
 
     def show(self, state: PageState, kept: bool = False) -> None:
-        """Have the widgets show the state, and whether its plane is kept."""
+        """Show the state in the widgets; ``kept`` tells whether tiles of its plane are saved."""
         chosen, own = state.view, self.subject.plane
         for name, value in chosen.plane.parameters:
             slider = self.sliders[name]
@@ -79,7 +79,7 @@ class Controls:
             self.typed[name].on_change("value", partial(self._set_parameter, name, True))
 
     def _set_parameter(self, name: str, rests: bool, attribute: str, old: Any, new: Any) -> None:
-        """Move to the plane of a slider, or of a number that was typed."""
+        """Change to the plane of a slider's value or of a typed number."""
         plane = self._store.now.view.plane
         if new is None or float(new) == dict(plane.parameters)[name]:
             return
@@ -90,7 +90,7 @@ class Controls:
             self.typed[name].value = dict(plane.parameters)[name]
 
     def _axes(self, go: Callable[..., None]) -> list[Any]:
-        """What chooses the axes, and the layer of a stack."""
+        """Return the menus of the axes, and of the layer of a stack."""
         subject, third, made = self.subject, self.subject.stack_axis, []
         system = subject.system
         options = [(p.name, f"{symbol_of(system, p.name)} {p.meaning.split(':')[0]}") for p in system.parameters]
@@ -107,7 +107,7 @@ class Controls:
         return made
 
     def _sliders(self, states: bool) -> list[Any]:
-        """The sliders of initial states, or of all other parameters."""
+        """Return the sliders of the initial states, or of all other parameters."""
         names = [name for name in self.sliders if (name in self.subject.system.states) == states]
         made: list[Any] = []
         for name in names:
@@ -124,13 +124,13 @@ class Controls:
 
 
 def _with(axes: tuple[str, str], place: int, name: str) -> tuple[str, str]:
-    """The axes with another one at a place; one that is there already changes places."""
+    """Return the axes with ``name`` at index ``place``; if the other axis has the name, the axes are swapped."""
     other = axes[place] if axes[1 - place] == name else axes[1 - place]
     return (name, other) if place == 0 else (other, name)
 
 
 def heading(text: str) -> Div:
-    """The heading of some controls."""
+    """Return the heading of a group of controls."""
     return Div(text=f"<h4>{text}</h4>", stylesheets=[TEXT], margin=(0, 5, 0, 5))
 
 

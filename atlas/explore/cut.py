@@ -1,4 +1,4 @@
-"""The cells along a line over a plane, coarse first, with their section states; and the branches through them."""
+"""A cut: the cells along a line over a plane, coarse first, with their section states and the branches through them."""
 
 import json
 from dataclasses import dataclass, replace
@@ -22,26 +22,30 @@ if TYPE_CHECKING:
     import xarray as xr
 
 STEPS = 256
-"""Steps of a line from end to end once it is solved in full."""
+"""Number of steps between the ends of a fully solved line."""
 COARSE = 8
-"""Every eighth point comes first, then those half way between, and so on."""
+"""Stride of the points that are solved first; then the stride is halved again and again."""
 POINTS_PER_JOB = STEPS // COARSE + 1
-"""Points that a worker solves at a time."""
+"""Number of points in one job."""
 SAMPLES = 48
-"""Section states of a cell that is not periodic."""
+"""Number of section states of a cell that is not periodic."""
 SECTION_WORDS = "gap at t = kT"
-"""The first choice of a cut."""
+"""The first choice of what a cut shows."""
 MAX_IMPACTS = 36
-"""Impacts of the orbits whose branches are followed: more than for a sweep, since whoever draws a cut can zoom in."""
+"""Maximum number of impacts of orbits whose branches are followed. It exceeds that of a sweep, since cuts can zoom in.
+"""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class CutLine:
-    """A line over a plane of a subject, straight on the scales of its axes; points count from 0 to STEPS.
+    """A line over a plane of a subject, straight on the scales of its axes; its points are numbered from 0 to STEPS.
 
-    observe   the observable of its cells that is shown; section states where it is None
+    subject   the subject
+    plane     the plane
+    ends      (x, y, x, y) of the two ends
+    observe   observable of the cells that is shown; None for section states
     """
 
     subject: Subject
@@ -51,7 +55,7 @@ class CutLine:
 
     @cached_property
     def axis(self) -> int:
-        """The axis, 0 across or 1 up, along which its diagrams are drawn: that of which it covers more."""
+        """The axis, 0 across or 1 up, along which the diagrams are drawn: the axis of which the line covers more."""
         x0, y0, x1, y1 = self.ends
         reach = []
         for lattice, ends in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
@@ -61,16 +65,16 @@ class CutLine:
 
     @property
     def name(self) -> str:
-        """The parameter of that axis."""
+        """The parameter of the diagrams' axis."""
         return self.subject.axes[self.axis]
 
     @property
     def level(self) -> bool:
-        """Whether it runs along one axis, so that one parameter alone changes."""
+        """True if the line runs along one axis, so that only one parameter changes."""
         return self.ends[1 - self.axis] == self.ends[3 - self.axis]
 
     def points(self, index: NDArray[np.int64]) -> tuple[Array, Array]:
-        """The values of both axes at points, (N,) each."""
+        """Return the values of both axes at points, (N,) each."""
         share, (x0, y0, x1, y1) = index / STEPS, self.ends
         values = []
         for lattice, (begin, end) in ((self.subject.x, (x0, x1)), (self.subject.y, (y0, y1))):
@@ -79,7 +83,7 @@ class CutLine:
         return values[0], values[1]
 
     def batches(self) -> list[tuple[int, ...]]:
-        """The points in the order in which they are solved, in parts of TOGETHER or fewer."""
+        """Return the points in the order in which they are solved, in batches of at most POINTS_PER_JOB."""
         parts, step, begin = [], COARSE, 0
         while step:
             index = list(range(begin, STEPS + 1, 2 * step if begin else step))
@@ -90,13 +94,13 @@ class CutLine:
 
 @dataclass(frozen=True)
 class CutCells:
-    """Solved points of a line: their numbers (N,), and their results by name, with ``shown`` (N, SAMPLES)."""
+    """Solved points of a line: their indices (N,), and results by name, including ``shown`` (N, SAMPLES)."""
 
     index: NDArray[np.int64]
     results: dict[str, NDArray[Any]]
 
     def merged_with(self, other: "CutCells | None") -> "CutCells":
-        """These and others, each once, in the order of the line."""
+        """Return these points and those of ``other``, each once, in the order of the line."""
         if other is None:
             return self
         index, order = np.unique(np.concatenate([self.index, other.index]), return_index=True)
@@ -105,7 +109,7 @@ class CutCells:
 
 
 def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCells]:
-    """Points of a line to be solved: the diagonal of a grid of their values."""
+    """Return the computation that solves points of a line, as the diagonal of a grid of their values."""
     subject, index = line.subject, np.array(part)
     points = line.points(index)
     grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))
@@ -132,7 +136,7 @@ def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCell
 
 
 def follow_branches(sweep: "xr.Dataset") -> BranchDiagram:
-    """The branches through the periodic cells of a sweep, and the branches that begin on these."""
+    """Return the branches through the periodic cells of a sweep, and the branches that start from them."""
     from atlas.orbits.branches.from_sweep import tree_through
     from atlas.orbits.branches.table import BranchTable
 
@@ -140,9 +144,9 @@ def follow_branches(sweep: "xr.Dataset") -> BranchDiagram:
 
 
 def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
-    """The cells of a line along one axis as a sweep of that parameter.
+    """Return the cells of a line along one axis as a sweep of that axis's parameter.
 
-    InputError for a line of which both parameters change.
+    Raise InputError if both parameters change along the line.
     """
     import xarray
 
@@ -164,13 +168,15 @@ def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
 
 
 def too_long(cells: CutCells) -> int:
-    """How many periodic cells have orbits of more than LONGEST impacts, whose branches are not followed."""
+    """Return the number of periodic cells whose orbits have more than MAX_IMPACTS impacts; their branches are not
+    followed.
+    """
     impacts = cells.results["impacts_upper"] + cells.results["impacts_lower"]
     return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > MAX_IMPACTS)))
 
 
 def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
-    """The largest exponent and its error along a line, by the parameter ``x``, as columns; empty without exponents."""
+    """Return the largest exponent and its error along a line, as columns over ``x``; empty without exponents."""
     if LARGEST.name not in cells.results:
         return {"x": np.zeros(0), "largest": np.zeros(0), "low": np.zeros(0), "high": np.zeros(0)}
     x, largest, error = line.points(cells.index)[line.axis], cells.results[LARGEST.name], cells.results[ERROR.name]
@@ -178,14 +184,17 @@ def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
 
 
 def shown_points(line: CutLine, cells: CutCells) -> dict[str, NDArray[np.floating]]:
-    """What is shown of cells along a line, gap coordinates or an observable, by the parameter ``x``, as columns."""
+    """Return the gap coordinates or the observable of cells along a line, as columns over the parameter ``x``."""
     x, shown = line.points(cells.index)[line.axis], cells.results["shown"]
     known = np.isfinite(shown)
     return {"x": np.broadcast_to(x[:, None], shown.shape)[known], "y": shown[known].astype(np.float32)}
 
 
 def to_observe(subject: Subject) -> dict[str, Observable | None]:
-    """The choices of a cut, by their words: section states, impacts, turning points of the gap coordinate, losses."""
+    """Return the choices of a cut, by their words.
+
+    They are section states, impacts, maxima and minima of the gap coordinate, and energy losses.
+    """
     definition = subject.system.definition
     names = [part.name for part in definition.contacts] if len(definition.contacts) > 1 else []
     texts = [":".join(filter(None, (kind, name))) for kind in OF_IMPACTS for name in ("", *names)]

@@ -1,4 +1,4 @@
-"""The cut of a page: the line over the plane, and below it the diagrams along it, which share the pointer."""
+"""The panel of a cut: the line over the plane, and below it the diagrams along the line, which share the pointer."""
 
 import html
 from functools import partial
@@ -55,11 +55,11 @@ SWITCHES: dict[str, Any] = {
     "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
     "margin": 0, "padding": 0, "location": "left",
 }  # fmt: skip
-"""A legend above a diagram, whose entries switch the parts that they name."""
+"""Options of a legend above a diagram, whose entries show and hide the parts that they name."""
 
 
 class CutPanel(Panel[CutLine]):
-    """The diagrams along the line that is chosen, and what finds them."""
+    """The panel with the diagrams along the chosen line; it requests the cells and branches to show."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -100,7 +100,7 @@ class CutPanel(Panel[CutLine]):
         self._link()
 
     def show(self, state: PageState) -> None:
-        """Show the diagrams along the line that is chosen, in the plane that is chosen."""
+        """Show the diagrams along the chosen line of the chosen plane."""
         chosen, observe = state.view, self._possible[str(self._shows.value)]
         self.set_topic(None if chosen.cut is None else CutLine(self._subject, chosen.plane, chosen.cut, observe))
 
@@ -110,7 +110,7 @@ class CutPanel(Panel[CutLine]):
         self._drawn.data = {"xs": [], "ys": []}
 
     def start(self, line: CutLine) -> None:
-        """Show a line and diagrams without cells, and have these solved."""
+        """Show a line and empty diagrams, and have the cells of the line solved."""
         x0, y0, x1, y1 = line.ends
         self._drawn.data = {"xs": [[x0, x1]], "ys": [[y0, y1]]}
         self._cells = None
@@ -129,18 +129,18 @@ class CutPanel(Panel[CutLine]):
         self.submit([cut_computation(line, part) for part in line.batches()], partial(self._take, line))
 
     def show_error(self, reason: str) -> None:
-        """Say that some cells cannot be shown, and why."""
+        """Show the reason why some cells cannot be shown."""
         super().show_error(f"part of the cut: {reason}")
 
     def _take(self, line: CutLine, cells: CutCells) -> None:
-        """Show more cells of the line."""
+        """Show further cells of the line."""
         self._cells = known = cells.merged_with(self._cells)
         self._sources["shown"].data = dict(shown_points(line, known))
         self._sources["exponents"].data = dict(exponents(line, known))
         self._say()
 
     def _say(self) -> None:
-        """Say how many cells are known, and what became of their branches."""
+        """Show the number of known cells, and the note about their branches."""
         count = "" if self._cells is None else f"{plural(self._cells.index.size, 'cell')} along the cut"
         more = 0 if self._cells is None else int(np.count_nonzero(self._cells.results.get("more", 0)))
         long = f"{plural(more, 'orbit')} with more than {SAMPLES} values: the first of them" if more else ""
@@ -155,23 +155,23 @@ class CutPanel(Panel[CutLine]):
             self._ended(str(error))
             return
         self._ended("following branches")
-        self._follow.disabled = True  # no worker can be called back: each click would take another one
+        self._follow.disabled = True  # a running job cannot be cancelled, so each click would occupy another worker
         self.submit([Computation(follow_branches, sweep)], self._take_branches, self._ended)
 
     def _ended(self, says: str) -> None:
-        """Say what becomes of the branches, which may be followed again."""
+        """Show a note about the branches, and enable the button that follows them."""
         self._note, self._follow.disabled = says, False
         self._say()
 
     def _take_branches(self, drawn: BranchDiagram) -> None:
         self._show_branches(drawn)
-        counts = f"{plural(len(drawn.stretches), 'stretch', 'stretches')}, {plural(len(drawn.events), 'event')}"
+        counts = f"{plural(len(drawn.stretches), 'segment', 'segments')}, {plural(len(drawn.events), 'event')}"
         long = 0 if self._cells is None else too_long(self._cells)
         omitted = f"; without {plural(long, 'cell')} whose orbits have more than {MAX_IMPACTS} impacts" if long else ""
         self._ended(f"branches: {counts}{omitted}; point at an event to read it")
 
     def _straight(self, along: int) -> None:
-        """Cut along one axis, through the cell that was clicked or the middle of the view."""
+        """Cut along one axis, through the clicked cell or the middle of the window."""
         chosen = self._store.now.view
         x, y = chosen.middle(self._subject)
         ends: Cut = (chosen.x[0], y, chosen.x[1], y) if along == 0 else (x, chosen.y[0], x, chosen.y[1])
@@ -187,7 +187,7 @@ class CutPanel(Panel[CutLine]):
             self._store.choose(cut=ends)
 
     def _over_plane(self) -> None:
-        """The line over the plane, the point of it that is pointed at, and the tool that draws it."""
+        """Add the line to the plane, the point of the line under the pointer, and the drawing tool."""
         lines = [
             self._plane.multi_line(xs="xs", ys="ys", source=self._drawn, line_color=color, line_width=width)
             for color, width in (("white", 5.0), ("black", 2.0))
@@ -198,7 +198,7 @@ class CutPanel(Panel[CutLine]):
         self._drawn.on_change("data", self._drew)
 
     def _draw(self) -> None:
-        """Make the parts of the diagrams."""
+        """Create the parts of the diagrams."""
         of, sources = self._section, self._sources
         of.scatter(x="x", y="y", source=sources["shown"], size=1.8, color="#1a2433", line_color=None)
         self._branches = BranchLines(of)
@@ -221,13 +221,13 @@ class CutPanel(Panel[CutLine]):
         )
 
     def _show_branches(self, drawn: BranchDiagram | None) -> None:
-        """Show these branches, and their entries in the legend; None shows neither."""
+        """Show branches and their entries in the legend; None hides both."""
         self._branches.show(drawn)
         for item in self._items[1:]:
             item.visible = drawn is not None
 
     def _link(self) -> None:
-        """Have the pointer on one move on the other."""
+        """Have the pointer on one plot mark the same point on the others."""
         self._along = ColumnDataSource({"along": [0]})
         args = {"line": self._drawn, "plane": self._plane, "axis": self._along}
         args |= {"spans_of": self._spans, "dot": self._dot}

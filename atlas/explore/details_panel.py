@@ -1,4 +1,4 @@
-"""The column on cells: the one under the pointer, and the one clicked, with its portrait and all its attractors."""
+"""The column about cells: the cell under the pointer, and the clicked cell with its portrait and all its attractors."""
 
 import html
 from collections.abc import Callable
@@ -32,15 +32,18 @@ CLICKED = "<h4>cell clicked</h4>"
 PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
  onclick="this.classList.toggle('large')">"""
 ROW = 15.6
-"""Pixels of a row of a table."""
+"""Height, in pixels, of a row of a table."""
 
 
 class DetailsPanel(Panel[Point]):
-    """The cell clicked, and the panels about it; and the cell under the pointer.
+    """The panel of the clicked cell, with the panels about it, and of the cell under the pointer.
 
-    sight   gives the view that the page shows
-    mark    where the page marks the cell clicked, x and y
-    plane   the plot of the page
+    explorer     the explorer
+    background   the threads of the page
+    store        model of the page's state
+    viewport     returns the viewport of the page; None before there is one
+    mark         source of the mark (x, y) on the clicked cell
+    plane        the plot of the plane
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class DetailsPanel(Panel[Point]):
         super().__init__(explorer, background)
         self._store, self._sight, self._mark = store, viewport, mark
         style: dict[str, Any] = {"stylesheets": [TEXT], "sizing_mode": "stretch_width"}
-        rows = 9  # as many as a map's numbers fill, so that nothing below it moves
+        rows = 9  # as many as the numbers of a map fill, so that nothing below them moves
         look = {"stylesheets": [TEXT, POINTER], "styles": {"min-height": f"{round(rows * ROW)}px"}}
         self._pointed = Div(text=f"<h4>cell under the pointer</h4>{html_part('pointer')}", **style | look)
         read_out: Any = {"html_attributes": {"aria-live": "polite"}}
@@ -72,27 +75,27 @@ class DetailsPanel(Panel[Point]):
 
     @property
     def panels(self) -> list[Any]:
-        """Its parts, from the top."""
+        """The parts of the column, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
         below = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
         return [self._pointed, self._clicked, line, self._follow.panel, *below, self._numbers, self._copy_all]
 
     def close(self) -> None:
-        """Want nothing more."""
+        """Cancel all computations of the panels."""
         for panel in (self._attractors, self._basins, self._follow):
             panel.close()
 
     def click(self, event: Tap) -> None:
-        """Choose the cell at a point."""
+        """Choose the cell at a clicked point."""
         if event.x is not None and event.y is not None:
             self.choose(event.x, event.y)
 
     def choose(self, x: float, y: float) -> None:
-        """Choose the cell of the view at a point, whether it is known by now or not."""
+        """Choose the cell of the viewport nearest to a point, whether it is known yet or not."""
         self._background.run(partial(self._choose_nearest, (x, y)))
 
     def show(self, view: ViewState) -> None:
-        """Mark the cell that is chosen where it is one of the plane in view, and show it in detail, once."""
+        """Mark the chosen cell if it lies in the visible plane, and show its details once."""
         cell = view.cell
         at = cell[1:] if cell is not None and cell[0] == view.plane else None
         data = {"x": [at[0]], "y": [at[1]]} if at else {"x": [], "y": []}
@@ -103,7 +106,7 @@ class DetailsPanel(Panel[Point]):
             self.set_topic(cell)
 
     def start(self, cell: Point) -> None:
-        """Say that a cell is being solved."""
+        """Show that a cell is being solved."""
         self._clicked.text = f"{CLICKED}solving it"
         self._motion.clear()
         self._attractors.set_topic(None)
@@ -117,7 +120,7 @@ class DetailsPanel(Panel[Point]):
         return lambda: self._store.choose(cell=(plane, *at))
 
     def _detail(self, at: Point, soon: Callable[[Show], None]) -> Show:
-        plane, point = at[0], at[1:]  # not the plane of now: a slider may have moved on
+        plane, point = at[0], at[1:]  # not the present plane: a slider may have moved since
         sight = self._sight()
         cell = None if sight is None else self._explorer.known.cell(plane, sight, *point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):

@@ -1,4 +1,4 @@
-"""One subject explored by any number of pages: its work, its stores, and the pages that hear of solved tiles."""
+"""The explorer of one subject, shared by any number of pages: jobs, tiles, and notification of the pages."""
 
 import math
 import threading
@@ -23,21 +23,27 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RETRY_SECONDS = 60.0
-"""Seconds after which a tile that was given up may be tried again."""
+"""Time, in seconds, after which a tile that was given up may be requested again."""
 MAX_OTHER_EXPLORERS = 4
-"""Other axes and layers whose cells are remembered; beyond these, axes that no page shows are forgotten."""
+"""Maximum number of remembered explorers of other axes and layers. Beyond it, explorers that no page shows are dropped.
+"""
 MAX_FAILURES = 4096
-"""Tiles of which it is remembered that they could not be solved."""
+"""Maximum number of failed tiles that are remembered."""
 
 
 class Explorer:
-    """Looks, solves and keeps for the pages of one subject.
+    """Finds, solves and saves the cells of one subject for its pages.
 
-    ``connect`` leads to the cluster, or is the explorer whose cluster and memory this one shares.
+    subject      the subject
+    connect      opens the Dask client; or the explorer whose cluster and memory are shared
+    keep         whether solved tiles are saved in the store
+    most_bytes   maximum size, in bytes, of the zoom levels of the store
+    timing       time limits of the jobs on the cluster
 
-    tiles      the solved tiles of the subject
-    known      the cells of these tiles, and of the atlas
-    failures   when tiles could not be solved, in seconds of ``time.monotonic``
+    patches      the job service
+    tiles        the solved tiles of the subject
+    known        the known cells, of the tiles and of the atlas
+    failures     time at which a tile failed, in seconds of ``time.monotonic``, by plane and key
     """
 
     def __init__(
@@ -64,32 +70,38 @@ class Explorer:
         self.known = CellLookup(self.tiles)
 
     def stop(self) -> None:
-        """End the work, and keep what waits to be kept."""
+        """Stop the jobs, and save the tiles that wait to be written."""
         self.patches.stop()
         for keeper in (*self._ending, *(other.tiles.keeper for other in (*self._others.values(), self))):
             keeper.stop()
 
     def explorer_for_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
-        """The explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
+        """Return the explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
 
-        InputError for axes that are no two parameters, and for a layer that the stack does not have.
+        axes    names of the two parameters across and up
+        layer   value of the stack axis; None for the present layer
+
+        Raise InputError if the axes are not two different parameters, or if the stack does not have the layer.
         """
         if axes == self.subject.axes and layer in (None, self.subject.layer_value):
             return self
         subject, layer = self.subject.with_axes(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
             explorer = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
-            self._others[axes, layer] = explorer  # the last ones used come last
+            self._others[axes, layer] = explorer  # in order of their last use
             idle = [key for key, other in self._others.items() if not other.listeners and key != (axes, layer)]
             self._ending = [keeper for keeper in self._ending if not keeper.has_ended]
             for key in idle[: max(0, len(self._others) - MAX_OTHER_EXPLORERS)]:
                 gone = self._others.pop(key).tiles
-                gone.drop()  # its last tiles are written while the page goes on
+                gone.drop()  # its last tiles are written while the page continues
                 self._ending.append(gone.keeper)
             return explorer
 
     def subscribe(self, consumer: Hashable, callback: Callable[[PlaneParameters, TileKey], None] | None) -> None:
-        """Call ``callback``, in another thread, with every tile that is solved; None for a page that is gone."""
+        """Call ``callback``, in another thread, with the plane and key of each solved tile.
+
+        With None the consumer's callback is removed, and its jobs are cancelled.
+        """
         with self._lock:
             if callback is None:
                 self._listeners.pop(consumer, None)
@@ -100,14 +112,14 @@ class Explorer:
 
     @property
     def listeners(self) -> list[Hashable]:
-        """The pages that hear of solved tiles."""
+        """The consumers that are notified of solved tiles."""
         with self._lock:
             return list(self._listeners)
 
     def request_tiles(self, consumer: Hashable, plane: PlaneParameters, viewport: Viewport, stages: range) -> int:
-        """Have the unknown tiles of a view solved, at these stages in this order, and return how many they are.
+        """Request the unknown tiles of a viewport, at ``stages`` in this order, and return their number.
 
-        A tile that failed is tried again by whoever looks at it AGAIN seconds later.
+        A tile that failed is requested again only if RETRY_SECONDS have passed since.
         """
         since = time.monotonic() - RETRY_SECONDS
         wanted = [
@@ -120,7 +132,7 @@ class Explorer:
         return len(wanted)
 
     def record_failure(self, plane: PlaneParameters, key: TileKey) -> None:
-        """Note that a tile could not be solved; of too many the oldest notes go."""
+        """Record that a tile could not be solved. Beyond MAX_FAILURES the oldest records are dropped."""
         with self._lock:
             self.failures.pop((plane, key), None)
             self.failures[plane, key] = time.monotonic()
@@ -128,7 +140,7 @@ class Explorer:
                 self.failures.pop(next(iter(self.failures)))
 
     def add_tile(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Keep a solved tile, and tell the pages."""
+        """Store a solved tile, and notify the pages."""
         self.tiles.put(plane, key, arrays)
         self.failures.pop((plane, key), None)
         with self._lock:
@@ -139,19 +151,25 @@ class Explorer:
 
 @dataclass(frozen=True)
 class TileJob(ServiceJob):
-    """A tile of a plane to be solved for an explorer."""
+    """The job of solving a tile of a plane for an explorer."""
 
     explorer: Explorer
     plane: PlaneParameters
     key: TileKey
 
     def is_ready(self) -> bool:
-        """Cells that are to be kept are solved no faster than they can be written."""
+        """Return True unless the tile is to be saved and the write queue is full: cells are solved no faster than
+        written.
+        """
         tiles = self.explorer.tiles
         return not (tiles.keeper.is_full and tiles.is_kept(self.plane))
 
     def build_task(self) -> tuple[Task, Take] | None:
-        """The patch of the tile less the cells that the tile above has; its results and those cells make the tile."""
+        """Return the task that solves the cells of the tile that its parent lacks, and the function that completes the
+        tile.
+
+        Return None if the tile has become known.
+        """
         tiles, subject = self.explorer.tiles, self.explorer.subject
         if tiles.full_tile(self.plane, self.key) is not None:
             return None

@@ -1,4 +1,4 @@
-"""The orbit of the cell clicked, followed along a parameter: its slider, its motion, its marks over the plane."""
+"""The panel that follows the orbit of the clicked cell along a parameter: slider, motion, and marks over the plane."""
 
 import html
 from typing import Any
@@ -34,15 +34,17 @@ from atlas.task.compile import ORBITS
 FOLLOWABLE = "periodic", "no_impact"
 """Regimes of cells that have an orbit to follow."""
 ROOM = 0.3
-"""Share of the view's width that the label of an arrow may take."""
+"""Share of the window's width that the label of an arrow may take."""
 BOUND = 1e9
-"""A larger multiplier is that of an impact without speed, whose own is infinite but for rounding."""
+"""Largest finite multiplier. A larger one belongs to an impact without speed, whose multiplier is infinite but for
+rounding.
+"""
 INK = "#aa3377"
-"""The colour of what belongs to the orbit that is followed."""
+"""Colour of the parts that belong to the followed orbit."""
 
 
 class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
-    """The controls that start and end following, and the orbit meanwhile."""
+    """The controls that start and end following, and the followed orbit."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
@@ -66,19 +68,19 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._over_plane(plane)
 
     def offer_cell(self, cell: CellResult | None) -> None:
-        """Offer to follow the orbit of a cell where it has one."""
+        """Offer to follow the orbit of a cell if it has one."""
         there_is_one = cell is not None and cell.results["regime"] in FOLLOWABLE
         self.panel.visible = there_is_one or self.topic is not None
 
     def show(self, view: ViewState) -> None:
-        """Follow the chosen orbit, and show where it is."""
+        """Follow the chosen orbit, and show the orbit's position."""
         follow, cell = view.follow, view.cell
         self.set_topic(None if follow is None or cell is None else (cell, follow[:3]))
         if self._shown is not None and follow is not None and cell is not None:
             self._mark(view, cell, self._shown.branch, self._shown.move(follow))
 
     def start(self, about: tuple[Point, tuple[str, float, float]]) -> None:
-        """Have a branch found."""
+        """Have a branch followed."""
         self.clear()
         cell, (along, low, high) = about
         self.panel.visible, self._along.value = True, along
@@ -98,12 +100,12 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._arrows.data = {name: [] for name in _COLUMNS}
 
     def show_error(self, reason: str) -> None:
-        """End following, and say why."""
+        """End following, and show the reason."""
         self._store.choose(follow=None)
         self._say(reason)
 
     def _follows(self) -> bool:
-        """Whether the orbit is followed along the parameter in the menu."""
+        """Return True if the orbit is followed along the parameter in the menu."""
         follow = self._store.now.view.follow
         return follow is not None and follow.along == self._along.value
 
@@ -127,7 +129,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._says.update(text=html.escape(text), visible=bool(text))
 
     def _over_plane(self, plane: figure) -> None:
-        """The orbit's marker over the plane, and its arrows to the next events."""
+        """Add the marker of the orbit to the plane, and the arrows to its neighbouring events."""
         ends: dict[str, Any] = {"x_start": "x0", "y_start": "y0", "x_end": "x1", "y_end": "y1"}
         for color, width, size in (("white", 5.0, 12), (INK, 2.0, 9)):
             head = NormalHead(size=size, line_color=color, fill_color=color)
@@ -140,7 +142,7 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         plane.text(background_fill_alpha=0.85, **at, **look)
 
     def _mark(self, view: ViewState, cell: Point, branch: FollowedBranch, here: BranchPosition) -> None:
-        """Mark an orbit over the plane where it lies in that."""
+        """Mark an orbit over the plane if it lies in that plane."""
         values = self._subject.values(*cell) | {branch.table.along: here.value}
         inside = all(values[name] == value for name, value in view.plane.parameters)
         names = zip(self._marker.data, self._subject.axes, strict=True)
@@ -156,9 +158,13 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
 
 
 def label_of(arrow: Reach, k: int, visible: Range) -> tuple[str, str, str, int, int]:
-    """The label of an arrow, the k-th of two: its text, alignment, baseline, and offsets from the marker in pixels.
+    """Return the label of an arrow: its text, alignment, baseline, and offsets from the marker in pixels.
 
-    The text lies on the side to which the arrow points, where the view has room for it there.
+    arrow     the arrow
+    k         index of the arrow, 0 or 1
+    visible   limits (low, high) of the horizontal axis
+
+    The text lies on the side to which the arrow points, if the window has room there.
     """
     (low, high), across = visible, arrow.y0 == arrow.y1
     ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
@@ -177,7 +183,7 @@ _COLUMNS = ("x0", "y0", "x1", "y1", "text", "align", "baseline", "right", "down"
 
 
 class _FollowControls:
-    """The widgets of a branch that is followed: they show where on it the state is, and change that."""
+    """The widgets of a followed branch, which show the present orbit and change it."""
 
     def __init__(self, explorer: Explorer, store: PageModel, branch: FollowedBranch) -> None:
         self.branch, self._subject, self._store = branch, explorer.subject, store
@@ -214,7 +220,7 @@ class _FollowControls:
         self.parts = [row(self._slider, self._typed, **wide), self._text, diagram, self.motion.panel]
 
     def move(self, follow: FollowedOrbit) -> BranchPosition:
-        """Show the orbit that is chosen, and return it."""
+        """Show the chosen orbit, and return its position on the branch."""
         if follow == self._at:
             return self._here
         self._at = follow
@@ -239,7 +245,7 @@ class _FollowControls:
             self._go(int(new), self.branch.values[int(new)])
 
     def _type(self, attribute: str, old: Any, new: Any) -> None:
-        """Go to where the branch has a value that was typed, nearest along it."""
+        """Go to the nearest point along the branch at which it has the typed value."""
         if new == self._here.value:
             return
         place = None if new is None else self.branch.find_point(float(new), self._here)
@@ -248,12 +254,12 @@ class _FollowControls:
             return
         if new is not None:
             low, high = number(min(self.branch.values)), number(max(self.branch.values))
-            said = html.escape(f"the branch has {self._symbol} from {low} to {high} alone, found {number(float(new))}")
+            said = html.escape(f"{self._symbol}: found {number(float(new))}, must be {low} to {high} on this branch")
             self._text.text = f'<span class="trouble">{said}</span>{self._table()}'
         self._typed.value = self._here.value
 
     def _table(self) -> str:
-        """The table of the orbit, as HTML."""
+        """Return the table of the orbit as HTML."""
         here, branch = self._here, self.branch
         outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
         stability = outside if here.point.unstable else "stable"

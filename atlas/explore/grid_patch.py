@@ -1,4 +1,4 @@
-"""A patch: cells of a grid of two parameters that somebody is looking at, solved and handed back."""
+"""A patch: cells on a grid of two parameters, as one computation of the explorer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,11 +16,15 @@ from workers.model.system import System
 
 @dataclass(frozen=True)
 class GridPatch:
-    """What is to be solved. All that crosses the scheduler; ``solve_patch`` redoes it by hand.
+    """The cells to solve, as sent through the scheduler. ``solve_patch`` also solves a patch without a cluster.
 
-    x, y    the name of an axis and the values of the grid along it
-    wanted  which cells (y, x) are to be solved, as numpy.packbits packs them; empty for all
-    starts  from which initial states all attractors of each cell are sought; None for the motion from its own alone
+    system           the system
+    parameters       value of each parameter that is not an axis, by name
+    settings         settings of the solver
+    x, y             name of an axis, and the values of the grid along the axis
+    mask_bits        mask (y, x) of the cells to solve, packed by ``numpy.packbits``; empty for all cells
+    starts           settings of the search for all attractors of each cell; None to solve only its own motion
+    solver_version   version of the solver that must solve the cells
     """
 
     system: System
@@ -34,7 +38,7 @@ class GridPatch:
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """The cells (y, x) to be solved."""
+        """The mask (y, x) of the cells to solve."""
         shape = len(self.y[1]), len(self.x[1])
         if not self.mask_bits:
             return np.ones(shape, dtype=bool)
@@ -43,12 +47,15 @@ class GridPatch:
 
 
 def packed(mask: NDArray[np.bool_]) -> bytes:
-    """The cells of a mask as a patch has them."""
+    """Return a mask of cells as the ``mask_bits`` of a patch."""
     return b"" if mask.all() else np.packbits(mask).tobytes()
 
 
 def solve_patch(patch: GridPatch) -> dict[str, NDArray[Any]]:
-    """Results of the wanted cells, row by row in arrays (N, ...); RefusedError if this worker has another solver."""
+    """Return the results of the cells to solve, row by row, as arrays (N, ...) by name.
+
+    Raise RefusedError if this worker has another solver version.
+    """
     check_solver(patch.solver_version)
     compile_once(*kernels_for(patch.system, *(() if patch.starts is None else (ATTRACTORS,)), settings=patch.settings))
     rows, columns = np.nonzero(patch.mask)

@@ -1,8 +1,7 @@
-"""Jobs for the workers of a cluster, in the order in which they are wanted at this moment.
+"""Jobs that the explorer runs on a Dask cluster, by the priority that they have at the moment.
 
-How they are sent, tried again and given up is that of all work on a cluster, see ``atlas.service.dispatch``. What is
-no longer wanted is dropped: here at once, on the cluster where it has not begun. Dask cannot interrupt what has; its
-results come back all the same, and are handed on.
+Submission, retries and failures are those of ``atlas.service.dispatch``. A job that no consumer waits for any more is
+cancelled, unless a worker has started it: Dask cannot interrupt running jobs. Its result is delivered all the same.
 """
 
 import logging
@@ -28,22 +27,22 @@ if TYPE_CHECKING:
     from distributed import Client
 
 RATE_WINDOW_SECONDS = 10.0
-"""The rate is taken over this number of last seconds."""
+"""Length, in seconds, of the sliding window over which the solving rate is averaged."""
 
 A = TypeVar("A")
 Task = tuple[Callable[[Any], Any], Any]
-"""A function and its argument."""
+"""A module-level function and its argument."""
 Take = Callable[[Any], int]
-"""Takes the result of a task, and returns how many cells that has."""
+"""A function that takes the result of a task, and returns the number of cells in the result."""
 
 
 @dataclass(frozen=True)
 class ServiceState:
-    """How the work is going.
+    """The state of the job service.
 
-    trouble   why nothing is solved, empty if nothing is wrong
-    workers   threads of the cluster
-    rate      cells solved per second, of late
+    trouble   why no cells are solved; empty if nothing is wrong
+    workers   number of worker threads of the cluster
+    rate      cells solved per second, averaged over RATE_WINDOW_SECONDS
     """
 
     trouble: str = "connecting"
@@ -52,25 +51,27 @@ class ServiceState:
 
 
 class ServiceJob(Protocol):
-    """Something that a worker does for those who want it; its methods are called from a thread of this service."""
+    """A job of the ``JobService``. All methods are called in the service's thread."""
 
     def is_ready(self) -> bool:
-        """Whether it may be sent now; others go first while it may not."""
+        """Return True if the job may be submitted now; until then other jobs go first."""
         return True
 
     def build_task(self) -> tuple[Task, Take] | None:
-        """The task that is sent, and the function for its result; None if that is known meanwhile."""
+        """Return the task to submit and the function that takes its result; None if the result has become known."""
 
     def on_failed(self, reason: str) -> None:
-        """Take note that the job is given up, for bad input or after some tries, and the error that it raised."""
+        """React to a job that is given up for ``reason``, after invalid input or repeated failures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Computation(Generic[A]):
-    """A question of a panel to the crew: a function of one value.
+    """A function call that a panel wants done on a worker.
 
-    read    the answer that the function's result is, made in a thread of this service
-    cells   how many cells are solved for it
+    function      module-level function of one argument
+    argument      its argument
+    postprocess   turns the result into what the panel shows, in the service's thread
+    n_cells       number of cells that are solved for it
     """
 
     function: Callable[[Any], Any]
@@ -81,8 +82,11 @@ class Computation(Generic[A]):
 
 @dataclass(frozen=True, eq=False)
 class ComputationJob(ServiceJob):
-    """A question and who waits for its answer: ``take`` gets that, ``refuse`` why there is none, both in a thread of
-    this service.
+    """A ``Computation`` with its callbacks.
+
+    question   the computation
+    take       receives the post-processed result, in the service's thread
+    refuse     receives the error message, in the service's thread
     """
 
     question: Computation[Any]
@@ -104,7 +108,11 @@ class ComputationJob(ServiceJob):
 
 @dataclass(frozen=True)
 class SubmittedJob:
-    """A job on its way: its number, and all that crosses the scheduler."""
+    """A job as it is sent through the scheduler.
+
+    index   the job's number
+    task    the task
+    """
 
     index: tuple[int, ...]
     task: Task
@@ -112,7 +120,12 @@ class SubmittedJob:
 
 @dataclass(frozen=True)
 class JobOutput:
-    """The result of the job of this number, or its words about bad input."""
+    """The output of a job.
+
+    index    the job's number
+    result   the result of the task
+    error    the message about invalid input; empty if there is none
+    """
 
     index: tuple[int, ...]
     result: Any = None
@@ -120,7 +133,7 @@ class JobOutput:
 
 
 def answer(sent: SubmittedJob) -> JobOutput:
-    """Do a job on a worker. Bad input stays bad, so that it is no failure that is tried again."""
+    """Run a job on a worker. Invalid input is returned as a message, so that the job is not retried as a failure."""
     function, value = sent.task
     try:
         return JobOutput(sent.index, function(value))
@@ -129,9 +142,9 @@ def answer(sent: SubmittedJob) -> JobOutput:
 
 
 class JobQueue(Iterator[ServiceJob]):
-    """Which job comes first: of all who want some in turn, the first that is ready and not under way.
+    """The jobs that consumers wait for, taken from the consumers in turn.
 
-    As an iterator it may have none now and one later.
+    As an iterator it yields the first job that is ready and not in flight. It may run dry and yield again later.
     """
 
     def __init__(self) -> None:
@@ -141,7 +154,7 @@ class JobQueue(Iterator[ServiceJob]):
         self._under_way: set[ServiceJob] = set()
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool) -> None:
-        """See ``JobService.want``."""
+        """See ``JobService.request``."""
         wanted = deque(jobs)
         with self._lock:
             wanted.extend(self._jobs.get(consumer, ()) if keep_earlier else ())
@@ -155,17 +168,17 @@ class JobQueue(Iterator[ServiceJob]):
                     self._turn.remove(consumer)
 
     def n_remaining(self, consumer: Hashable) -> int:
-        """See ``JobService.left``."""
+        """See ``JobService.n_remaining``."""
         with self._lock:
             return len(self._jobs.get(consumer, ()))
 
     def __contains__(self, job: ServiceJob) -> bool:
-        """Whether anybody waits for a job."""
+        """Return True if any consumer waits for a job."""
         with self._lock:
             return any(job in jobs for jobs in self._jobs.values())
 
     def __next__(self) -> ServiceJob:
-        """The next job, which is under way from now on."""
+        """Return the next job, which is in flight from now on."""
         with self._lock:
             for _ in range(len(self._turn)):
                 who = self._turn[0]
@@ -177,12 +190,12 @@ class JobQueue(Iterator[ServiceJob]):
         raise StopIteration
 
     def release(self, job: ServiceJob | None = None) -> None:
-        """Count a job, or all, as no longer under way."""
+        """Mark a job, or all jobs, as not in flight."""
         with self._lock:
             self._under_way = self._under_way - {job} if job else set()
 
     def remove(self, job: ServiceJob) -> None:
-        """Have nobody wait for a job any more."""
+        """Remove a job from the queues of all consumers."""
         with self._lock:
             self._under_way.discard(job)
             for jobs in self._jobs.values():
@@ -191,13 +204,13 @@ class JobQueue(Iterator[ServiceJob]):
 
 
 class JobService:
-    """Has jobs done on the cluster that ``connect`` leads to; connects again whenever that is lost."""
+    """Runs jobs on the cluster that ``connect`` opens, and reconnects whenever the connection is lost."""
 
     def __init__(self, connect: Callable[[], "AbstractContextManager[Client]"], timing: Timing = TIMING) -> None:
         self._connect, self._timing = connect, timing
         self._lock, self._stopped, self._woken = threading.Lock(), threading.Event(), threading.Event()
         self._wanted, self._numbers = JobQueue(), count()
-        self._sent: dict[tuple[int, ...], tuple[ServiceJob, Take]] = {}  # for this service's own thread alone
+        self._sent: dict[tuple[int, ...], tuple[ServiceJob, Take]] = {}  # used only in the service's own thread
         self._solved: deque[tuple[float, int]] = deque()
         self._state = ServiceState()
         self._thread = restarting_thread(
@@ -205,19 +218,20 @@ class JobService:
         )
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool = False) -> None:
-        """Want these jobs from now on, in this order, with ``keep_earlier`` before the earlier ones; none cancels
-        all.
+        """Replace the jobs that ``consumer`` waits for by ``jobs``, in order of priority.
+
+        With ``keep_earlier`` the new jobs go before its earlier ones. An empty ``jobs`` cancels all.
         """
         self._wanted.request(consumer, jobs, keep_earlier)
         self._woken.set()
 
     def n_remaining(self, consumer: Hashable) -> int:
-        """Jobs that somebody still waits for."""
+        """Return the number of jobs that a consumer waits for."""
         return self._wanted.n_remaining(consumer)
 
     @property
     def state(self) -> ServiceState:
-        """How the work is going."""
+        """The state of the service, with the present solving rate."""
         since = time.monotonic() - RATE_WINDOW_SECONDS
         with self._lock:
             while self._solved and self._solved[0][0] < since:
@@ -226,7 +240,7 @@ class JobService:
             return ServiceState(self._state.trouble, self._state.workers, cells / RATE_WINDOW_SECONDS)
 
     def stop(self) -> None:
-        """End the work, and the cluster where it is a local one."""
+        """Stop the service, and the cluster if it is a local one."""
         self._stopped.set()
         self._woken.set()
         self._thread.join()
@@ -244,9 +258,10 @@ class JobService:
             self._stopped.wait(self._timing.poll)
 
     def _work(self, client: "Client") -> None:
-        """Have jobs done until no worker may have one: then give up the jobs under way, and readmit all.
+        """Run jobs until all workers are excluded; then give up the jobs in flight, so that all workers are admitted
+        again.
 
-        _StoppedError once this service is to end.
+        Raise _StoppedError once the service is stopped.
         """
         dispatcher = Dispatcher(client, answer, self._timing, MIN_WORKER_MEMORY, queued_seconds=0.0)
         try:
@@ -265,10 +280,13 @@ class JobService:
             self._forget()
 
     def _look(self, force: "Dispatcher[SubmittedJob, JobOutput]", workers: WorkerStatus) -> None:
-        """Report the state of the cluster, and cancel what nobody wants any more and no worker has."""
+        """Record the state of the cluster, and cancel jobs that no consumer waits for and no worker has started."""
         if self._stopped.is_set():
             raise _StoppedError
-        self._say(workers.trouble or ("" if workers.threads else "no worker: waiting for one"), workers.threads)
+        self._say(
+            workers.trouble or ("" if workers.threads else "no workers connected: waiting for one to join"),
+            workers.threads,
+        )
         for sent in force.cancel_stale(lambda sent: self._sent[sent.index][0] not in self._wanted):
             job, _ = self._sent.pop(sent.index)
             self._wanted.release(job)
@@ -278,7 +296,7 @@ class JobService:
             self._state = ServiceState(trouble, workers)
 
     def _made(self, job: ServiceJob) -> SubmittedJob | None:
-        """A job as it is sent; None if it needs not be."""
+        """Return a job as it is submitted; None if the job needs no submission."""
         made = self._tried(job, job.build_task)
         if made is None:
             self._wanted.remove(job)
@@ -289,7 +307,7 @@ class JobService:
         return sent
 
     def _take(self, outcome: JobOutput | TileFailure) -> None:
-        """Hand on the result of a job, or why it is given up."""
+        """Deliver the result of a job, or the reason why the job is given up."""
         job, take = self._sent.pop(outcome.index)
         if isinstance(outcome, TileFailure):
             self._give_up(job, outcome.message)
@@ -299,15 +317,15 @@ class JobService:
             cells = self._tried(job, partial(take, outcome.result)) or 0
             with self._lock:
                 self._solved.append((time.monotonic(), cells))
-        self._wanted.remove(job)  # not before it is known: who asks meanwhile would have it solved again
+        self._wanted.remove(job)  # only after the result is delivered: an earlier request would solve the job again
 
     def _forget(self) -> None:
-        """Count nothing as sent."""
+        """Mark all jobs as not submitted."""
         self._sent.clear()
         self._wanted.release()
 
     def _tried(self, job: ServiceJob, step: Callable[[], Any]) -> Any:
-        """The result of a step of a job; None after an unexpected exception, which ends that job alone."""
+        """Return the result of a step of a job; None after an unexpected exception, which ends that job only."""
         try:
             return step()
         except (RunError, OSError):
@@ -318,7 +336,7 @@ class JobService:
             return None
 
     def _give_up(self, job: ServiceJob, reason: str) -> None:
-        """Give a job up; an exception of its ``failed`` is logged."""
+        """Give up a job. An exception of its ``on_failed`` is logged."""
         try:
             job.on_failed(reason)
         except Exception:
@@ -327,9 +345,9 @@ class JobService:
 
 
 class _StoppedError(Exception):
-    """This service is to end."""
+    """The service has been stopped."""
 
 
 def _without_advice(error: Exception) -> str:
-    """The text of an error, without the advice for a run that follows."""
+    """Return the text of an error without the advice for a run that follows it."""
     return str(error).partition("; ")[0]

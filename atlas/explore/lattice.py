@@ -1,8 +1,8 @@
-"""Points of an axis at any depth: those of the atlas, and level by level those half way between.
+"""The points of an axis at any level: those of the atlas, and at each finer level those half way between.
 
 At level k point j lies at the position j / 2^k, counted in cells of the atlas from its first point on. Point j of a
-level is point 2 j of the next: levels are nested, and a point has the same value, to the bit, at every level that has
-it. Levels below zero leave points out.
+level is point 2 j of the next. Levels are therefore nested, and a point has the same value, to the bit, at every level
+that contains the point. Levels below zero leave points out.
 """
 
 import math
@@ -16,25 +16,26 @@ from atlas.errors import InputError
 from atlas.spec.axis import Axis
 
 MIN_STEP_ULPS = 64.0
-"""Units in the last place between two points, at least: closer ones are no longer evenly spaced."""
+"""Minimum distance of two points, in units in the last place; closer points would not be evenly spaced."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The points of an axis at all levels; between two points of the atlas they are evenly spaced on its scale.
+    """The points of an axis at all levels, evenly spaced on the axis's scale between two points of the atlas.
 
-    Beyond the ends of the axis they go on as between its last two points. InputError for an axis of one point.
+    Beyond the ends of the axis the spacing is that of the first two or the last two points. Raise InputError if the
+    axis has only one point.
     """
 
     axis: Axis
 
     def __post_init__(self) -> None:
         if len(self.axis) < 2:
-            raise InputError(f"axis {self.axis.name} has one point; to be explored it needs two or more")
+            raise InputError(f"axis {self.axis.name}: found one point, must have two or more to be explored")
 
     @property
     def log(self) -> bool:
-        """Whether the axis is logarithmic."""
+        """True if the axis is logarithmic."""
         return self.axis.scale == "log"
 
     @cached_property
@@ -43,12 +44,12 @@ class Lattice:
 
     @cached_property
     def deepest(self) -> int:
-        """The deepest level: its points still differ by LEAST_STEP units in the last place."""
+        """The deepest level, at which points still differ by MIN_STEP_ULPS units in the last place."""
         steps = np.diff(self._points) / np.spacing(np.abs(self._points).max())
         return max(0, math.floor(math.log2(float(steps.min()) / MIN_STEP_ULPS)))
 
     def values(self, level: int, index: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The values of points of a level, (N,)."""
+        """Return the values of points of a level, (N,)."""
         if level > 0:
             whole, rest = np.divmod(index, 1 << level)
             share = rest / (1 << level)  # exact: a power of two
@@ -62,35 +63,38 @@ class Lattice:
         return np.where(given, self._points[np.clip(whole, 0, self._points.size - 1)], between)
 
     def positions(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of values, in cells of the atlas from its first point on; the inverse of ``values``."""
+        """Return the positions of values, in cells of the atlas from its first point on; the inverse of ``values``."""
         cell = np.clip(np.searchsorted(self._points, values, side="right") - 1, 0, self._points.size - 2)
         low, high = self._points[cell], self._points[cell + 1]
         share = np.log(values / low) / np.log(high / low) if self.log else (values - low) / (high - low)
         return np.asarray(cell + share)
 
     def parts(self, one: float, other: float) -> bool:
-        """Whether two values differ by more than rounding."""
+        """Return True if two values differ by more than rounding."""
         first, last = self.positions(np.array([one, other]))
         return bool(abs(last - first) * 2.0**self.deepest * MIN_STEP_ULPS > 1.0)
 
     def nearest(self, level: int, value: float) -> int:
-        """The point of a level whose cell holds a value."""
+        """Return the index of the point of a level whose cell contains a value."""
         return math.floor(float(self.positions(np.array([value]))[0]) * 2.0**level + 0.5)
 
     def edges(self, level: int, first: int, last: int) -> tuple[float, float]:
-        """Where the cells from the first to the last point of a level begin and end."""
+        """Return the outer edges of the cells from the first to the last point of a level."""
         low, high = self.values(level + 1, np.array([2 * first - 1, 2 * last + 1]))
         return float(low), float(high)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Where the cells of the atlas begin and end."""
+        """The outer edges of the cells of the atlas."""
         return self.edges(0, 0, len(self.axis) - 1)
 
     def level(self, low: float, high: float, pixels: int) -> int:
-        """The deepest level whose cells are not finer than pixels, where a window is ``pixels`` wide.
+        """Return the deepest level whose cells are not finer than the pixels of a window.
 
-        A quarter of a halving is let pass, as where overviews are chosen.
+        low, high   limits of the window
+        pixels      width of the window, in pixels
+
+        Cells may be finer by a quarter of a halving, as in the choice of overviews.
         """
         first, last = self.positions(np.array([low, high]))
         return min(self.deepest, math.floor(math.log2(max(pixels, 1) / float(last - first)) + 0.25))

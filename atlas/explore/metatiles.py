@@ -1,6 +1,6 @@
-"""The sheets of a store's zoom levels that tiles lie in: which sheet has which tile, and reading them.
+"""The metatiles of a store's zoom levels: which metatile contains which tile, and reading their tiles.
 
-A sheet is a store of its own within the store, a block of a level of a plane.
+A metatile is a store of its own within the store: a block of one zoom level of a plane.
 """
 
 import threading
@@ -23,21 +23,21 @@ from atlas.store.tiles import is_blank
 from atlas.store.zoom import drop_metatile, make_plane, metatile_backend
 
 METATILE_TILES = 16
-"""Tiles of a sheet along each axis."""
+"""Number of tiles of a metatile along each axis."""
 MAX_OPEN = 64
-"""Sheets that are held open."""
+"""Maximum number of metatiles that are open at a time."""
 MAX_ABSENT = 4096
-"""Sheets of which it is remembered that there are none."""
+"""Maximum number of metatiles remembered as absent."""
 MAX_PLANES = 256
-"""Planes whose digests are remembered."""
+"""Maximum number of planes whose digests are cached."""
 RELIST_SECONDS = 5.0
-"""Seconds after which it is looked for what other explorers have written, or a run to the atlas itself."""
+"""Time, in seconds, after which tiles are listed anew, since other explorers and runs may have written some."""
 
 Span = tuple[range, range]
 
 
 class MetatileKey(NamedTuple):
-    """A sheet of a plane: its levels and its number along x and along y."""
+    """A metatile of a plane: its levels and its indices along x and along y."""
 
     level_x: int
     level_y: int
@@ -46,20 +46,26 @@ class MetatileKey(NamedTuple):
 
     @classmethod
     def from_tile(cls, key: TileKey) -> "MetatileKey":
-        """The sheet that a tile lies in."""
+        """Return the key of the metatile that contains a tile."""
         return cls(key.level_x, key.level_y, key.x // METATILE_TILES, key.y // METATILE_TILES)
 
     @property
     def name(self) -> str:
-        """The name of its folder."""
+        """The name of the metatile's folder."""
         return f"x{self.level_x}_y{self.level_y}_{self.x}_{self.y}"
 
 
 @dataclass
 class Metatile:
-    """A sheet that is open: where its first tile lies, which of its tiles are done, and which of those are damaged.
+    """An open metatile.
 
-    looked, refused   when its tiles were listed, and when the disk last refused to read them
+    handle       handle of the metatile's store
+    first_tile   row and column of its first tile in the level
+    arrays       arrays of the store, by name
+    done         indices of its finished tiles
+    damaged      indices of its damaged tiles
+    listed_at    time at which its tiles were listed, in seconds of ``time.monotonic``
+    refused_at   time at which the disk last refused to read the metatile
     """
 
     handle: AtlasStore
@@ -71,12 +77,15 @@ class Metatile:
     refused_at: float = float("-inf")
 
     def index(self, key: TileKey) -> tuple[int, int]:
-        """The tile's index in the sheet."""
+        """Return the index of a tile in the metatile."""
         return key.y - self.first_tile[0], key.x - self.first_tile[1]
 
 
 class MetatileCatalog:
-    """The sheets of a subject in its store; ``seen`` says when each was last looked at, until that is noted there."""
+    """The metatiles of a subject in its store.
+
+    ``seen`` has the time at which each metatile was last viewed, until that time is written to the store.
+    """
 
     def __init__(self, subject: Subject, handle: AtlasStore) -> None:
         self._subject, self._handle, self._lock = subject, handle, threading.RLock()
@@ -88,18 +97,20 @@ class MetatileCatalog:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many sheets are open, and of how many it is known that there are none."""
+        """Number of open metatiles, and of metatiles remembered as absent."""
         with self._lock:
             return {"open": len(self._open), "absent": len(self._absent)}
 
     @property
     def trouble(self) -> str:
-        """Why kept tiles could not be read a moment ago; empty if nothing was wrong."""
+        """Why saved tiles could not be read a moment ago; empty if nothing was wrong."""
         when, said = self._refusal
         return said if time.monotonic() - when < 2.0 * RELIST_SECONDS else ""
 
     def find(self, plane: PlaneParameters, key: MetatileKey) -> Metatile | None:
-        """A sheet, open; None where there is none yet. Tiles that others write are looked for now and then."""
+        """Return an open metatile, None if it does not exist yet. Tiles that other processes write are listed now and
+        then.
+        """
         at, now = (plane, key), time.monotonic()
         with self._lock:
             if at in self._open:
@@ -118,7 +129,7 @@ class MetatileCatalog:
             if span is not None:
                 try:
                     return self._opened(at, self._place(plane, key), span)
-                except Exception as error:  # as of ``_read``: a sheet that is damaged is made anew
+                except Exception as error:  # as in ``_read``; a damaged metatile is created anew
                     self._was_refused(error)
             self._absent[at] = now
             self._absent.move_to_end(at)
@@ -127,10 +138,15 @@ class MetatileCatalog:
             return None
 
     def create(self, handle: AtlasStore, plane: PlaneParameters, key: MetatileKey, span: Span) -> Metatile:
-        """A sheet that does not exist yet, made and open, by the handle of the store as its claim's holder has it.
+        """Create a metatile and return it open.
 
-        Another explorer may have made it meanwhile. One that cannot be opened is damaged, and is made anew; OSError
-        where the disk refuses.
+        handle   handle of the store that writes behind the fence of the lease
+        plane    plane of the metatile
+        key      key of the metatile
+        span     rows and columns of its tiles
+
+        If another explorer has created the metatile meanwhile, return that one. A damaged metatile, which cannot be
+        opened, is created anew. Raise OSError if the disk refuses.
         """
         at, place = (plane, key), metatile_backend(handle, self.digest(plane), key.name)
         try:
@@ -157,13 +173,13 @@ class MetatileCatalog:
             return self._opened(at, place.with_fence(None), span)
 
     def close(self, digest: str, name: str) -> None:
-        """Forget a sheet that is dropped, by the name of its plane and its own."""
+        """Forget a deleted metatile, by the names of its plane and of its folder."""
         with self._lock:
             for plane, key in [at for at in self._open if (self.digest(at[0]), at[1].name) == (digest, name)]:
                 del self._open[plane, key]
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
-        """Whether a tile is kept, and the disk did not refuse to read its sheet a moment ago."""
+        """Return True if a tile is saved and the disk has not just refused to read its metatile."""
         with self._lock:
             sheet = self.find(plane, MetatileKey.from_tile(key))
             return (
@@ -173,7 +189,7 @@ class MetatileCatalog:
             )
 
     def load(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
-        """These variables of the tiles that are kept and can be read."""
+        """Return the variables ``names`` of the saved tiles that can be read."""
         wanted, read = dict[MetatileKey, list[TileKey]](), dict[TileKey, Arrays]()
         for key in keys:
             if self.has(plane, key):
@@ -186,26 +202,27 @@ class MetatileCatalog:
         return read
 
     def mark_viewed(self, plane: PlaneParameters, key: MetatileKey) -> None:
-        """Note that a sheet is looked at."""
+        """Record that a metatile is viewed now."""
         with self._lock:
             self.seen[self.digest(plane), key.name] = time.time()
 
     def pop_view_times(self) -> dict[tuple[str, str], float]:
-        """When sheets were last looked at, to be noted in the store."""
+        """Return and clear the times at which metatiles were last viewed, to be written to the store."""
         with self._lock:
             seen, self.seen = self.seen, {}
             return seen
 
     def mark_written(self, sheet: Metatile, index: tuple[int, int]) -> None:
-        """Note that a tile is written."""
+        """Record that a tile is written."""
         with self._lock:
             sheet.damaged.discard(index)
             sheet.done.add(index)
 
     def _read(self, sheet: Metatile, tiles: Sequence[TileKey], names: Sequence[str]) -> dict[TileKey, Arrays]:
-        """These variables of tiles of a sheet; nothing where it cannot be read.
+        """Return the variables ``names`` of tiles of a metatile; empty if the metatile cannot be read.
 
-        Damaged tiles are solved again. A sheet that a disk refuses to read stays, and is read again after LOOK seconds.
+        Damaged tiles will be solved again. A metatile that the disk refuses to read stays in the catalog, and is read
+        again after RELIST_SECONDS.
         """
         places = np.array([sheet.index(key) for key in tiles]) * TILE_CELLS
         low, high = places.min(axis=0), places.max(axis=0) + TILE_CELLS
@@ -220,7 +237,7 @@ class MetatileCatalog:
                     bad.add(sheet.index(key))
                 else:
                     tiles_read[key] = arrays
-        except Exception as error:  # a codec that meets bytes it never wrote may raise anything
+        except Exception as error:  # a codec may raise anything for damaged bytes
             with self._lock:
                 if self._was_refused(error):
                     sheet.refused_at = time.monotonic()
@@ -232,7 +249,7 @@ class MetatileCatalog:
         return tiles_read
 
     def _is_lost(self, sheet: Metatile, index: tuple[int, int], arrays: Arrays) -> bool:
-        """Whether a chunk of a tile is missing, which Zarr reads as fill values."""
+        """Return True if a chunk of a tile is missing, which Zarr reads as fill values."""
         return any(
             not variable.sparse
             and is_blank(arrays[name], variable)
@@ -242,7 +259,9 @@ class MetatileCatalog:
         )
 
     def span(self, key: MetatileKey) -> Span | None:
-        """The rows and columns of a sheet's tiles whose cells all lie in the valid ranges; None without any."""
+        """Return the rows and columns of a metatile's tiles whose cells all lie in the valid ranges; None if there are
+        none.
+        """
         spans = []
         for along, level, number in ((1, key.level_y, key.y), (0, key.level_x, key.x)):
             first = number * METATILE_TILES
@@ -253,22 +272,25 @@ class MetatileCatalog:
         return spans[0], spans[1]
 
     def span_with(self, key: TileKey) -> Span | None:
-        """The span of the sheet that a tile lies in; None where some of its cells are out of range, as in no spec."""
+        """Return the span of the metatile that contains a tile; None if a cell of the tile is out of range.
+
+        Cells out of range cannot be saved, since no spec may contain them.
+        """
         span = self.span(MetatileKey.from_tile(key))
         return span if span is not None and key.y in span[0] and key.x in span[1] else None
 
     def _was_refused(self, error: Exception) -> bool:
-        """Whether the disk refused; if so, ``trouble`` says it."""
+        """Return True if the disk refused an access, and record the reason for ``trouble``."""
         refused = _refused(error)
         if refused:
-            self._refusal = time.monotonic(), f"kept cells cannot be read: {error}"
+            self._refusal = time.monotonic(), f"saved cells cannot be read: {error}"
         return refused
 
     def _place(self, plane: PlaneParameters, key: MetatileKey) -> StoreBackend:
         return metatile_backend(self._handle, self.digest(plane), key.name)
 
     def _opened(self, at: tuple[PlaneParameters, MetatileKey], place: StoreBackend, span: Span) -> Metatile:
-        """Open a sheet, and keep it open; those not used for longest are closed."""
+        """Open a metatile and keep it open. Beyond MAX_OPEN the least recently used metatiles are closed."""
         handle, first = open_store(place), (span[0].start, span[1].start)
         self._open[at] = sheet = Metatile(
             handle, first, open_arrays(handle), done_tiles(handle), listed_at=time.monotonic()
@@ -280,12 +302,12 @@ class MetatileCatalog:
 
 
 def _refused(error: BaseException) -> bool:
-    """Whether a disk or a server refused a read, which leaves open whether the file is damaged."""
+    """Return True if a disk or a server refused to read, which leaves open whether the file is damaged."""
     cause = error.__cause__ if isinstance(error, InputError | RunError) else error
     return isinstance(cause, OSError) and not isinstance(cause, FileNotFoundError)
 
 
 def depth(name: str) -> int:
-    """How deep a sheet of this name lies, by both its levels."""
+    """Return the depth of a metatile of this name: the sum of its two levels."""
     x, y, *_ = name.split("_")
     return int(x[1:]) + int(y[1:])

@@ -1,4 +1,4 @@
-"""The motion of a cell as it is drawn: the phase portraits of its attractors, and its machine over the orbit."""
+"""The motion of a cell as the page draws it: phase portraits of its attractors, and its machine over the orbit."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -13,20 +13,21 @@ from atlas.explore.subject import Subject
 from workers.model.oscillator import Oscillator
 
 MAX_PORTRAITS = 5
-"""Attractors whose portraits are drawn."""
+"""Maximum number of attractors whose portraits are drawn."""
 POINTS = 4000
-"""Points of a path that are sent to the browser, at most."""
+"""Maximum number of points of a trajectory that are sent to the browser."""
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class MotionPlotData:
-    """What is drawn of a motion.
+    """The plot data of a motion.
 
-    y, v         gap coordinate and its velocity (N,) along the path, before and after every impact too
-    moving       (2 + n, K) the same and the displacements in even steps of time
-    stops, lane  where stops limit one displacement, and which; None where they limit a combination of several
-    per_period   even steps a forcing period
+    y, v         (N,) gap coordinate and its velocity along the trajectory, with points before and after each impact
+    moving       (2 + n, K) gap coordinate, its velocity and the n displacements in even steps of time
+    stops        positions of the stops of a single displacement; empty otherwise
+    lane         index of that displacement; None if the stops limit a combination of several
+    per_period   number of even steps in a forcing period
     """
 
     y: Array
@@ -38,7 +39,7 @@ class MotionPlotData:
 
 
 def motion_of(orbit: CellTrajectory) -> MotionPlotData:
-    """A path as it is drawn, of at most POINTS even steps."""
+    """Return the plot data of a trajectory, with at most POINTS even steps."""
     samples = samples_of(orbit.system)
     piece = orbit.period / samples
     step = np.rint(orbit.times / piece)
@@ -50,7 +51,13 @@ def motion_of(orbit: CellTrajectory) -> MotionPlotData:
 
 
 def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPlotData:
-    """The motion of a machine through states (N, 2n), some of which are ``even`` steps of time."""
+    """Return the plot data of a motion of a machine through given states.
+
+    osc          the machine
+    states       (N, 2n) displacements and velocities
+    even         (N,) mask of the states at even steps of time
+    per_period   number of even steps in a forcing period
+    """
     row = np.array(osc.gap_row)
     n, limited = row.size, np.flatnonzero(row).tolist()
     lane = limited[0] if len(limited) == 1 else None
@@ -62,7 +69,10 @@ def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_
 def motions(
     subject: Subject, parameters: Mapping[str, float], states: Sequence[Sequence[float]]
 ) -> dict[int, MotionPlotData]:
-    """The motions from these states of a cell, by their places, as far as they can be shown."""
+    """Return the motions of a cell from some initial states, by the index of the state.
+
+    States whose motions cannot be shown are left out, as are those beyond MAX_PORTRAITS.
+    """
     pictures = {}
     for place, state in enumerate(states[:MAX_PORTRAITS]):
         given = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))

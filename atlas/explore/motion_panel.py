@@ -1,4 +1,4 @@
-"""A motion on the page, moving: the phase portraits of attractors, and the machine over its orbit."""
+"""The panel that shows a motion: the phase portraits of attractors, and the machine moving along its orbit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,7 @@ from atlas.render.class_maps import PALETTE
 
 
 class MotionPanel:
-    """The portraits of a cell's attractors in one phase plane, and its machine, which a button sets in motion."""
+    """The portraits of a cell's attractors in one phase plane, and the machine, which a button sets in motion."""
 
     def __init__(self, subject: Subject) -> None:
         self._paths = ColumnDataSource({"xs": [], "ys": [], "color": []})
@@ -55,14 +55,14 @@ class MotionPanel:
         self.portray({})
 
     def portray(self, motions: Mapping[int, MotionPlotData]) -> None:
-        """Show the portraits of attractors in the colours of their places."""
+        """Show the portraits of attractors, in the colours of their indices."""
         colors = [PALETTE[place % len(PALETTE)] for place in motions]
         paths = motions.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 
     def show(self, own: MotionPlotData) -> None:
         """Show the cell's own motion, which a button sets in motion."""
-        if len(self._paths.data["xs"]) < 2:  # else the portraits of all came first
+        if len(self._paths.data["xs"]) < 2:  # otherwise the portraits of all attractors are already shown
             self.portray({0: own})
         y, v, *masses = own.moving
         self._path.data = {"y": y, "v": v} | {f"q{k:02}": q for k, q in enumerate(masses)}

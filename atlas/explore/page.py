@@ -1,7 +1,7 @@
-"""The page: the plane, the controls, the cell under the pointer, and a line on the work.
+"""A page of the explorer: the plane, the controls, the details of cells, and a progress line.
 
-The ranges of the axes, and how the plane looks, belong to the browser. This side gets them and sends cells;
-setting them from here would race with the user.
+The windows of the axes and the style of the plane belong to the browser. The server receives the windows and the style
+and sends cells. It does not set them, since doing so would race with the user.
 """
 
 import html
@@ -44,15 +44,23 @@ from atlas.explore.view_state import (
 )
 
 LEFT, RIGHT = 232, 350
-"""Widths of the columns beside the plane, in pixels, where the page is wide enough to have them there."""
+"""Widths, in pixels, of the columns on the left and right of the plane on a page that is wide enough for them."""
 FOLDED = "folded"
-"""The class of controls that a page of a single column hides."""
+"""CSS class of the controls that a page of a single column hides."""
 MIN_PLANE_PIXELS = 16
-"""Pixels of a plane that is worth drawing."""
+"""Minimum width and height, in pixels, of a plane that is drawn."""
 
 
 def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set[ExplorerPage]") -> None:
-    """Make a page of a document, one of ``pages`` while it lasts; specs of new atlases are written into the folder."""
+    """Build the page of a Bokeh document, at the view that its address asks for.
+
+    document   the document, empty so far
+    explorer   explorer of the subject at the address without a query
+    folder     folder in which specs of new atlases are written
+    pages      set of open pages; the page belongs to it until the session of the document ends
+
+    If the address is invalid, the page shows the initial view and the reason.
+    """
     context = document.session_context
     arguments = context.request.arguments if context is not None and context.request is not None else {}
     home, trouble = explorer, ""
@@ -76,7 +84,14 @@ def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set
 
 
 class ExplorerPage:
-    """One page, of one browser's tab. All of it follows from the state in ``store``."""
+    """One page, in one tab of a browser. All that the page shows follows from the state in ``store``.
+
+    document   the Bokeh document to fill
+    explorer   explorer of the page's axes and layer
+    store      model of the page's state
+    folder     folder in which specs of new atlases are written
+    home       explorer of the subject at an address without a query
+    """
 
     def __init__(self, document: Document, explorer: Explorer, store: PageModel, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
@@ -99,14 +114,14 @@ class ExplorerPage:
         store.subscribe(self._changed)
 
     def close(self) -> None:
-        """Free the threads of the page, and want nothing more."""
+        """Stop the threads of the page, and cancel its jobs."""
         self._background.close()
         self._details.close()
         self._cut.close()
         self._pane.painter.close()
 
     def wait(self) -> None:
-        """Wait until nothing of a page that is closed is at work any more."""
+        """Wait until all threads of a closed page have ended."""
         self._pane.painter.wait()
         self._background.wait()
 
@@ -124,7 +139,7 @@ class ExplorerPage:
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
         plot.on_event(RangesUpdate, self._window_changed)
-        plot.js_on_event(RangesUpdate, call("tell"))  # before the event itself
+        plot.js_on_event(RangesUpdate, call("tell"))  # before the event reaches the server
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
         controls.keep.on_click(lambda on: self._explorer.tiles.set_kept(store.now.view.plane, on))
@@ -145,7 +160,7 @@ class ExplorerPage:
         self._cut.panel.js_on_change("visible", widen)
         middle.css_classes = [CUTTING] if self._cut.panel.visible else []
         right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
-        # A source without a view is sent along, and heard, as the tag of a model that has one.
+        # Bokeh sends a source without a view, and its changes, only if it is a tag of a model with a view.
         self._address.tags = [self._download, self._keys, self._opened]
         whole = row(fold, left, middle, right, sizing_mode="stretch_both")
         whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
@@ -162,7 +177,7 @@ class ExplorerPage:
             self._pane.show(chosen, new.size, new.at_rest)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
-        """Open the page of other axes or of another layer, at the cell clicked or else the middle of the view."""
+        """Open the page of other axes or of another layer, at the clicked cell or else the middle of the window."""
         subject, chosen = self._subject, self._store.now.view
         turned = self._home.explorer_for_axes(
             axes or subject.axes, subject.layer_value if layer is None else layer
@@ -189,7 +204,7 @@ class ExplorerPage:
             self._store.choose(x=x, y=y)
 
     def _note_look(self, query: str) -> None:
-        """Take note of how the browser shows the plane."""
+        """Record the style of the plane that the browser reports as a query."""
         try:
             looks = apply_style_query(self._subject, self._store.now.view, query)
             self._store.choose(**{name: getattr(looks, name) for name in STYLE_FIELDS})
@@ -197,12 +212,12 @@ class ExplorerPage:
             self._store.set(trouble=str(error))
 
     def _note_picture(self, picture: RenderedPicture | str) -> None:
-        """Take note of a picture of the plane, or of why there is none."""
+        """Record a picture of the plane, or the reason why there is no picture."""
         if isinstance(picture, str):
             self._store.set(missing_parts=picture, shares=())
             return
         self._store.set(missing_parts=picture.note, shares=picture.shares)
-        self._details.show(self._store.now.view)  # a cell of the address, once there is a view to find it in
+        self._details.show(self._store.now.view)  # the cell of the address, which needs a viewport to be found
 
     def _say_progress(self) -> None:
         explorer, now = self._explorer, self._store.now
@@ -218,7 +233,7 @@ class ExplorerPage:
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
         keeper = self._explorer.tiles.keeper
         if keeper.handle is not None and not keeper.trouble and chosen.plane == subject.plane:
-            notes.append(f"kept in {subject.name}")
+            notes.append(f"saved in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
             first, last = lattice.ends
             slack = 1e-9 * (last - first)
@@ -227,7 +242,7 @@ class ExplorerPage:
                 break
         if chosen.plane != subject.plane:
             kept = keeper.handle is not None and self._explorer.tiles.is_kept(chosen.plane)
-            notes.append("another plane than the atlas's" + ("" if kept else ", not kept"))
+            notes.append("not the plane of the atlas" + ("" if kept else ", not saved"))
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 

@@ -1,4 +1,4 @@
-"""The one state of a page, from which all that it shows is derived."""
+"""The state of a page, from which all that the page shows is derived, and its listeners."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from atlas.explore.view_state import Range, ViewState
 class PageState:
     """The state of a page.
 
-    chosen    the choice in its address
-    size      pixels of the plane; 0 before the browser has laid it out
-    rests     whether nothing moves: while a slider does, only the first stage is solved
-    box       the window that was chosen for a new atlas, in this view
-    lacking   missing parts of the picture in view, and why
-    shares    of each stage, the coarsest first, the share of the view that is drawn as densely; empty without a picture
-    trouble   other failures, and why
+    view            view state, which the address of the page holds
+    size            width and height of the plane, in pixels; 0 before the browser has laid the page out
+    at_rest         False while a slider moves, when only the coarsest stage is solved
+    box             windows (x, y) that were selected for a new atlas in this view; None if there are none
+    missing_parts   missing parts of the picture, with reasons; empty if nothing is missing
+    shares          share of the viewport that is known at each stage, the coarsest first; empty without a picture
+    trouble         other failures, with reasons; empty if there are none
     """
 
     view: ViewState
@@ -30,14 +30,14 @@ class PageState:
 
 
 class PageModel:
-    """Holds the state. Those who listen get the state before and the state after each change."""
+    """Holds the state of a page, and calls its listeners with the old and the new state after each change."""
 
     def __init__(self, state: PageState) -> None:
         self.now = state
         self._listeners: list[Callable[[PageState, PageState], None]] = []
 
     def subscribe(self, listener: Callable[[PageState, PageState], None]) -> None:
-        """Call a listener after every change."""
+        """Call ``listener`` with the old and the new state after each change."""
         self._listeners.append(listener)
 
     def set(self, **fields: Any) -> None:
@@ -48,9 +48,9 @@ class PageModel:
                 listener(old, self.now)
 
     def choose(self, rests: bool = True, **fields: Any) -> None:
-        """Change fields of the choice; the trouble of the last choice goes, and the box of another view.
+        """Change fields of the view state. The trouble of the last view is cleared, and so is the box of another view.
 
-        An orbit is followed until another cell is chosen.
+        Choosing another cell ends the followed orbit.
         """
         old, chosen = self.now, replace(self.now.view, **fields)
         before = old.view
@@ -61,7 +61,7 @@ class PageModel:
             self.set(view=chosen, at_rest=rests, trouble="", box=old.box if stays else None)
 
     def escape(self) -> None:
-        """Follow an orbit no further, or else close the cut."""
+        """End the followed orbit if there is one, else close the cut."""
         if self.now.view.follow is not None:
             self.choose(follow=None)
         else:

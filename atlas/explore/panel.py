@@ -1,6 +1,6 @@
-"""Panels of a page: a panel is about one thing at a time, asks for results on it, and shows the answers.
+"""Panels of a page: each shows one topic at a time, and submits computations on its topic.
 
-An answer that comes once its panel is about something else is dropped: here, and nowhere else.
+A result that arrives after its panel has changed the topic is discarded. Only the base class does so.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,7 +15,10 @@ A = TypeVar("A")
 
 
 class Panel(Generic[A]):
-    """What ``turn`` says it is ``about``, None for nothing; the panels have ``begin``, ``clear`` and ``refuse``."""
+    """Base class of panels that show one ``topic`` at a time, None if there is none.
+
+    Subclasses implement ``start``, ``clear`` and ``show_error``.
+    """
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks) -> None:
         self._explorer, self._subject, self._background = explorer, explorer.subject, background
@@ -23,18 +26,18 @@ class Panel(Generic[A]):
         self._turns = 0
 
     def start(self, about: A) -> None:
-        """Show that nothing is known of a thing yet, and ask."""
+        """Show that nothing is known of a new topic yet, and submit its computations."""
         raise NotImplementedError
 
     def clear(self) -> None:
         """Show nothing."""
 
     def show_error(self, reason: str) -> None:
-        """Say why something is not found."""
+        """Show the reason why a computation failed."""
         self._background.refuse(reason)
 
     def set_topic(self, about: A | None) -> None:
-        """Turn to another thing: earlier questions are dropped. Does nothing if it is the same."""
+        """Change the topic and cancel the earlier computations. Do nothing if the topic is the same."""
         if about == self.topic:
             return
         self.topic = about
@@ -46,7 +49,7 @@ class Panel(Generic[A]):
             self.start(about)
 
     def close(self) -> None:
-        """Want nothing more."""
+        """Cancel all computations of the panel."""
         self._explorer.patches.request(self, ())
 
     def submit(
@@ -55,7 +58,12 @@ class Panel(Generic[A]):
         on_result: Callable[[Any], None],
         on_error: Callable[[str], None] | None = None,
     ) -> None:
-        """Ask the crew, before earlier questions: ``on_result`` shows an answer, ``on_error`` why there is none."""
+        """Submit computations to the workers, before the earlier ones of this panel.
+
+        questions   the computations
+        on_result   called in the document's thread with each post-processed result
+        on_error    called in the document's thread with the error message; by default ``show_error``
+        """
         answers = [
             self._background.deferred_call(self._current(act)) for act in (on_result, on_error or self.show_error)
         ]
@@ -64,7 +72,7 @@ class Panel(Generic[A]):
         )
 
     def run_in_background(self, work: Callable[[], Show]) -> None:
-        """Have something found in a thread of the page, and shown by what ``work`` returns."""
+        """Call ``work`` in a thread of the page, then call the function that it returns in the document's thread."""
         turns, shown = self._turns, self._current(_do)
 
         def whole() -> Show:
@@ -73,11 +81,14 @@ class Panel(Generic[A]):
         self._background.run(whole, self._current(self.show_error))
 
     def progress_callback(self) -> Callable[[Show], None]:
-        """A function that shows something during ``work``, in its thread; to be made before that begins."""
+        """Return a function with which ``work`` shows intermediate results from its own thread.
+
+        The function must be created in the document's thread before the work begins.
+        """
         return self._background.deferred_call(self._current(_do))
 
     def _current(self, callback: Callable[..., None]) -> Callable[..., None]:
-        """An act for the document's thread that does nothing once the panel is about something else."""
+        """Return ``callback`` for the document's thread, without effect once the panel has changed its topic."""
         turns = self._turns
         return lambda *given: callback(*given) if turns == self._turns else None
 

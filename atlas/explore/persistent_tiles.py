@@ -1,7 +1,8 @@
-"""Tiles kept in the store: looked up in its zoom levels, written there in the background, dropped where they are many.
+"""A persistent cache of explored tiles, in the zoom levels of the store.
 
-One thread writes newly solved tiles under the store's claim, so that explorers and runs take turns.
-Tiles that cannot be written wait, and are tried again.
+One background thread writes newly solved tiles while it holds the store's lease, so that explorers and runs take turns.
+Tiles that cannot be written stay in the queue and are retried. The least recently viewed metatiles are deleted when the
+cache exceeds its size limit.
 """
 
 import logging
@@ -24,24 +25,31 @@ from atlas.store.tiles import write_tile
 from atlas.store.zoom import drop_metatile, list_metatiles, metatile_bytes, read_view_times, write_view_times
 
 MAX_BYTES = 250_000_000
-"""Bytes that the zoom levels of a store may take on its disk. A file takes a whole block, a tile about twenty files: so
-these are 61,000 files at most, a few screens full of cells.
+"""Maximum size, in bytes, of the zoom levels of a store on its disk.
+
+A file takes a whole block, and a tile has about twenty files. The limit thus allows at most 61,000 files, which are a
+few screens of cells.
 """
 TILES_PER_BATCH = 64
-"""Tiles written in one turn, so that others get theirs."""
+"""Maximum number of tiles that are written under one lease, so that other processes get their turns."""
 BATCH_PAUSE = 1.0
-"""Seconds between two turns."""
+"""Time, in seconds, between two batches."""
 MAX_BATCH_PAUSE = 60.0
-"""Seconds between two turns at most: the pause doubles while nothing can be written."""
+"""Maximum time, in seconds, between two batches. The pause doubles while the store cannot be written."""
 MAX_QUEUED = 512
-"""Tiles that wait for their turn. While nothing can be written, the oldest of more than these are not kept."""
+"""Maximum length of the write queue, in tiles. While the store cannot be written, the oldest tiles beyond it are
+discarded.
+"""
 RECENT_SECONDS = 60.0
 
 
 class PersistentTileCache:
-    """The kept tiles of a subject.
+    """The tiles of a subject that are saved in its store, and the queue of tiles that wait to be written.
 
-    Tiles seen in the last ``recent`` seconds are not dropped, however many.
+    subject      the subject
+    most_bytes   maximum size, in bytes, of the zoom levels
+    wanted       whether tiles are saved at all
+    recent       time, in seconds, for which a viewed metatile is never evicted
     """
 
     def __init__(
@@ -52,38 +60,44 @@ class PersistentTileCache:
         self._waiting: OrderedDict[tuple[PlaneParameters, TileKey], Arrays] = OrderedDict()
         self._sizes: dict[tuple[str, str], int] = {}
         self.handle = subject.handle if wanted else None
-        self._trouble, self._lost, self._lately = "" if self.handle is not None else "nothing is kept", 0, ""
+        self._trouble, self._lost, self._lately = (
+            "" if self.handle is not None else "explored cells are not saved",
+            0,
+            "",
+        )
         if self.handle is not None and self.handle.backend.read_only_reason:
-            self.handle, self._trouble = None, "nothing is kept: a packed atlas is read only"
+            self.handle, self._trouble = None, "explored cells are not saved: a packed atlas is read-only"
         self.sheets = None if self.handle is None else MetatileCatalog(subject, self.handle)
-        self._thread = restarting_thread("atlas-keeper", self._serve, lambda error: self._say(f"kept later: {error}"))
+        self._thread = restarting_thread(
+            "atlas-keeper", self._serve, lambda error: self._say(f"not saved yet: {error}")
+        )
 
     @property
     def n_queued(self) -> int:
-        """Tiles that wait to be written."""
+        """Number of tiles that wait to be written."""
         with self._lock:
             return len(self._waiting)
 
     @property
     def trouble(self) -> str:
-        """Why tiles are not kept at this moment, and how many could not be kept at all; empty if nothing is wrong."""
+        """Why tiles are not saved at the moment, and how many could not be saved at all; empty if nothing is wrong."""
         with self._lock:
-            lost = f"{plural(self._lost, 'solved tile')} could not be kept: {self._lately}" if self._lost else ""
+            lost = f"{plural(self._lost, 'solved tile')} could not be saved: {self._lately}" if self._lost else ""
             return "; ".join(filter(None, (self._trouble, lost, self.sheets.trouble if self.sheets else "")))
 
     @property
     def is_full(self) -> bool:
-        """Whether as many tiles wait as may. Never while nothing can be written, as during a run."""
+        """True if the write queue is full. Always False while the store cannot be written, for example during a run."""
         with self._lock:
             return len(self._waiting) >= MAX_QUEUED and not self._trouble
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has ended."""
+        """True if the background thread has ended."""
         return not self._thread.is_alive()
 
     def enqueue(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Keep a tile, soon."""
+        """Queue a solved tile for writing."""
         with self._lock:
             if self.handle is None:
                 return
@@ -93,29 +107,29 @@ class PersistentTileCache:
                 self._lose(f"more than {MAX_QUEUED} were waiting")
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
-        """Whether a tile is kept, or waits to be."""
+        """Return True if a tile is saved or waits to be written."""
         with self._lock:
             if (plane, key) in self._waiting:
                 return True
         return self.sheets is not None and self.sheets.has(plane, key)
 
     def can_keep(self, key: TileKey) -> bool:
-        """Whether a tile can be kept at all: not one with cells out of the valid ranges."""
+        """Return True if a tile can be saved at all: all of its cells must lie in the valid ranges."""
         return self.sheets is not None and self.sheets.span_with(key) is not None
 
     def load(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Iterable[str]) -> dict[TileKey, Arrays]:
-        """These variables of the tiles that are kept and can be read; all variables of waiting tiles."""
+        """Return the variables ``names`` of saved tiles that can be read, and all variables of queued tiles."""
         with self._lock:
             waiting = {key: self._waiting[plane, key] for key in keys if (plane, key) in self._waiting}
         rest = [key for key in keys if key not in waiting]
         return waiting | (self.sheets.load(plane, rest, list(names)) if self.sheets is not None else {})
 
     def request_stop(self) -> None:
-        """Write what waits, and end, without waiting for that."""
+        """Have the thread write the queue and end, without waiting."""
         self._stopped.set()
 
     def stop(self) -> None:
-        """Write what waits, and end."""
+        """Write the queue, end the thread and wait for its end."""
         self.request_stop()
         self._thread.join()
 
@@ -124,13 +138,13 @@ class PersistentTileCache:
             self._trouble = trouble
 
     def _lose(self, reason: str) -> None:
-        """Count a tile that is not kept."""
+        """Count a tile that is not saved."""
         with self._lock:
             self._lost, self._lately = self._lost + 1, reason
 
     def _serve(self) -> None:
         noted, pause = time.monotonic(), BATCH_PAUSE
-        if self._stopped.is_set() and self._trouble:  # it would go wrong again, and somebody waits for the end
+        if self._stopped.is_set() and self._trouble:  # writing would fail again, and the caller waits for the end
             return
         while True:
             ending = self._stopped.wait(pause)
@@ -141,7 +155,7 @@ class PersistentTileCache:
                 or self._trouble
                 or (self.sheets and self.sheets.seen and time.monotonic() - noted > RECENT_SECONDS)
             )
-            if self.handle is not None and due:  # in trouble too, which is over once a turn has come to its end
+            if self.handle is not None and due:  # also while there is trouble, since a successful batch clears it
                 noted = time.monotonic()
                 self._turn(self.handle, batch)
                 pause = min(2.0 * pause, MAX_BATCH_PAUSE) if self._trouble else BATCH_PAUSE
@@ -149,14 +163,14 @@ class PersistentTileCache:
                 if ending and (not self._waiting or self._trouble):
                     if self._waiting:
                         left = plural(len(self._waiting), "solved tile")
-                        logging.getLogger(__name__).warning("%s not kept: %s", left, self._trouble)
+                        logging.getLogger(__name__).warning("%s not saved: %s", left, self._trouble)
                     return
 
     def _turn(self, handle: AtlasStore, batch: list[tuple[tuple[PlaneParameters, TileKey], Arrays]]) -> None:
-        """Write some tiles under the store's claim; tiles that cannot be written wait for another turn."""
+        """Write some tiles under the store's lease; tiles that cannot be written stay in the queue."""
         notes = sidecar_of(handle.backend)
         try:
-            if not handle.backend.exists(ROOT):  # to claim it would make a folder of its name
+            if not handle.backend.exists(ROOT):  # a lease would create a folder of its name
                 raise RunError(f"{handle.backend} is gone")
             with hold_lease(notes, str(handle.backend)) as claim:
                 handle = handle.with_backend(claim.fence_backend(handle.backend))
@@ -170,16 +184,16 @@ class PersistentTileCache:
             busy = False
             with suppress(OSError):
                 busy = notes.read(LEASE_NAME) is not None
-            self._say(f"kept later: {'a run is at work on the store' if busy else error}")
+            self._say(f"not saved yet: {'a run holds the lease of the store' if busy else error}")
 
     def _keep(self, handle: AtlasStore, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Write a tile; one that cannot be kept for a reason of its own does not hold up the others."""
+        """Write a tile. A tile that cannot be saved for a reason of its own does not delay other tiles."""
         try:
             self._write(handle, plane, key, arrays)
         except (InputError, RunError, OSError):
             raise
         except Exception as error:
-            logging.getLogger(__name__).exception("a tile could not be kept")
+            logging.getLogger(__name__).exception("a tile could not be saved")
             self._lose(why(error))
 
     def _write(self, handle: AtlasStore, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
@@ -197,7 +211,7 @@ class PersistentTileCache:
         self._sizes.pop((self.sheets.digest(plane), of.name), None)
 
     def _trim(self, handle: AtlasStore) -> None:
-        """Drop the sheets seen longest ago, of those the deepest first, until the rest is small enough."""
+        """Delete the least recently viewed metatiles, the deepest first, until the cache fits its limit."""
         assert self.sheets is not None
         all_sheets = list_metatiles(handle)
         for sheet in all_sheets:

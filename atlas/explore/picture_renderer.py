@@ -1,6 +1,7 @@
-"""The pictures of a page, made in a thread of its own: cells looked up, sent, wanted, sent again as tiles come in.
+"""The pictures of a page, made in a thread of their own.
 
-Each step is planned for a time; a new choice replaces the steps that are not taken yet.
+For each view the thread looks up the known cells, sends a picture, requests the unknown tiles, and sends further
+pictures as tiles are solved. Each step is planned for a time. A new view replaces the steps that are still planned.
 """
 
 import threading
@@ -23,29 +24,31 @@ from atlas.platform import release_memory
 from workers.results import PENDING, REGIME
 
 REST_SECONDS, FIRST_REST_SECONDS = 0.15, 0.03
-"""Seconds without a change after which a view is looked up, and the first one of a page."""
+"""Times, in seconds without a change, after which a view, or the first view of a page, is looked up."""
 FULL_SOLVE_SECONDS = 0.7
-"""Seconds without a change after which a plane that a slider moves to is solved in full."""
+"""Time, in seconds without a change, after which a plane that a slider has moved to is solved at all stages."""
 RELEASE_MEMORY_SECONDS = 10.0
-"""Seconds, at least, between two times that memory freed by drawing is returned to the system."""
+"""Minimum time, in seconds, between two releases of freed memory to the system."""
 MIN_FRAME_SECONDS = 0.35
-"""Seconds between two pictures, at least."""
+"""Minimum time, in seconds, between two pictures."""
 MAX_RENDER_SHARE = 0.6
-"""At most so much of the time is spent on drawing."""
+"""Maximum share of the time that is spent on drawing."""
 LIMITS_PICTURE_PIXELS = (240, 180)
-"""Pixels of the picture of the whole plane that the ends of a scale are taken from."""
+"""Width and height, in pixels, of the picture of the whole plane from which colour limits are taken."""
 MAX_PENDING_SHARE = 0.01
-"""Share of pending cells from which on a picture can say how far a scale should reach."""
+"""Maximum share of pending cells in a picture from which colour limits are taken."""
 
 COARSEST_STAGE, ALL_STAGES = range(STAGES, STAGES - 1, -1), range(STAGES, -1, -1)
-"""The stages that are solved of a view while a slider moves, and once it rests."""
+"""The stages of a view that are solved while a slider moves, and the stages that are solved once it rests."""
 
 
 @dataclass(frozen=True)
 class RenderedPicture:
-    """A picture: the message that draws it, and a note on it, such as why lines that were asked for are missing.
+    """A picture of the visible cells.
 
-    ``shares``: of each stage, the coarsest first, the share of the view that is known as densely.
+    message   bytes from which the browser draws the picture
+    note      note about the picture, such as why requested overlays are missing
+    shares    share of the viewport that is known at each stage, the coarsest first
     """
 
     message: NDArray[np.uint8]
@@ -54,7 +57,7 @@ class RenderedPicture:
 
 
 def warm_up(explorer: Explorer) -> None:
-    """Make a picture once, so that the first page need not wait for all that this loads."""
+    """Make a picture once, so that the first page does not wait for the modules and caches that a picture loads."""
     chosen = initial_view(explorer.subject)
     sight = explorer.subject.viewport(chosen.x, chosen.y, LIMITS_PICTURE_PIXELS)
     seen = explorer.known.visible_cells(chosen.plane, sight, chosen.names)
@@ -62,7 +65,15 @@ def warm_up(explorer: Explorer) -> None:
 
 
 class PictureRenderer:
-    """Makes pictures for one page. ``deliver`` gets them, ``refuse`` why there is none, both in its thread."""
+    """Makes the pictures of one page in a thread.
+
+    explorer   the explorer
+    deliver    called in the renderer's thread with each picture
+    on_error   called in the renderer's thread with the reason why there is no picture
+
+    looked     number of times that cells were looked up
+    sight      viewport of the last look-up; None before the first
+    """
 
     def __init__(
         self, explorer: Explorer, deliver: Callable[[RenderedPicture], None], on_error: Callable[[str], None]
@@ -83,7 +94,7 @@ class PictureRenderer:
         self._thread = restarting_thread("atlas-painter", self._serve, self._mistaken)
 
     def show(self, view: ViewState, size: tuple[int, int], rests: bool = True) -> None:
-        """Show a choice on this many pixels; unless it ``rests``, solve its first stage alone for a while."""
+        """Show a view at a size in pixels; unless it ``rests``, solve only its coarsest stage for a while."""
         asked, now = (view.picture, size), time.monotonic()
         with self._changed:
             if asked != self._asked:
@@ -96,27 +107,27 @@ class PictureRenderer:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something that was asked for is not looked up, solved and drawn yet."""
+        """True if the requested view is not yet looked up, solved and drawn."""
         return bool(self._plan) or self._at_work or self._explorer.patches.n_remaining(self) > 0
 
     def ends(self, view: ViewState) -> Ends:
-        """The ends of the scale of a map, those asked for first; None for one that it has not held yet."""
+        """Return the colour limits of a map: those of the view, or else those of the scale; None if unknown."""
         low, high = self._scales.get(view.map, (None, None))
         return low if view.vmin is None else view.vmin, high if view.vmax is None else view.vmax
 
     def close(self) -> None:
-        """Paint no more, and want nothing more."""
+        """Stop the thread and cancel its jobs."""
         with self._changed:
             self._closed = True
             self._changed.notify()
         self._explorer.subscribe(self, None)
 
     def wait(self) -> None:
-        """Wait until a painter that is closed has ended."""
+        """Wait until the thread of a closed renderer has ended."""
         self._thread.join()
 
     def _plan_repaint(self, plane: PlaneParameters, key: TileKey) -> None:
-        """Plan another picture if a solved tile is seen in the last one."""
+        """Plan another picture if a solved tile is visible in the last one."""
         if self._asked and plane == self._asked[0].plane and self.sight is not None and self.sight.contains(key):
             with self._changed:
                 self._view = next(self._views)
@@ -124,23 +135,21 @@ class PictureRenderer:
                 self._changed.notify()
 
     def _mistaken(self, error: str) -> None:
-        """Report an exception of a picture, and plan the picture anew if it was not begun."""
+        """Report an exception in a picture, and plan the picture again if it was not started."""
         self._say_no(f"this picture could not be made: {error}")
         with self._changed:
             if self._asked is not None and self._asked != self._looked:
                 self._plan.setdefault(ALL_STAGES, time.monotonic() + REST_SECONDS)
 
     def _say_no(self, reason: str) -> None:
-        """Say why there is no picture: the page shows none, least of all one of something else."""
+        """Report why there is no picture. The page then shows no picture, in particular none of another view."""
         self._sent = None
         self._refuse(reason)
 
     def _serve(self) -> None:
         given_back, used = time.monotonic(), False
         while True:
-            if (
-                used and time.monotonic() >= given_back + RELEASE_MEMORY_SECONDS
-            ):  # also where there is always more to be drawn
+            if used and time.monotonic() >= given_back + RELEASE_MEMORY_SECONDS:  # even if there is always more to draw
                 release_memory()
                 given_back, used = time.monotonic(), False
             with self._changed:
@@ -156,7 +165,7 @@ class PictureRenderer:
             try:
                 if step is not None:
                     self._find(step)
-                elif self._looked == self._asked:  # else another view is about to be looked up
+                elif self._looked == self._asked:  # otherwise another view is about to be looked up
                     self._paint()
             except (InputError, RunError) as error:
                 self._say_no(str(error))
@@ -167,7 +176,7 @@ class PictureRenderer:
         self._explorer.subscribe(self, None)
 
     def _find(self, stages: range) -> None:
-        """Look up the known cells of a view, show them, and have these stages of the others solved."""
+        """Look up the known cells of a view, show them, and request the other cells at these stages."""
         self._looked = asked = self._asked
         if asked is None:
             return
@@ -207,7 +216,7 @@ class PictureRenderer:
                 self._plan[None] = self._rested
 
     def _hold(self, view: ViewState, names: list[str]) -> None:
-        """Hold the ends of scales that suit the whole plane of the atlas, as far as it is known."""
+        """Fix the colour limits of maps to those of the atlas's whole plane, if enough of it is known."""
         subject = self._explorer.subject
         if subject.ds is None or self._scales.keys() >= set(names):
             return

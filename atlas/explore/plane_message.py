@@ -1,4 +1,4 @@
-"""The cells in view as the browser draws them: maps, lines and names, in one message of bytes."""
+"""The message with the visible cells for the browser: maps, overlays and labels, as bytes."""
 
 import json
 import zlib
@@ -31,11 +31,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 BITS = 14
-"""Bits of the mantissa that numbers keep on their way to the page: four digits."""
+"""Number of mantissa bits of the numbers that are sent to the page: four digits."""
 
 
 def maps_of(visible: VisibleCells, view: ViewState, others: bool) -> list[CodedMap]:
-    """The map that is chosen, and all others that its variables suffice for; InputError where it cannot be drawn."""
+    """Return the chosen map, and with ``others`` all further maps for which the dataset has the variables.
+
+    Raise InputError if the chosen map cannot be drawn.
+    """
     first = coded_map(visible.ds, visible.ds, view.map)
     rest = _others(visible.ds) if others else ()
     return [first, *(made for made in rest if made.name != view.map)]
@@ -44,12 +47,12 @@ def maps_of(visible: VisibleCells, view: ViewState, others: bool) -> list[CodedM
 def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
     yield from coded_maps(ds, ds)
     for name in numbers_of_cells(ds):
-        with suppress(InputError):  # of numbers below zero
+        with suppress(InputError):  # numbers below zero have no logarithm
             yield coded_map(ds, ds, f"{NUMBER}{name}{LOGARITHM}")
 
 
 def ends_of(made: CodedMap) -> Range | None:
-    """The ends of the scale of a map whose ends can be chosen; None for another."""
+    """Return the colour limits of a map whose limits can be chosen; None for any other map."""
     ends = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
     return ends[0] if ends else None
 
@@ -62,9 +65,17 @@ def message(
     scales: Mapping[str, Range],
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], str]:
-    """The message from which a page draws these maps with lines over them, and why some lines are missing.
+    """Return the message from which a page draws maps with overlays, and why some overlays are missing.
 
-    The length of the first part in four bytes; that part, deflated JSON; the arrays that it names, packed.
+    visible   the visible cells
+    subject   the subject
+    view      the view state
+    maps      the maps, the chosen one first
+    scales    colour limits of maps, by name
+    size      width and height of the plane, in pixels
+
+    The message begins with the length of its first part, in four bytes. The first part is deflated JSON, and the packed
+    arrays that it names follow.
     """
     plane, (lines, arrays, lacking) = _plane(visible, subject, ()), _lines(visible, subject, view, size)
     packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(visible.stages)}
@@ -91,13 +102,13 @@ def message(
 
 
 def _plane(visible: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
-    """The cells in view on the scales of the page, which are logarithmic in windows of any width."""
+    """Return the visible cells on the scales of the page, which are logarithmic in windows of any width."""
     plane = Plane.from_dataset(visible.ds, names)
     return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
 
 
 def _held(bar: Mapping[str, Any], limits: Range | None) -> list[float]:
-    """The ends of a bar: the held ones of its scale, if any."""
+    """Return the limits of a colorbar: the fixed limits of its scale if there are any."""
     if limits is None or not bar["main"]:
         return list(bar["ends"])
     return list(limits)
@@ -106,7 +117,7 @@ def _held(bar: Mapping[str, Any], limits: Range | None) -> list[float]:
 def _lines(
     visible: VisibleCells, subject: Subject, chosen: ViewState, size: tuple[int, int]
 ) -> tuple[dict[str, Any], dict[str, NDArray[np.uint8]], list[str]]:
-    """The lines that are chosen, the arrays that they need, and why some are missing."""
+    """Return the chosen overlays, the arrays that they need, and why some are missing."""
     why = chosen.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
     names = [LARGEST.name] if LARGEST.name in visible.ds else []
@@ -127,7 +138,7 @@ def _lines(
 
 
 def _axis(lattice: Lattice, cells: CellRange) -> dict[str, Any]:
-    """Where cells begin and end, all of them unless they are equally wide on their scale."""
+    """Return the edges of cells: only the outer two if the cells are equally wide on their scale."""
     halves = np.arange(2 * cells.first - 1, 2 * (cells.first + cells.count), 2, dtype=np.int64)
     edges = lattice.values(cells.level + 1, halves)
     drawn = np.log(edges) if lattice.log else edges

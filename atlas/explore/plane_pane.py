@@ -1,4 +1,4 @@
-"""The plane of the page: its title, its figure, the key of its colours, and the cells that the browser draws."""
+"""The pane of the plane: its title, its figure, its legend, and the cells that the browser draws."""
 
 import json
 from collections.abc import Callable
@@ -30,10 +30,13 @@ NOTHING: dict[str, Any] = {"message": [], "share": []}
 
 
 class PlanePane:
-    """The plane of a page.
+    """The plane of a page with its title and its legend.
 
-    on_picture   gets each picture, or why there is none
-    on_look      gets the look of the plane in the browser, as a query, before it asks for anything
+    explorer     the explorer
+    background   the threads of the page
+    view         the view state at first
+    on_picture   called with each picture, or with the reason why there is no picture
+    on_look      called with the style of the plane in the browser, as a query, before the browser requests anything
     """
 
     def __init__(
@@ -45,7 +48,7 @@ class PlanePane:
         on_look: Callable[[str], None],
     ) -> None:
         self._subject, self._chosen, self._on_picture = explorer.subject, view, on_picture
-        # Of fixed height, whatever they say: else the plane would change its size with every word.
+        # The height is fixed, so that the plane keeps its size for all texts.
         line: dict[str, Any] = {"stylesheets": [TEXT, LINE], "sizing_mode": "stretch_width", "height": LINE_HEIGHT}
         self._title = Div(text=title(explorer.subject, view.plane), **line)
         self._bar = Div(text=html_part("bar"), sizing_mode="stretch_width", height=3, margin=0, stylesheets=[BAR])
@@ -66,8 +69,8 @@ class PlanePane:
         )
 
     def begin(self, document: Document, address: Div) -> None:
-        """Have the browser draw the plane, once it has the document, and keep its look in the address."""
-        self._image.tags = [self._sent, self._look, self._blank]  # sources without a view are sent along as tags
+        """Have the browser draw the plane once it has the document, and keep the style in the address."""
+        self._image.tags = [self._sent, self._look, self._blank]  # sources without a view are sent as tags
         models = {"plot": self.plot, "image": self._image, "sent": self._sent, "look": self._look}
         models |= {"blank": self._blank, "waiting": self._waiting, "address": address}
         subject = json.dumps(described(self._subject, self._chosen))
@@ -76,7 +79,7 @@ class PlanePane:
         self.plot.js_on_event(MouseMove, call("point"))
 
     def show(self, view: ViewState, size: tuple[int, int], rests: bool) -> None:
-        """Show a choice on this many pixels."""
+        """Show a view at a size in pixels."""
         old, self._chosen, subject = self._chosen, view, self._subject
         if (view.x, view.y) != (old.x, old.y):
             label_axes(self.plot, subject, view)
@@ -90,13 +93,15 @@ class PlanePane:
         self._on_picture(painted)
 
     def _unpainted(self, reason: str) -> None:
-        """Show no picture, least of all one of something else, and say why."""
+        """Remove the picture, which may show another view, and report the reason."""
         self._sent.data = NOTHING
         self._on_picture(reason)
 
 
 def described(subject: Subject, view: ViewState) -> dict[str, Any]:
-    """The subject as plain JSON, which the page has from the beginning; ``look`` is how the plane looks at first."""
+    """Return the subject as plain JSON, which the page has from the beginning; ``look`` is the first style of the
+    plane.
+    """
     from atlas.explore.compose import dataset
 
     points = [np.array(lattice.axis.values[:2]) for lattice in (subject.x, subject.y)]

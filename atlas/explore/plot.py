@@ -1,4 +1,4 @@
-"""Plots of the page: the plane's axes and the image in it; branches on a diagram, with their events as marks."""
+"""Plots of the page: the plane with its axes and image, and diagrams of branches with their events."""
 
 from typing import Any
 
@@ -27,7 +27,12 @@ KEYS = "arrows move it, plus and minus zoom, Enter chooses the cell in the middl
 
 
 def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tuple[figure, Any]:
-    """The plot of a plane with a mark, x and y, on one cell, and the source of its image, which the browser fills."""
+    """Return the plot of a plane and the source of its image, which the browser fills.
+
+    subject   the subject
+    view      the view state
+    mark      source of a mark (x, y) on one cell
+    """
     kind_x, kind_y = ("log" if lattice.log else "linear" for lattice in (subject.x, subject.y))
     plot = figure(
         x_range=Range1d(*view.x),
@@ -37,7 +42,7 @@ def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tupl
         tools="pan,box_zoom,undo,redo,reset",
         toolbar_location="above",
         sizing_mode="stretch_both",
-        min_border_left=76,  # room for any tick's label: the plane keeps its size
+        min_border_left=76,  # room for any tick label, so that the plane keeps its size
         min_border_right=RIGHT_MARGIN,
         min_border_bottom=52,
         lod_threshold=None,
@@ -61,7 +66,7 @@ def make_plot(subject: Subject, view: ViewState, mark: ColumnDataSource) -> tupl
 
 
 def style_plain(plot: figure) -> None:
-    """Give a plot no grid, and axes in the type of the page with ticks that may count from a round number."""
+    """Remove the grid of a plot, and set axes in the page's type, with ticks that may count from a round number."""
     plot.grid.visible = False
     for axis in (plot.xaxis[0], plot.yaxis[0]):
         axis.update(axis_label_text_font_style="normal", axis_label_text_font_size="13px", minor_tick_line_color=None)
@@ -69,7 +74,7 @@ def style_plain(plot: figure) -> None:
 
 
 def label_axes(plot: figure, subject: Subject, view: ViewState) -> None:
-    """Give the axes the ticks and the names that suit their window."""
+    """Set the labels and tick formats of the axes for their windows."""
     for axis, lattice, window in (
         (plot.xaxis[0], subject.x, view.x),
         (plot.yaxis[0], subject.y, view.y),
@@ -95,7 +100,7 @@ class BranchLines:
         plot.add_tools(HoverTool(renderers=[marks], tooltips=[("", "@kind"), ("at", "@x{0.00000000}")]))
 
     def show(self, drawn: BranchDiagram | None) -> None:
-        """Show these branches in place of others; None shows none."""
+        """Show these branches instead of earlier ones; None shows no branches."""
         drawn = drawn or BranchDiagram((), ())
         self._lines.data = {
             "xs": [x for _, x, _ in drawn.stretches],

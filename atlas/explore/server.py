@@ -1,11 +1,11 @@
-"""The server of the page, in a thread of its own, for those who have its token.
+"""The HTTP server of the pages, in a thread of its own, for requests with its token.
 
-Every user of this machine can reach its loopback, and others another address or a proxy. So a page goes only to
-requests with the server's token, and a websocket only to sessions that such a page signed.
+Every user of this machine can reach its loopback, and others can reach another address or a proxy. Therefore a page is
+sent only to requests with the server's token, and a websocket is opened only for sessions that such a page signed.
 
-Any web page that the user has open can send requests here, and by a name of its own that resolves to this machine it
-may read the answers. So on the loopback, without a proxy, requests must also name this server's own address as the
-host and, where they say which page they come from, as their origin.
+Any web page that the user has open can send requests to the server. By a name of its own that resolves to this machine,
+such a page may even read the answers. Therefore requests on the loopback, without a proxy, must also name the server's
+own address as the host. If they name an origin, the origin must be this address, too.
 """
 
 import asyncio
@@ -29,16 +29,20 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 EVERY = ("0.0.0.0", "::", "")
-"""Addresses of a machine that stand for all of its addresses."""
+"""Addresses that stand for all addresses of a machine."""
 FORGOTTEN = 4000
-"""Milliseconds after which a page without a connection is gone for good."""
+"""Time, in milliseconds, after which a page without a connection is removed."""
 
 
 class PageServer:
     """Serves documents that ``make`` fills, one for each page that is opened, until ``stop``.
 
-    ``port`` 0 is any free one. ``token`` is one that a proxy leads here with, by any host; by default it is made here.
-    InputError where the port is taken.
+    make    function that fills a document
+    port    port to listen at; 0 is any free port
+    host    address to listen at
+    token   token with which a proxy forwards requests for any host; by default a new token is made
+
+    Raise InputError if the address cannot be used.
     """
 
     def __init__(
@@ -56,32 +60,32 @@ class PageServer:
         if self._error:
             raise InputError(self._error)
         if self._mistake:
-            raise RuntimeError(f"the server of the page did not begin: {self._mistake}")
+            raise RuntimeError(f"the server of the page did not start: {self._mistake}")
 
     @property
     def url(self) -> str:
-        """The page's address, without its token."""
+        """The address of the pages, without the token."""
         name = socket.getfqdn() if self._host in EVERY else self._host
         return f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
 
     def stop(self) -> None:
-        """Close all pages and end."""
+        """Close all pages and stop serving."""
         self._stopped.set()
         if self._thread.is_alive():
-            with suppress(RuntimeError):  # of a loop that has just ended by itself
+            with suppress(RuntimeError):  # the loop has just ended by itself
                 self._stop()
             self._thread.join()
 
     def _run(self) -> None:
-        """Serve until ``stop``; once pages were served, any exception has ``restarting_thread`` serve on, at the same
-        port.
+        """Serve until ``stop``. Once the server has started, ``restarting_thread`` restarts it at the same port after
+        any exception.
         """
         try:
             self._serve()
         except BaseException as error:
             if self._ready.is_set():
                 raise
-            logging.getLogger(__name__).exception("the server of the page did not begin")
+            logging.getLogger(__name__).exception("the server of the page did not start")
             self._mistake = why(error)
         finally:
             self._ready.set()
@@ -122,7 +126,7 @@ class PageServer:
 
 
 def listening(port: int, host: str) -> "list[socket.socket]":
-    """Sockets that listen at an address; InputError where it cannot be used."""
+    """Return sockets that listen at an address. Raise InputError if the address cannot be used."""
     from tornado.netutil import bind_sockets
 
     if not 0 <= port <= 65535:
@@ -134,16 +138,19 @@ def listening(port: int, host: str) -> "list[socket.socket]":
 
 
 def own_hosts(port: int) -> list[str]:
-    """The hosts that a request to a port of this machine's loopback may name: browsers leave out port 80."""
+    """Return the hosts that a request to a port of the loopback may name; browsers leave out port 80."""
     names = (HOST, "localhost")
     return [f"{name}:{port}" for name in names] + [name for name in names if port == 80]
 
 
 def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -> int | None:
-    """The HTTP status with which a request is refused, None for one that is served.
+    """Return the HTTP status with which a request is refused, None if the request is served.
 
-    It may name one of these ``hosts``, with None any. Bokeh's own scripts need no token, and its websocket checks the
-    signature of a page.
+    request   the request
+    hosts     hosts that the request may name; None for any host
+    token     token that the request must have
+
+    Scripts of Bokeh need no token. Its websocket checks the signature of a page.
     """
     origin = request.headers.get("Origin")
     if hosts is not None and (
@@ -163,7 +170,7 @@ def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -
 
 
 def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, token: str) -> "Any":
-    """The application that serves pages, to requests that are not refused."""
+    """Return the application that serves pages to requests that are not refused."""
     from bokeh.application import Application as Pages
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.tornado import BokehTornado
@@ -177,14 +184,14 @@ def _guarded_pages(make: "Callable[[Document], None]", hosts: list[str] | None, 
             return super().find_handler(request, **kwargs)
 
         def resources(self, absolute_url: Any = None) -> Any:
-            return super().resources("./")  # beside the page, also where a proxy puts it into a folder
+            return super().resources("./")  # relative to the page, since a proxy may serve the page in a folder
 
     return RestrictedTornado(
         {"/": Pages(FunctionHandler(make))},
         extra_websocket_origins=["*"] if hosts is None else hosts,
         sign_sessions=True,
         secret_key=secrets.token_bytes(32),
-        include_headers=[],  # else the source of a page has the headers of its request, and the cookies of a hub
+        include_headers=[],  # otherwise a page's source has the headers of its request, and a hub's cookies
         include_cookies=[],
         unused_session_lifetime_milliseconds=FORGOTTEN,
         check_unused_sessions_milliseconds=FORGOTTEN // 4,

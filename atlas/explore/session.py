@@ -1,4 +1,4 @@
-"""A running explorer: its cluster, its pages, and how all of it ends."""
+"""A running explorer: the public entry points, its cluster, its pages, and how all of them end."""
 
 import math
 import os
@@ -31,11 +31,18 @@ if TYPE_CHECKING:
 
 
 HUB = "JUPYTERHUB_SERVICE_PREFIX"
-"""What JupyterHub says, in the environment, of where it serves this user's server."""
+"""Environment variable in which JupyterHub gives the path of this user's server."""
 
 
 class ExplorerSession:
-    """Pages on a subject, served until ``stop``. A notebook shows the first of them."""
+    """The pages of an explorer, served until ``stop``. A notebook shows the first page as the value of a cell.
+
+    explorer   the explorer
+    folder     folder in which specs of new atlases are written
+    port       port to listen at; 0 is any free port
+    query      query of the address of new pages
+    host       address to listen at
+    """
 
     def __init__(self, explorer: Explorer, folder: Path, port: int = 0, query: str = "", host: str = HOST) -> None:
         from atlas.explore.page import build_page
@@ -56,7 +63,7 @@ class ExplorerSession:
         return f"{self._server.url}?{self._query}"
 
     def stop(self) -> None:
-        """Close the pages, end the work, keep the solved tiles."""
+        """Close the pages, end the jobs and save the solved tiles."""
         self._server.stop()
         for page in self._pages:
             page.close()
@@ -66,7 +73,7 @@ class ExplorerSession:
 
     @property
     def proxied_url(self) -> str:
-        """The address of a new page as a notebook of JupyterHub reaches it, by the hub's proxy; elsewhere ``url``."""
+        """The address of a new page from a notebook: through the proxy of JupyterHub if there is one, else ``url``."""
         if not self._proxy:
             return self.url
         return f"{self._proxy}/proxy/{self._server.port}/?{self._query}"
@@ -92,15 +99,26 @@ def explore(
     timing: Timing = TIMING,
     prepare: "Callable[[], None] | None" = None,
 ) -> ExplorerSession:
-    """Pages on a store or a spec, at ``ExplorerSession.url``.
+    """Start an explorer of a store or a spec, and return its session; its pages are at ``ExplorerSession.url``.
 
-    Cells are solved on ``client`` (used, not closed), on the cluster of a scheduler, on the client that the caller has
-    open, or on worker processes of this machine. ``view`` picks a plane of a stack, ``window`` what is shown at
-    first. With ``keep``, solved tiles lie in the store's zoom levels, up to ``most_bytes``. Specs of new atlases are
-    written into ``folder``, by default the working directory. Pages go to addresses with their token alone; ``host`` is
-    this machine's loopback by default.
-    ``prepare`` is called once the input has been checked, before anything starts.
-    Raises InputError for what cannot be explored, and where Bokeh is not installed.
+    given        store, spec by file or name, handle of a store, or subject
+    view         value of the stack axis that selects a plane of a stack; by default the first plane
+    client       Dask client to use; it is not closed
+    scheduler    address of a Dask scheduler to connect to
+    workers      number of local worker processes
+    tolerance    least tolerance, the standard error of the largest exponent, of explored cells
+    keep         whether solved tiles are saved in the zoom levels of the store
+    most_bytes   maximum size, in bytes, of the zoom levels
+    folder       folder in which specs of new atlases are written; by default the working directory
+    port         port to listen at; 0 is any free port
+    host         address to listen at; by default the loopback of this machine
+    window       limits (low, high) of axes that are shown first, by name
+    timing       time limits of the jobs on the cluster
+    prepare      called once the input has been checked, before anything starts
+
+    Without ``client``, ``scheduler`` and ``workers`` the active Dask client is used, or else one local worker process
+    per processor. A page is sent only to addresses with the session's token. Raise InputError if the subject cannot be
+    explored, an argument is invalid, or Bokeh is not installed.
     """
     try:
         import bokeh  # noqa: F401
@@ -127,10 +145,10 @@ def explore(
 
 
 def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: Any) -> ExplorerSession:
-    """Pages on the store that a dataset shows, at its plane and its window.
+    """Start an explorer of the store that a dataset shows, at the dataset's plane and window; return its session.
 
-    Options as of ``explore``. InputError for a dataset that is not as ``atlas.open`` gave it, a plane of a stack or a
-    part of a plane apart.
+    Further options are those of ``explore``. Raise InputError unless the dataset is as ``atlas.open`` returned it, or
+    one plane of a stack or a part of a plane of such a dataset.
     """
     ends = {name: axis_values(ds, name) for name in axis_names(ds)[:2]}
     window = {name: (float(values.min()), float(values.max())) for name, values in ends.items() if values.size > 1}
@@ -138,7 +156,7 @@ def explore_dataset(ds: "xr.Dataset", tolerance: float = TOLERANCE, **options: A
 
 
 def _place(ds: "xr.Dataset") -> tuple[AtlasStore, dict[str, float]]:
-    """The store that a dataset shows, and which plane of a stack."""
+    """Return the handle of the store that a dataset shows, and the values of the stack axis that select its plane."""
     handle = handle_of(ds)
     axes = handle.spec.axes[2:]
     return handle, {axis.name: float(ds[axis.name]) for axis in axes if ds[axis.name].ndim == 0}

@@ -1,19 +1,19 @@
-"""The looks of the page, as CSS. In dark mode all is inverted; map and key are drawn so that their colours stay.
+"""The style sheets of the page. In dark mode all colours are inverted, except those of the map and its legend.
 
-A page of at least three columns' width has the plane between its controls and the details of cells. On a narrower one,
-as in a notebook, the plane takes the whole width and both stand below it; on a phone everything is one column.
+A page at least three columns wide has the plane between its controls and the details of cells. On a narrower page, as
+in a notebook, the plane takes the whole width, and both columns stand below. On a phone everything is in one column.
 """
 
 KEY_WIDTH = 190
-"""Pixels of the key beside a plane."""
+"""Width, in pixels, of the legend beside a plane."""
 RIGHT_MARGIN, TOOLBAR = 12, 30
-"""Pixels between a plane and its key, and of the toolbar to the right of a plot."""
+"""Distance between a plane and its legend, and width of the toolbar to the right of a plot, in pixels."""
 CUT_HEIGHT = "min(330px, 45vh)"
 STACKED, SINGLE = "(max-width: 1279px)", "(max-width: 639px)"
-"""The widths of a page with the plane above all else, and of one with a single column."""
+"""Media queries: widths of a page with the plane above both columns, and of a page with a single column."""
 
 CUTTING = "cutting"
-"""The class of the middle of a page that shows a cut."""
+"""CSS class of the middle column while it shows a cut."""
 
 PAGE = f"""
 html, body {{ height: 100%; margin: 0; overflow: hidden; background: #fff; font-family: system-ui, sans-serif; }}
@@ -61,7 +61,7 @@ POINTER = f"""
 @media (hover: none) {{ :host {{ display: none !important; }} }}
 @media {SINGLE} {{ :host {{ order: 1; }} }}
 """
-"""The cell under the pointer: below that clicked where everything is one column; no cell is under that of a finger."""
+"""The cell under the pointer: below the clicked cell in a single column, and hidden on touch screens."""
 
 BAR = """
 div[role=progressbar] { height: 3px; background: #1f5fa8; margin-left: 76px; max-width: calc(100% - 76px); }
@@ -109,7 +109,9 @@ CUT = f"""
         padding-right: {KEY_WIDTH + RIGHT_MARGIN - TOOLBAR}px; }}
 @media {SINGLE} {{ :host {{ width: 100% !important; height: auto !important; padding-right: 0; }} }}
 """
-"""Its diagrams end where the plane does: beside that stand the key of the map and, here, the toolbar."""
+"""The diagrams of a cut. They end where the plane does: beside the plane is the legend, beside the diagrams the
+toolbar.
+"""
 
 CUT_HEAD = f"""
 @media {SINGLE} {{
@@ -138,7 +140,7 @@ KEY = f"""
 @media (prefers-color-scheme: dark) {{ canvas {{ filter: invert(1); }} }}
 @media {SINGLE} {{ :host {{ flex: none !important; height: auto !important; width: auto !important; }} }}
 """
-"""The key of a map beside the plane, or below it on a phone; its colours are not inverted."""
+"""The legend of a map beside the plane, or below it on a phone; its colours are not inverted."""
 
 LOOK = """
 :host > div { width: 100%; } .look { display: block; } .look h4 { margin-top: 4px; }
@@ -146,4 +148,4 @@ label { display: flex; gap: 6px; align-items: center; min-height: 22px; }
 label.map { margin-bottom: 4px; } select { flex: 1; width: 0; min-width: 0; font: inherit; padding: 0 4px; }
 @media (pointer: coarse) { label { min-height: 38px; } }
 """
-"""What is shown of a plane."""
+"""The menus and switches for the style of a plane."""

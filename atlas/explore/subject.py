@@ -1,4 +1,4 @@
-"""What is explored: a plane of a store or of a spec, the settings of exploring, and other planes beside it."""
+"""The subject of an explorer: a plane of a store or of a spec, the settings of exploring, and related planes."""
 
 import math
 import os
@@ -36,19 +36,23 @@ Arrays = dict[str, NDArray[Any]]
 """Results by name."""
 
 TOLERANCE = 0.05
-"""Standard error of the largest exponent that exploring asks for: finer than a map can show."""
+"""Default standard error of the largest exponent of explored cells, which is finer than a map can show."""
 SURVIVAL = 2000
-"""Forcing periods for which exploring watches chaos."""
+"""Maximum number of forcing periods for which explored cells are watched for chaos."""
 STARTS = AttractorSettings(keep=16)
-"""From which initial states the attractors of a cell are sought, unless the spec says."""
+"""Settings of the search for attractors of a cell, unless the spec has its own."""
 STEPS = 200
-"""Steps of a slider from end to end."""
+"""Number of steps of a slider."""
 POINTS = 401
-"""Points of level zero of an axis that the spec does not have."""
+"""Number of points, at level zero, of an axis that the spec does not have."""
 
 
 def exploration_settings(settings: Settings, tolerance: float = TOLERANCE, survival: int = SURVIVAL) -> Settings:
-    """The settings of exploring an atlas with these settings: not more exact than they are, and as coarse as asked."""
+    """Return the settings for exploring an atlas.
+
+    They are the atlas's own settings, with the tolerance raised to at least ``tolerance`` and the survival lowered to
+    at most ``survival``.
+    """
     return replace(
         settings,
         tolerance=max(settings.tolerance, tolerance),
@@ -60,29 +64,32 @@ def exploration_settings(settings: Settings, tolerance: float = TOLERANCE, survi
 
 @dataclass(frozen=True)
 class PlaneParameters:
-    """One plane of a system: the parameters that are no axes, as pairs in the system's order."""
+    """A plane of a system: name and value of each parameter that is not an axis, in the system's order."""
 
     parameters: tuple[tuple[str, float], ...]
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, float]) -> "PlaneParameters":
-        """The plane of these parameters."""
+        """Return the plane with these parameters."""
         return cls(tuple(parameters.items()))
 
     def with_value(self, name: str, value: float) -> "PlaneParameters":
-        """The plane with another value of one parameter."""
+        """Return the plane with another value of one parameter."""
         return PlaneParameters(tuple((own, value if own == name else old) for own, old in self.parameters))
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The subject of a page: a spec of two axes, its store if it has one, and the settings for its depths.
+    """The subject of a page: a spec of two axes, its store if there is one, and the settings for exploring.
 
-    stored     the handle of the store; None where a spec is explored that has none
-    ds         the plane of the store as a dataset, with all attractors of its cells where the store has them
-    layer      the number of that plane in a stack
-    attractors from which initial states the spec seeks all attractors of a cell; None where it does not
-    third      the axis of a stack that is no axis of its planes; ``of_layer`` gives the subject of one of its values
+    spec               spec of the plane
+    settings           settings of explored cells
+    store              handle of the store; None if a spec is explored
+    ds                 plane of the store as a dataset, with all stored attractors of its cells; None without a store
+    layer              index of the plane in a stack
+    attractors         settings of the spec's search for all attractors of each cell; None without a search
+    stack_axis         third axis of a stack; None if there is no stack
+    subject_of_layer   returns the subject of the layer at a value of the stack axis
     """
 
     spec: Spec
@@ -96,13 +103,14 @@ class Subject:
 
     @property
     def all_attractors(self) -> "xr.Dataset | None":
-        """The plane of the store with all attractors of its cells; None where it does not have them."""
+        """The plane of the store with all attractors of its cells; None if they are not stored."""
         return None if self.ds is None or self.attractors is None else self.ds
 
     def part(self, cells: Mapping[str, Any]) -> "xr.Dataset":
-        """Cells of the store by their indices along axes, each with the attractor that its own initial state reaches.
+        """Return cells of the store, each with the attractor that its own initial state reaches.
 
-        A run may be filling the store: its cells are those of this moment.
+        ``cells`` gives their indices along axes, by name. If a run is filling the store, the cells are those of this
+        moment.
         """
         assert self.ds is not None
         part = self.ds.isel(cells)
@@ -110,17 +118,17 @@ class Subject:
 
     @property
     def starts(self) -> AttractorSettings:
-        """From which initial states all attractors of a cell are sought."""
+        """Settings of the search for all attractors of a cell."""
         return STARTS if self.attractors is None else self.attractors
 
     @property
     def can_search_attractors(self) -> bool:
-        """Whether attractors of its cells can be sought from many initial states."""
+        """True if attractors of the cells can be searched from many initial states."""
         return self.settings.method == "adaptive"
 
     @property
     def handle(self) -> AtlasStore | None:
-        """The handle of a store that cells of this program can be kept in."""
+        """The handle of a store in which cells of this solver version can be saved; None if there is none."""
         return self.store if self.store is not None and self.store.solver_version == SOLVER_VERSION else None
 
     @property
@@ -146,13 +154,17 @@ class Subject:
 
     @property
     def layer_value(self) -> float | None:
-        """Where on the third axis of a stack it lies; None without one."""
+        """The value of the stack axis; None if there is no stack."""
         return None if self.stack_axis is None else self.stack_axis.values[self.layer]
 
     def with_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Subject":
-        """The same machine over other axes, through the middle of those it has now; or another layer of a stack.
+        """Return the subject of the same machine over other axes, or of another layer of a stack.
 
-        Over other axes nothing is stored. InputError for axes that are no two parameters, and for an unknown layer.
+        axes    names of the axes across and up; other parameters have the middle values of the present axes
+        layer   value of the stack axis; None for the present layer
+
+        Over other axes there is no store. Raise InputError if the axes are not two different parameters, or if the
+        stack does not have the layer.
         """
         if layer is not None and layer != self.layer_value:
             if self.stack_axis is None or self.subject_of_layer is None or layer not in self.stack_axis.values:
@@ -179,77 +191,94 @@ class Subject:
 
     @property
     def name(self) -> str:
-        """What is explored, in a word."""
+        """The name of the store, or of the system if there is no store."""
         return self.spec.system if self.store is None else os.path.basename(str(self.store.backend).rstrip("/"))
 
     @property
     def has_same_settings(self) -> bool:
-        """Whether cells of the atlas itself are what exploring would make of them."""
+        """True if cells of the atlas equal explored cells, since both have the same settings."""
         asked = replace(self.spec.settings, section_samples=0, observe="")
         return self.handle is not None and self.all_attractors is None and asked == self.settings
 
     def digest(self, plane: PlaneParameters) -> str:
-        """The digest of a plane and of how it is explored: system, axes, fixed parameters, settings, solver."""
+        """Return the digest of a plane and its exploration: system, axes, fixed parameters, settings and solver
+        version.
+        """
         axes = [[axis.name, axis.values] for axis in self.spec.axes]
         solve = dict(vars(self.settings))
         rest = {"parameters": dict(plane.parameters), "axes": axes, "solve": solve, "solver": SOLVER_VERSION}
         return digest_of(identity(self.system.to_resolved()) | rest)
 
     def plane_with(self, plane: PlaneParameters, name: str, value: float) -> PlaneParameters:
-        """The plane with another value of a parameter; InputError for an unknown one, or a value out of its range."""
+        """Return the plane with another value of a parameter.
+
+        Raise InputError if the plane does not have the parameter, or if the value is out of range.
+        """
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
         return plane.with_value(name, admitted(self.system.parameter(name), value))
 
     def point(self, values: Mapping[str, float]) -> tuple[PlaneParameters, float, float]:
-        """Where a cell with these parameters lies: the inverse of ``values``."""
+        """Return the plane and the position (x, y) of a cell with these parameters: the inverse of ``values``."""
         x, y = (values[name] for name in self.axes)
         return PlaneParameters(tuple((name, values[name]) for name, _ in self.plane.parameters)), x, y
 
     @cached_property
     def variables(self) -> dict[str, Variable]:
-        """The results of its cells, by name."""
+        """The variables of the cells, by name."""
         return {variable.name: variable for variable in self.system.variables(self.settings)}
 
     @property
     def numbers(self) -> list[str]:
-        """The results of one number a cell, except the regime and its reason."""
+        """The names of the variables with one number per cell, without the regime and its reason."""
         coded = REGIME.name, REASON.name
         return [name for name, variable in self.variables.items() if not variable.extra_dims and name not in coded]
 
     def without_results(self, names: Collection[str], shape: tuple[int, int]) -> Arrays:
-        """Arrays of cells that have no results yet."""
+        """Return arrays for cells that have no results yet, by name."""
         return empty_results(tuple(self.variables[name] for name in names), shape, self.spec.extra_sizes)
 
     def values(self, plane: PlaneParameters, x: float, y: float) -> dict[str, float]:
-        """All parameters of a cell of a plane."""
+        """Return all parameters of a cell of a plane, by name."""
         return dict(plane.parameters) | dict(zip(self.axes, (x, y), strict=True))
 
     def viewport(self, x: tuple[float, float], y: tuple[float, float], pixels: tuple[int, int]) -> Viewport:
-        """The cells in a window on this many pixels, at the deepest levels whose cells are not finer than pixels."""
+        """Return the visible cells of a window.
+
+        x, y     limits (low, high) of the axes
+        pixels   width and height of the window, in pixels
+
+        The levels are the deepest ones whose cells are not finer than pixels.
+        """
         return Viewport(CellRange.from_window(self.x, *x, pixels[0]), CellRange.from_window(self.y, *y, pixels[1]))
 
     def points(self, x: CellRange, y: CellRange) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The values of both axes at cells, (N,) each."""
+        """Return the values of both axes at cells, (N,) each."""
         return self.x.values(x.level, x.index), self.y.values(y.level, y.index)
 
     def valid_mask(self, along: int, level: int, first: int, count: int) -> NDArray[np.bool_]:
-        """Which cells of tiles along an axis, 0 across or 1 up, lie in its valid range, (count, TILE)."""
+        """Return the mask (count, TILE_CELLS) of the cells of tiles along an axis that lie in the axis's valid range.
+
+        along   axis, 0 across or 1 up
+        level   level of the tiles
+        first   index of the first tile
+        count   number of tiles
+        """
         lattice, cells = (self.x, self.y)[along], CellRange(level, first * TILE_CELLS, count * TILE_CELLS)
         values = lattice.values(level, cells.index)
         return np.reshape(self.system.parameter(lattice.axis.name).admits(values), (count, TILE_CELLS))
 
     def grid(self, plane: PlaneParameters, x: Iterable[float], y: Iterable[float], wanted: bytes = b"") -> GridPatch:
-        """The patch of cells of a plane at these values of the axes."""
+        """Return the patch of cells of a plane at these values of the axes."""
         across, up = ((name, tuple(map(float, values))) for name, values in zip(self.axes, (x, y), strict=True))
         return GridPatch(self.system, dict(plane.parameters), self.settings, across, up, wanted)
 
     def patch(self, plane: PlaneParameters, key: TileKey, missing: NDArray[np.bool_]) -> GridPatch:
-        """The missing cells (y, x) of a tile, to be solved."""
+        """Return the patch of the missing cells (y, x) of a tile."""
         return self.grid(plane, *self.points(key.columns, key.rows), packed(missing))
 
     def spec_of(self, plane: PlaneParameters, x: Any, y: Any) -> Spec:
-        """The spec of cells at these values of the axes."""
+        """Return the spec of cells at these values of the axes."""
         axes = {
             axis.name: {"values": np.asarray(values), "scale": axis.scale}
             for axis, values in zip(self.spec.axes, (x, y), strict=True)
@@ -260,9 +289,13 @@ class Subject:
 def subject_of(
     given: str | AtlasStore, view: Mapping[str, float] | None = None, tolerance: float = TOLERANCE
 ) -> Subject:
-    """The subject that a user names: a store, or else a spec by its file or its name; or the store of a handle.
+    """Return the subject that a user names.
 
-    ``view`` picks the plane of a stack, by default the first. InputError for what has no plane to be explored.
+    given       a store, a spec by file or name, or the handle of a store
+    view        value of the stack axis that selects a plane of a stack; by default the first plane
+    tolerance   least tolerance of explored cells
+
+    Raise InputError if there is no plane to explore.
     """
     if isinstance(given, AtlasStore):
         return _subject(given.spec, given, open_atlas(given), view or {}, tolerance)
@@ -279,9 +312,9 @@ def _subject(
         what = "a table of points" if spec.points else f"one axis ({spec.axes[0].name})"
         raise InputError(f"explore shows a plane, found {what}")
     if spec.continuation is not None:
-        raise InputError("a continued sweep cannot be explored: each cell of it depends on those before it")
+        raise InputError("a continued sweep cannot be explored: each cell depends on the cells before it")
     if spec.basins:
-        raise InputError("explore shows one motion a cell, found basins; take [attractors] out of the spec")
+        raise InputError("explore cannot show basins; remove [attractors] from the spec")
     layer, settings, attractors = 0, exploration_settings(spec.settings, tolerance), spec.attractors
     third, whole = None, (spec, handle, ds)
 
@@ -309,14 +342,14 @@ def _subject(
 
 
 def own_axis(parameter: Parameter, value: float) -> Axis:
-    """An axis for a parameter that the spec has at one value: as far as its slider reaches, evenly spaced."""
+    """Return an axis for a parameter that has one value in the spec, over its slider range, evenly spaced."""
     return Axis(parameter.name, tuple(np.linspace(*slider_range(parameter, value), POINTS).tolist()))
 
 
 def slider_range(parameter: Parameter, value: float) -> tuple[float, float]:
-    """Where a slider begins and ends: the valid range where it is finite, else some way around default and value.
+    """Return the ends of a slider: the valid range if it is finite, else a range around the default and the value.
 
-    An end that the range leaves out is not reached.
+    An end that the valid range excludes is not reached.
     """
     reach = max(abs(value), abs(parameter.default), 0.5)
     low = parameter.low if math.isfinite(parameter.low) else min(value, parameter.default) - reach

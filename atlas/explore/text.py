@@ -1,4 +1,4 @@
-"""The words of the page, as plain Unicode and HTML: symbols, numbers, the cell clicked, the title, the ticks."""
+"""The texts of the page, as plain Unicode and HTML: symbols, numbers, the clicked cell, the title, the ticks."""
 
 import base64
 import html
@@ -24,16 +24,16 @@ wheel, two fingers, + and −: zoom
 drag, arrows: move
 pen above the plane: a cut along a line"""
 CLOSE = 1e-3
-"""A window so narrow, relative to its place, has ticks that count from a round number near its centre."""
+"""Largest ratio of a window's width to its centre at which ticks count from a round number near the centre."""
 
 
 def symbol_of(system: System, name: str) -> str:
-    """A parameter's symbol in Unicode."""
+    """Return a parameter's symbol in Unicode."""
     return mathtext_to_unicode(system.parameter(name).symbol or name)
 
 
 def title(subject: Subject, plane: PlaneParameters) -> str:
-    """The system and the fixed parameters that matter, as HTML: all but an initial state of zero."""
+    """Return the system and its fixed parameters as HTML, without initial states of zero."""
     states, values = subject.system.states, dict(plane.parameters)
     shown = [
         _equation(symbol_of(subject.system, name), number(values[name]))
@@ -44,19 +44,25 @@ def title(subject: Subject, plane: PlaneParameters) -> str:
 
 
 def _equation(symbol: str, value: str) -> str:
-    """A symbol and its value, as HTML that stays on one line."""
+    """Return a symbol and its value as HTML that stays on one line."""
     return f'<span class="number"><i>{html.escape(symbol)}</i> = {value}</span>'
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number for text: at most this many digits, a proper minus, powers of ten."""
+    """Return a number as text, with at most ``digits`` digits, a minus sign, and a power of ten if needed."""
     mantissa, _, power = f"{value:.{digits}g}".partition("e")
     text = mantissa.replace("-", "−")
     return f"{text}·10{str(int(power)).translate(_ABOVE)}" if power else text
 
 
 class TickFormat(NamedTuple):
-    """The writing of an axis's ticks, (tick - base) / unit to a number of decimals, and its label."""
+    """The format of an axis's ticks: each tick is written as (tick - base) / unit.
+
+    base       value from which ticks count
+    unit       value of one unit
+    decimals   number of decimals
+    label      label of the axis
+    """
 
     base: float
     unit: float
@@ -65,7 +71,7 @@ class TickFormat(NamedTuple):
 
 
 def ticks(subject: Subject, name: str, low: float, high: float) -> TickFormat:
-    """The ticks of a window: plain numbers, and where it is close to one value, the distance from a round one."""
+    """Return the tick format of a window: plain numbers, or the distance from a round number in a narrow window."""
     parameter = subject.system.parameter(name)
     meaning = parameter.meaning.split(":")[0]
     unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
@@ -80,19 +86,19 @@ def ticks(subject: Subject, name: str, low: float, high: float) -> TickFormat:
 
 
 def where(subject: Subject, parameters: Mapping[str, float]) -> dict[str, str]:
-    """Where a cell lies, by symbols: its axes, and the parameters by which its plane is not that of the subject."""
+    """Return the position of a cell by symbols: its axes, and the parameters that differ from the subject's plane."""
     changed = [name for name, value in subject.plane.parameters if parameters[name] != value]
     return {symbol_of(subject.system, name): number(parameters[name]) for name in (*subject.axes, *changed)}
 
 
 def cell_line(cell: CellResult, subject: Subject) -> str:
-    """Where a cell lies and its regime, as HTML."""
+    """Return the position of a cell and its regime as HTML."""
     places = [_equation(name, value) for name, value in where(subject, cell.parameters).items()]
     return f"{', &ensp;'.join(places)} &ensp; {html.escape(str(cell.results[REGIME.name]).replace('_', ' '))}"
 
 
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
-    """The numbers of a cell with their meanings, as JSON, of which the page shows the results of its regime."""
+    """Return the numbers of a cell with their meanings as plain JSON; the page shows those of the cell's regime."""
     own = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
     values = {name: value for name, value in numbers.items() if name not in subject.axes}
@@ -117,34 +123,37 @@ def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
 
 
 def cell_text(cell: CellResult) -> str:
-    """All numbers of a cell as JSON, in full precision; NaN is null."""
+    """Return all numbers of a cell as JSON, in full precision; NaN is null."""
     values = cell.parameters | cell.results
     return json.dumps(_plain(values), indent=1)
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values for JSON: None in place of NaN."""
+    """Return values for JSON, with None for NaN."""
     return {name: None if value != value else value for name, value in values.items()}
 
 
 def first_compile_notice(system: System, *more: str) -> str:
-    """The kernels that workers on this machine compile before they begin, as the end of a sentence; perhaps empty."""
+    """Return the end of a sentence about kernels that local workers compile first; empty if there are none."""
     said = compile_notice(*kernels_for(system, *more))
     return f"; workers on this machine begin by {said}" if said.startswith("compiling") else ""
 
 
 def point_line(cell: CellResult, subject: Subject) -> str:
-    """The command that solves this cell again, to the bit."""
+    """Return the command that solves this cell again, to the bit."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return shlex.join(point_words(subject.system, cell.parameters, settings, cell.results.keys()))
 
 
 def refinement(shares: Sequence[float]) -> str:
-    """How densely a view is drawn, in words, by the share of it that is known at each stage, the coarsest first."""
+    """Return the density at which a view is drawn, as text.
+
+    ``shares`` are the shares of the viewport that are known at each stage, the coarsest first.
+    """
     if not shares:
         return "no picture yet"
     if min(shares) == 1.0:
-        return "all that is in view is solved"
+        return "all visible cells are solved"
     whole = next(k for k, share in enumerate(shares) if share < 1.0)
     names = [*(f"1/{1 << k} of full resolution" for k in range(len(shares) - 1, 0, -1)), "full resolution"]
     begun = f"{math.floor(100.0 * shares[whole])} % at {names[whole]}"
@@ -152,7 +161,13 @@ def refinement(shares: Sequence[float]) -> str:
 
 
 def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:
-    """The line under the plane, as HTML; ``left`` are tiles still to be solved, ``shares`` as in ``refinement``."""
+    """Return the line under the plane as HTML.
+
+    state    state of the job service
+    left     number of tiles still to be solved
+    notes    further notes; empty ones are left out
+    shares   shares of the viewport, see ``refinement``
+    """
     parts = [refinement(shares)]
     if left:
         parts.append(f"{plural(left, 'tile')} left, {spaced(state.rate)} cells/s")
@@ -165,10 +180,10 @@ def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Seque
 
 
 def spaced(count: float) -> str:
-    """A whole number with its thousands apart."""
+    """Return a whole number with narrow spaces between thousands."""
     return f"{count:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def data_address(kind: str, content: bytes) -> str:
-    """The content of a file of this media type as an address."""
+    """Return content of a media type as a data URL."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"

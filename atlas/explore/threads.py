@@ -1,4 +1,4 @@
-"""Threads that no exception ends: what one raises is logged and said, and its work begins again."""
+"""Threads that survive exceptions: an exception is logged and reported, and the work starts again."""
 
 import logging
 import threading
@@ -7,14 +7,18 @@ from collections.abc import Callable
 from contextlib import suppress
 
 PAUSE = 0.5
-"""Seconds after which the work begins again."""
+"""Time, in seconds, after which the work starts again."""
 
 
 def restarting_thread(name: str, work: Callable[[], None], notify: Callable[[str], None]) -> threading.Thread:
-    """A thread, running, in which ``work`` is done until it returns.
+    """Start a thread that does ``work`` until it returns, and return the thread.
 
-    Whenever it raises instead, the exception is logged, ``notify`` gets it in words, and the work begins again after
-    PAUSE seconds. Dask's ``sync`` may raise anything, also a bare BaseException.
+    name     name of the thread
+    work     the work
+    notify   called with the text of each exception
+
+    If ``work`` raises, the exception is logged and reported, and the work starts again after PAUSE seconds. Dask's
+    ``sync`` may raise anything, even a bare BaseException.
     """
 
     def run() -> None:
@@ -22,7 +26,7 @@ def restarting_thread(name: str, work: Callable[[], None], notify: Callable[[str
             try:
                 return work()
             except BaseException as error:
-                logging.getLogger(__name__).exception("%s: an exception; it begins again", name)
+                logging.getLogger(__name__).exception("%s: an exception; the work starts again", name)
                 with suppress(Exception):
                     notify(why(error))
             time.sleep(PAUSE)
@@ -33,5 +37,5 @@ def restarting_thread(name: str, work: Callable[[], None], notify: Callable[[str
 
 
 def why(error: BaseException | None) -> str:
-    """The text of an exception, with its type, on one line."""
+    """Return the text of an exception with its type, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())

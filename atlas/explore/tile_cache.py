@@ -1,4 +1,4 @@
-"""The one store of a subject's solved tiles: in memory first, then the cells of the atlas, then what exploring kept."""
+"""All known tiles of a subject: in memory first, then from cells of the atlas, then saved tiles."""
 
 import threading
 import time
@@ -20,15 +20,15 @@ from atlas.store.store import done_tiles
 from workers.results import INVALID, OUT_OF_RANGE, PENDING, REASON, REGIME
 
 MAX_BYTES = 384 * 2**20
-"""Bytes of tiles in memory."""
+"""Maximum size, in bytes, of the tiles in memory."""
 MAX_REMEMBERED_ROWS = 4096
-"""Rows and columns of tiles of which it is remembered whether they have a point in the valid range."""
+"""Maximum number of rows and columns of tiles for which it is remembered whether they have a valid point."""
 
 
 class MemoryTileCache:
-    """The tiles of several stores that were seen last: others go where there is no room.
+    """The most recently viewed tiles of several owners; the others are evicted.
 
-    At each tile lie its arrays, perhaps of some variables only, and whether they are nowhere else.
+    Each tile has its arrays, possibly of some variables only, and a flag: True if the arrays are saved nowhere else.
     """
 
     def __init__(self, most_bytes: int = MAX_BYTES) -> None:
@@ -36,9 +36,9 @@ class MemoryTileCache:
         self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], tuple[Arrays, bool]] = OrderedDict()
 
     def put(self, owner: object, plane: PlaneParameters, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
-        """Add arrays to a tile.
+        """Add arrays to a tile, and evict tiles if there is no room.
 
-        The least recently seen tiles go where there is no room, the ``only_here`` ones after all others.
+        The least recently viewed tiles are evicted first, those with ``only_here`` after all others.
         """
         at = owner, plane, key
         with self._lock:
@@ -50,7 +50,7 @@ class MemoryTileCache:
                 self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
 
     def get(self, owner: object, plane: PlaneParameters, key: TileKey) -> Arrays:
-        """The arrays of a tile, which now counts as seen; none where it is not in memory."""
+        """Return the arrays of a tile and mark it as viewed; empty if the tile is not in memory."""
         at = owner, plane, key
         with self._lock:
             if at not in self._tiles:
@@ -59,20 +59,25 @@ class MemoryTileCache:
             return self._tiles[at][0]
 
     def tiles_of_plane(self, owner: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
-        """The tiles of a plane."""
+        """Return the tiles of a plane."""
         with self._lock:
             tiles = self._tiles.items()
             return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is owner and of == plane]
 
     def drop(self, owner: object) -> None:
-        """Forget the tiles of a store."""
+        """Remove the tiles of an owner."""
         with self._lock:
             for at in [held for held in self._tiles if held[0] is owner]:
                 self.bytes -= _size(self._tiles.pop(at)[0])
 
 
 class TileCache:
-    """Arrays (TILE, TILE, ...) of a subject by plane, tile and name; ``memory`` may be that of other stores too."""
+    """The arrays (TILE_CELLS, TILE_CELLS, ...) of a subject by plane, tile and name.
+
+    subject   the subject
+    keeper    the persistent cache
+    memory    the cache in memory, which other subjects may share
+    """
 
     def __init__(self, subject: Subject, keeper: PersistentTileCache, memory: MemoryTileCache | None = None) -> None:
         self.subject, self.keeper, self.memory = subject, keeper, memory or MemoryTileCache()
@@ -86,13 +91,13 @@ class TileCache:
         self._looked, self._complete = float("-inf"), False
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
-        """Whether a tile need not be solved."""
-        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # of some the rest may be lost
+        """Return True if a tile need not be solved."""
+        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # else the rest may be lost
         known = held or self.is_out_of_range(key) or self.keeper.has(plane, key)
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
     def get(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
-        """The tiles that are known with these variables; kept ones are in memory then."""
+        """Return the known tiles that have the named variables; saved tiles are read into memory."""
         wanted = {*names, REGIME.name}
         known = {key: self.memory.get(self, plane, key) for key in keys}
         missing = [key for key, arrays in known.items() if not arrays.keys() >= wanted]
@@ -102,7 +107,7 @@ class TileCache:
         return {key: arrays for key, arrays in known.items() if arrays.keys() >= wanted}
 
     def put(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Hold a solved tile, and keep it if its plane is kept and it can be."""
+        """Put a solved tile into memory; queue it for writing if its plane is saved and the tile can be."""
         wanted = self.is_kept(plane)
         kept = wanted and self.keeper.can_keep(key)
         self.memory.put(self, plane, key, arrays, only_here=wanted and not kept)
@@ -110,27 +115,29 @@ class TileCache:
             self.keeper.enqueue(plane, key, arrays)
 
     def drop(self) -> None:
-        """Forget all; what waits to be kept still is."""
+        """Remove all tiles from memory. Tiles in the write queue are still written."""
         self.keeper.request_stop()
         self.memory.drop(self)
 
     def tiles_of_plane(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
-        """The tiles of a plane that are in memory."""
+        """Return the tiles of a plane that are in memory."""
         return self.memory.tiles_of_plane(self, plane)
 
     def visible_tiles(self, plane: PlaneParameters, viewport: Viewport) -> list[tuple[TileKey, Arrays]]:
-        """The tiles in view that are as dense as the view or less, coarse ones first; last those out of any range."""
+        """Return the visible tiles that are not denser than the viewport, the coarsest first; tiles out of range come
+        last.
+        """
         shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
         shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
         return shown + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
 
     def is_kept(self, plane: PlaneParameters) -> bool:
-        """Whether tiles of this plane are kept as they are solved, where anything is."""
+        """Return True if solved tiles of this plane are to be saved."""
         with self._lock:
             return plane in self._kept_planes
 
     def set_kept(self, plane: PlaneParameters, on: bool = True) -> None:
-        """Keep this plane too, with its known tiles; or no further tiles of it."""
+        """Start saving tiles of a plane, including the tiles in memory; or stop saving further tiles."""
         with self._lock:
             if on == (plane in self._kept_planes):
                 return
@@ -140,13 +147,15 @@ class TileCache:
                 self.keeper.enqueue(plane, key, arrays)
 
     def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
-        """All variables of a tile; None where it is not known."""
+        """Return all variables of a tile; None if the tile is not known."""
         if self.is_out_of_range(key):
             return self._invalid
         return self.get(plane, [key], self.subject.variables).get(key)
 
     def parent(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
-        """What is known of every fourth cell of a tile, by the tile above or by the atlas where it is solved alike."""
+        """Return every fourth cell of a tile, from its parent, or from the atlas if it has the same settings; None if
+        unknown.
+        """
         above = key.parent
         whole = self.full_tile(plane, above)
         if whole is not None:
@@ -162,19 +171,22 @@ class TileCache:
         return None
 
     def is_out_of_range(self, key: TileKey) -> bool:
-        """Whether no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
+        """Return True if no cell of a tile lies in the valid ranges, so that there is nothing to solve."""
         return not (self._admits(0, key.level_x, key.x) and self._admits(1, key.level_y, key.y))
 
     @property
     def looked(self) -> float:
-        """When the atlas itself was last looked at, by ``time.monotonic``: never again once all of it is solved."""
+        """Time at which finished tiles of the atlas were last listed, by ``time.monotonic``; constant once all are
+        finished.
+        """
         self.atlas_done()
         return self._looked
 
     def atlas_done(self) -> NDArray[np.bool_] | None:
-        """Which cells (y, x) of the atlas itself are solved; None without an atlas.
+        """Return the mask (y, x) of the solved cells of the atlas; None if there is no atlas.
 
-        In an atlas of all attractors a cell counts if it has the one that the cell's own initial state reaches.
+        In an atlas of all attractors a cell counts as solved if it has the attractor that its own initial state
+        reaches.
         """
         subject = self.subject
         if subject.ds is None or subject.store is None:

@@ -1,4 +1,4 @@
-"""The choice of a page, from its controls and its address: window, plane, kind, overlays, scale."""
+"""The view state of a page, from its controls and its address: window, plane, map, overlays, colour limits."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,14 +18,14 @@ from workers.results import LARGEST, REGIME
 
 Range = tuple[float, float]
 Ends = tuple[float | None, float | None]
-"""Of a scale; None is an end that a picture chooses for itself."""
+"""Lower and upper colour limit; None if the picture chooses the limit."""
 
 FARTHEST = 1e100
-"""Greatest size of a value of an axis that a page shows, and the inverse of the least one on a logarithmic axis."""
+"""Maximum absolute value of an axis on a page; its inverse is the minimum value of a logarithmic axis."""
 CURVES = "curves"
-"""The overlay that draws what a store keeps."""
+"""The overlay that draws the curves of a store."""
 CHART = "regions"
-"""The kind of picture that is drawn of curves alone, which no page has."""
+"""The kind of picture that is drawn from curves only, which no page has."""
 
 Point = tuple[PlaneParameters, float, float]
 Cut = tuple[float, float, float, float]
@@ -33,10 +33,12 @@ Cut = tuple[float, float, float, float]
 
 
 class FollowedOrbit(NamedTuple):
-    """The orbit of the cell clicked, followed along a parameter, in smaller steps between two values of it.
+    """The orbit of the clicked cell, followed along a parameter.
 
-    step    points of the branch from the cell's own orbit on
-    value   the parameter there, or between that point and the next
+    along       name of the parameter
+    low, high   limits between which the branch has smaller steps
+    step        number of points along the branch from the cell's own orbit; negative before the orbit
+    value       parameter at that point, or between that point and the next
     """
 
     along: str
@@ -50,17 +52,24 @@ ARGUMENTS = (
     "kind", "variable", "log", "overlay", "vmin", "vmax", "cell", "cut", "follow.orbit", "without",
     "axes", "layer", "token",
 )  # fmt: skip
-"""The arguments of an address besides parameters, whose names have no dot; ``token`` is the server's."""
+"""Arguments of an address besides parameters, whose names have no dot; ``token`` is the token of the server."""
 
 
 @dataclass(frozen=True)
 class ViewState:
-    """A choice. ``variable`` and ``log`` go with kind SCALAR; ends of the scale that are None are chosen for one.
+    """All that a link to a view restores.
 
-    cell   the point that was clicked
-    cut    the line that was drawn
-    follow the orbit of that point which is followed
-    hidden the kinds of curves that are left out
+    x, y         limits (low, high) of the axes
+    plane        the plane
+    kind         kind of map
+    variable     variable of a map of kind SCALAR
+    log          True for a logarithmic scale of a map of kind SCALAR
+    overlays     names of the overlays
+    vmin, vmax   colour limits; None for limits that the picture chooses
+    cell         clicked point; None if there is none
+    cut          line of the cut; None if there is none
+    follow       orbit of the clicked point that is followed; None if there is none
+    hidden       kinds of curves that are hidden
     """
 
     x: Range
@@ -79,16 +88,16 @@ class ViewState:
 
     @property
     def picture(self) -> "ViewState":
-        """The choice as far as the browser needs something for it."""
+        """The part of the view state for which the browser needs a picture."""
         return replace(self, cell=None, cut=None, follow=None, vmin=None, vmax=None, hidden=())
 
     @property
     def map(self) -> str:
-        """The name of its map among all that a page has."""
+        """The name of the map among all maps of a page."""
         return f"{NUMBER}{self.variable}{LOGARITHM * self.log}" if self.kind == SCALAR else self.kind
 
     def middle(self, subject: Subject) -> tuple[float, float]:
-        """The cell that was clicked in its plane, or else the middle of the window."""
+        """Return the position of the clicked cell if it lies in this plane, else the middle of the window."""
         if self.cell is not None and self.cell[0] == self.plane:
             return self.cell[1:]
         ends = (subject.x.log, *self.x), (subject.y.log, *self.y)
@@ -97,30 +106,33 @@ class ViewState:
 
     @property
     def names(self) -> list[str]:
-        """The variables that it draws."""
+        """The names of the variables that the map and its overlays need."""
         own = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
         return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
 
     def visible_overlays(self, subject: Subject) -> tuple[str, ...]:
-        """The overlays that its plane has."""
+        """Return the overlays that the view's plane has."""
         return tuple(name for name in self.overlays if name != CURVES or self.plane == subject.plane)
 
     @property
     def curves(self) -> tuple[str, ...] | None:
-        """The kinds of curves that may be drawn; None for all."""
+        """The kinds of curves that may be drawn; None for all kinds."""
         return tuple(kind for kind in CURVE_KINDS if kind not in self.hidden) if self.hidden else None
 
     def without_curves(self, subject: Subject) -> str:
-        """Why its curves belong to another plane; empty if they belong to its own, or if it has none."""
+        """Return the reason why the curves of the store are not drawn: they belong to another plane.
+
+        The reason is empty if the curves belong to the view's plane, or if they are not requested.
+        """
         if self.plane == subject.plane or CURVES not in self.overlays:
             return ""
         own = dict(subject.plane.parameters)
         changes = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
         there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
-        return f"no curves at {here}: a store has curves of its own plane alone, {there}"
+        return f"no curves at {here}: a store has curves only of its own plane, {there}"
 
     def figure_options(self, limits: Ends = (None, None)) -> AtlasFigureOptions:
-        """How its picture looks with these ends of its scale, as options of ``render.figure``."""
+        """Return the options of ``render.figure`` for a picture of the view with these colour limits."""
         look: AtlasFigureOptions = {"vmin": limits[0], "vmax": limits[1]} if has_scale(self.kind) else {}
         look["overlay"] = self.overlays
         if CURVES in self.overlays:
@@ -131,38 +143,42 @@ class ViewState:
 
 
 STYLE_FIELDS = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
-"""The fields that say how a plane looks."""
+"""The fields that give the style of a plane."""
 
 
 def kinds(subject: Subject) -> list[str]:
-    """The kinds of maps whose variables the subject has."""
+    """Return the kinds of maps for which the subject has the variables."""
     return [kind for kind in MAPS if kind != CHART and subject.variables.keys() >= set(required_variables(kind))] + [
         SCALAR
     ]
 
 
 def overlays(subject: Subject) -> list[str]:
-    """The lines that may be drawn over its maps."""
+    """Return the overlays that may be drawn on the subject's maps."""
     without = {CURVES: subject.store is None, "isolines": LARGEST.name not in subject.variables}
     return [name for name in MAP_OVERLAYS if not without.get(name, False)]
 
 
 def followable(subject: Subject) -> list[str]:
-    """The parameters along which an orbit can be followed, the axes first."""
+    """Return the parameters along which an orbit can be followed, the axes first."""
     others = [p.name for p in subject.system.parameters if p.name not in subject.axes]
     return [name for name in (*subject.axes, *others) if name not in subject.system.states]
 
 
 def initial_view(subject: Subject) -> ViewState:
-    """The whole plane, drawn as the first kind that there is."""
+    """Return the view of the whole plane with the first possible kind of map."""
     x, y = ((axis.values[0], axis.values[-1]) for axis in subject.spec.axes[:2])
     return ViewState(x, y, subject.plane, kinds(subject)[0], subject.numbers[0])
 
 
 def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -> ViewState:
-    """The whole plane of another subject at these values, drawn as the old choice as far as it can be.
+    """Return a view of another subject's whole plane, in the style of an old view as far as possible.
 
-    A parameter whose value is out of its range, as in the margin of a view, has that of the subject's own plane.
+    subject   the other subject
+    view      the old view
+    values    value of each parameter, by name
+
+    A parameter whose value is out of range, as in the margin of a view, takes the value of the subject's plane.
     """
     begun, parameter = initial_view(subject), subject.system.parameter
     return replace(
@@ -182,17 +198,17 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
 
 
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> ViewState:
-    """The choice of an address; InputError, which names the argument, if the subject does not have it."""
+    """Return the view state of an address. Raise InputError, naming the argument, if the subject does not have it."""
     chosen, given = initial_view(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    for name in sorted(given, key=lambda name: name == "cell"):  # which lies in the plane that others choose
+    for name in sorted(given, key=lambda name: name == "cell"):  # last, since others choose its plane
         chosen = replace(chosen, **_fields(subject, chosen, name, given[name]))
     if chosen.follow is not None and chosen.cell is None:
-        raise InputError("follow: needs a cell, whose orbit is followed")
+        raise InputError("follow: needs a cell whose orbit is followed")
     return chosen
 
 
 def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
-    """The explorer of the axes and of the layer that an address asks for; InputError where there is none."""
+    """Return the explorer of the axes and the layer in an address. Raise InputError if there is none."""
     given = {name: values[-1].decode() for name, values in arguments.items()}
     axes = tuple(given["axes"].split(",")) if "axes" in given else explorer.subject.axes
     if len(axes) != 2:
@@ -203,9 +219,9 @@ def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]])
 
 
 def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
-    """Where it is: axes, window, plane, and what stands on that, in the query of an address that asks for it.
+    """Return the query of an address for the position of a view: axes, window, plane, cell, cut and followed orbit.
 
-    An address without a query asks for ``home``.
+    An address without a query belongs to ``home``.
     """
     x, y = subject.axes
     pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
@@ -223,7 +239,7 @@ def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
 
 
 def style_query(view: ViewState) -> str:
-    """How it looks, which the browser may change by itself: see ``live.mjs``."""
+    """Return the query for the style of a view, which the browser may change by itself, see ``live.mjs``."""
     pairs = [("kind", view.kind)]
     if view.kind == SCALAR:
         pairs += [("variable", view.variable)] + ([("log", "1")] if view.log else [])
@@ -234,7 +250,7 @@ def style_query(view: ViewState) -> str:
 
 
 def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewState:
-    """The choice with the look of a query; InputError, which names the argument, if the subject does not have it."""
+    """Return a view with the style of a query. Raise InputError, naming the argument, for an impossible style."""
     plain = replace(view, log=False, overlays=(), hidden=(), vmin=None, vmax=None)
     for name, value in parse_qsl(query):
         plain = replace(plain, **_fields(subject, plain, name, value))
@@ -242,7 +258,7 @@ def apply_style_query(subject: Subject, view: ViewState, query: str) -> ViewStat
 
 
 def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[str, Any]:
-    """The fields of a choice that an argument of an address changes."""
+    """Return the fields of a view state that an argument of an address changes."""
     (x, y), listed = subject.axes, value.split(",") if value else []
     if name == x:
         return {"x": _range(name, value, subject.x)}
@@ -270,13 +286,13 @@ def _fields(subject: Subject, view: ViewState, name: str, value: str) -> dict[st
     if name == "cut":
         ends = _points(subject, name, value, 2)
         if not (subject.x.parts(ends[0], ends[2]) or subject.y.parts(ends[1], ends[3])):
-            raise InputError(f"cut: found {value!r}, which begins and ends at one point")
+            raise InputError(f"cut: found {value!r}, must have two distinct ends")
         return {name: ends}
     return {name: _number(name, value)} if name in ("vmin", "vmax") else {}
 
 
 def _possible(name: str, given: Sequence[str], possible: Sequence[str]) -> tuple[str, ...]:
-    """The values of an argument, checked to be possible."""
+    """Return the values of an argument. Raise InputError unless all are possible."""
     unknown = [word for word in given if word not in possible]
     if unknown:
         raise InputError(f"{name}: found {unknown[0]!r}; possible: {', '.join(possible)}")
@@ -301,7 +317,7 @@ def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:
 
 
 def _points(subject: Subject, name: str, value: str, count: int) -> tuple[float, ...]:
-    """Points of a plane, x and y of each."""
+    """Return points of a plane, x and y of each."""
     numbers = _numbers(name, value, 2 * count)
     for k, number in enumerate(numbers):
         _check_reach(name, (subject.x, subject.y)[k % 2], number)
@@ -309,7 +325,7 @@ def _points(subject: Subject, name: str, value: str, count: int) -> tuple[float,
 
 
 def _check_reach(name: str, lattice: Lattice, value: float) -> None:
-    """InputError unless a value of an axis is near enough to be drawn."""
+    """Raise InputError unless a value of an axis is small enough, or large enough, to be drawn."""
     least = 1.0 / FARTHEST if lattice.log else -FARTHEST
     if not least <= value <= FARTHEST:
         raise InputError(f"{name}: found {value:g}, must be {least:g} to {FARTHEST:g}")

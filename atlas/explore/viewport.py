@@ -1,4 +1,4 @@
-"""What is in view: at which levels, in which tiles, and in which order they are wanted. Nothing here is computed."""
+"""The viewport: the levels and tiles of the visible cells, and the order in which tiles are requested."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,16 +9,21 @@ from numpy.typing import NDArray
 from atlas.explore.lattice import Lattice
 
 TILE_CELLS = 32
-"""Cells of a tile along each axis."""
+"""Number of cells of a tile along each axis."""
 STAGES = 3
-"""Coarser levels that come first: an eighth, a quarter, a half of the full density."""
+"""Number of coarser levels that are solved first: an eighth, a quarter and a half of the full density."""
 MAX_TILES = 4096
-"""Tiles of a level that are looked at at once, more than any screen takes."""
+"""Maximum number of tiles of a level in a viewport, more than any screen shows."""
 
 
 @dataclass(frozen=True)
 class CellRange:
-    """Neighbouring cells of a level along one axis: the number of the first, which may be negative, and how many."""
+    """A range of consecutive cells of one level along one axis.
+
+    level   the level
+    first   index of the first cell; may be negative
+    count   number of cells
+    """
 
     level: int
     first: int
@@ -26,46 +31,53 @@ class CellRange:
 
     @classmethod
     def from_window(cls, lattice: Lattice, low: float, high: float, pixels: int) -> "CellRange":
-        """The cells in a window on this many pixels, at the deepest level whose cells are not finer than pixels."""
+        """Return the cells of a window, at the deepest level whose cells are not finer than pixels.
+
+        lattice     the points of the axis
+        low, high   limits of the window
+        pixels      width of the window, in pixels
+        """
         level = lattice.level(low, high, pixels)
         first = lattice.nearest(level, low)
         return cls(level, first, lattice.nearest(level, high) - first + 1)
 
     @property
     def last(self) -> int:
-        """The number of the last."""
+        """The index of the last cell."""
         return self.first + self.count - 1
 
     @property
     def index(self) -> NDArray[np.int64]:
-        """The cells' numbers."""
+        """The indices of the cells."""
         return np.arange(self.first, self.first + self.count, dtype=np.int64)
 
     def tiles(self, stage: int) -> range:
-        """The numbers of the tiles that it lies in, ``stage`` times halved in density."""
+        """Return the indices of the tiles that contain the cells, at the level with ``stage`` halvings of density."""
         half = (1 << stage) // 2
         first, last = (((end + half) >> stage) // TILE_CELLS for end in (self.first, self.last))
         return range(first, last + 1)
 
     def slice_of(self, other: "CellRange") -> slice:
-        """Which of its cells another one covers, of its level or a coarser one; perhaps none."""
+        """Return the slice of these cells that a range of the same or a coarser level covers; may be empty."""
         step = 1 << (self.level - other.level)
         begin, end = (step * number - step // 2 - self.first for number in (other.first, other.first + other.count))
         return slice(max(begin, 0), max(0, min(end, self.count)))
 
     def position_of(self, level: int, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The place, from 0 on, of its cell that contains a cell of a level as fine or finer."""
+        """Return the positions in this range, from 0 on, of the cells that contain cells ``index`` of a level as fine
+        or finer.
+        """
         shift = level - self.level
         return np.asarray(((index + (1 << shift) // 2) >> shift) - self.first)
 
     def away(self, other: "CellRange") -> float:
-        """How far the middle of another one, of its level or a coarser one, lies from its own, in its own lengths."""
+        """Return the distance of the middle of a range of the same or a coarser level, in lengths of this range."""
         middle = (other.first + 0.5 * other.count) * (1 << (self.level - other.level))
         return (middle - 0.5 * (self.first + self.last)) / self.count
 
 
 class TileKey(NamedTuple):
-    """A tile of a level: the level and the tile's number along x and along y. Numbers may be negative."""
+    """A tile of a level: its levels and its indices along x and along y, which may be negative."""
 
     level_x: int
     level_y: int
@@ -74,18 +86,18 @@ class TileKey(NamedTuple):
 
     @property
     def parent(self) -> "TileKey":
-        """The tile of the next coarser level that has every fourth cell of this one."""
+        """The tile of the next coarser level that contains every fourth cell of this tile."""
         return TileKey(self.level_x - 1, self.level_y - 1, self.x // 2, self.y // 2)
 
     @property
     def quarter(self) -> tuple[slice, slice]:
-        """Where in ``above`` these cells lie, (y, x)."""
+        """The slices (y, x) of the parent's cells that are cells of this tile."""
         half = TILE_CELLS // 2
         return tuple(slice(half * (n % 2), half * (n % 2) + half) for n in (self.y, self.x))  # type: ignore[return-value]
 
     @property
     def of_atlas(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Which rows and columns of the atlas itself its cells are, for a tile that is not finer than it."""
+        """The rows and columns of the atlas that are the tile's cells, if the tile is not finer than the atlas."""
         return self.rows.index << -self.level_y, self.columns.index << -self.level_x
 
     @property
@@ -100,35 +112,38 @@ class TileKey(NamedTuple):
 
 
 class Viewport(NamedTuple):
-    """The cells in view along both axes, at the levels of the full density."""
+    """The visible cells along both axes, at the levels of full density."""
 
     x: CellRange
     y: CellRange
 
     @property
     def shape(self) -> tuple[int, int]:
-        """How many they are, (y, x)."""
+        """Number of visible cells, (y, x)."""
         return self.y.count, self.x.count
 
     def tiles(self, stage: int) -> list[TileKey]:
-        """The tiles in view, ``stage`` times halved in density, from the centre out.
+        """Return the visible tiles at the level with ``stage`` halvings of density, from the centre out.
 
-        The distance from the centre is measured in views, so that a wide view does not begin with a column.
+        Distances from the centre are measured in lengths of the viewport, so that a wide viewport does not begin with a
+        column.
         """
         levels = self.x.level - stage, self.y.level - stage
         keys = [TileKey(*levels, x, y) for y in self.y.tiles(stage) for x in self.x.tiles(stage)]
         return sorted(keys, key=lambda key: self.x.away(key.columns) ** 2 + self.y.away(key.rows) ** 2)[:MAX_TILES]
 
     def stage(self, key: TileKey) -> int:
-        """How often halved in density a tile is, by the axis along which it is coarser."""
+        """Return the number of halvings of density of a tile, along the axis in which the tile is coarser."""
         return max(self.x.level - key.level_x, self.y.level - key.level_y)
 
     def contains(self, key: TileKey) -> bool:
-        """Whether a tile is of this density or a coarser one, and has a cell in view."""
+        """Return True if a tile has this density or a coarser one, and a visible cell."""
         if key.level_x > self.x.level or key.level_y > self.y.level:
             return False
         return all(part.start < part.stop for part in self.slices_of(key))
 
     def slices_of(self, key: TileKey) -> tuple[slice, slice]:
-        """Rows and columns of the view that a tile of this density or a coarser one covers, perhaps none."""
+        """Return the rows and columns of the viewport that a tile of this density or a coarser one covers; may be
+        empty.
+        """
         return self.y.slice_of(key.rows), self.x.slice_of(key.columns)

@@ -235,8 +235,8 @@ def test_the_progress_of_the_view_is_shown_until_all_is_solved(running: Explorer
         bar = tab.page.get_by_role("progressbar")
         share = int(tab.until(lambda: bar.count() and bar.get_attribute("aria-valuenow")))
         assert 0 <= share < 100
-        tab.until(lambda: "of full resolution" in tab.text() or "all that is in view is solved" in tab.text())
-        tab.until(lambda: "all that is in view is solved" in tab.text() and bar.count() == 0, 240.0)
+        tab.until(lambda: "of full resolution" in tab.text() or "all visible cells are solved" in tab.text())
+        tab.until(lambda: "all visible cells are solved" in tab.text() and bar.count() == 0, 240.0)
         assert tab.complaints == []
 
 

@@ -90,7 +90,7 @@ def test_a_worker_that_is_killed_is_missed_and_another_goes_on(finished: Path) -
         try:
             sight = begun(explorer, 150)
             first.kill()
-            assert waited(lambda: "no worker: waiting for one" in line(explorer))
+            assert waited(lambda: "no workers connected: waiting for one to join" in line(explorer))
             with worker(port)():  # type: ignore[attr-defined]
                 assert all_solved(explorer, sight)
                 assert explorer.patches.state.trouble == ""

@@ -254,7 +254,7 @@ def test_the_orbit_of_a_chaotic_cell_is_refused_in_one_line(subject: Subject) ->
 def test_a_branch_of_one_point_is_refused_in_one_line(subject: Subject) -> None:
     window = CELL["omega"], float(np.nextafter(CELL["omega"], 2.0))
     asked = subject.system, dict(subject.plane.parameters) | CELL, subject.spec.settings, "omega", (window, window)
-    with pytest.raises(InputError, match=r"has one point alone, at 1\.75"):
+    with pytest.raises(InputError, match=r"has only one point, at 1\.75"):
         follow_orbit(asked)
 
 

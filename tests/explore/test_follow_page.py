@@ -108,7 +108,7 @@ def test_a_typed_value_is_solved_exactly_and_one_beyond_the_branch_is_refused(ta
     tab.until(lambda: "1.7312345" in tab.text())
     typed.fill("2.5")
     typed.press("Enter")
-    tab.until(lambda: "alone, found 2.5" in tab.text())
+    tab.until(lambda: "found 2.5, must be" in tab.text())
     assert followed(tab)[4] == 1.7312345
 
 

@@ -118,7 +118,7 @@ def test_in_dark_mode_all_is_dark_but_the_map_whose_colours_stay(running: Explor
             tab.page.goto(f"{running.url}&omega=3.9:4.0&b=0.5:0.51&kind=period")
             tab.until(tab.image)
             tab.page.wait_for_timeout(1000)
-            tab.until(lambda: "all that is in view is solved" in tab.text(), 120.0)
+            tab.until(lambda: "all visible cells are solved" in tab.text(), 120.0)
             tab.page.wait_for_timeout(2000)
             left, top, width, height = map(round, tab.plot())
             shot = np.asarray(Image.open(BytesIO(tab.page.screenshot())).convert("RGB"))

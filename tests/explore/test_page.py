@@ -161,7 +161,7 @@ def test_a_click_shows_the_portrait_the_line_that_solves_the_cell_alone_and_its_
     click(tab, 0.6, 0.4)
     (line,) = filter(None, tab.models("TextInput", "value"))
     assert line.startswith("atlas point --set ") and "--set omega=" in line
-    tab.until(lambda: "initial states" in tab.text() and "being sought" not in tab.text())
+    tab.until(lambda: "initial states" in tab.text() and "searching from" not in tab.text())
     assert "100 % (" in tab.text() or "n-p-q" in tab.text()
 
 
@@ -207,7 +207,7 @@ def test_a_slider_solves_another_plane(running: ExplorerSession, tab: Tab) -> No
     tab.page.locator(".noUi-handle").first.focus()
     tab.page.keyboard.press("ArrowLeft")
     tab.until(lambda: "R=" in tab.address())
-    tab.until(lambda: "another plane than the atlas's" in tab.text())
+    tab.until(lambda: "not the plane of the atlas" in tab.text())
     plane = from_address(running.explorer.subject, arguments(tab)).plane
     tab.until(
         lambda: len({key.level_x for key, _ in running.explorer.tiles.tiles_of_plane(plane)}) == STAGES + 1, 120.0
@@ -331,7 +331,7 @@ def test_the_cell_clicked_is_marked_in_its_plane_alone(tab: Tab) -> None:
 
 def test_curves_of_another_plane_are_said_to_be_lacking(running: ExplorerSession, browser: Any) -> None:
     with opened(browser, f"{running.url}&{WINDOW}&R=0.7&overlay=curves") as tab:
-        said = "no curves at R = 0.7: a store has curves of its own plane alone, R = 0.8"
+        said = "no curves at R = 0.7: a store has curves only of its own plane, R = 0.8"
         tab.until(lambda: said in tab.text())
         assert tab.until(tab.image)
 

@@ -91,7 +91,7 @@ def test_after_a_full_disk_or_an_error_of_the_disk_all_that_was_solved_is_kept(
     with monkeypatch.context() as broken:
         broken.setattr(where, refuse)
         offer(keeper, subject)
-        assert waited(lambda: f"kept later: [Errno {code}]" in keeper.trouble)
+        assert waited(lambda: f"not saved yet: [Errno {code}]" in keeper.trouble)
         assert keeper.n_queued == len(KEYS) and not keeper.is_full
     assert all_written(keeper, subject)
 
@@ -108,7 +108,7 @@ def test_of_more_tiles_than_may_wait_the_oldest_are_not_kept_and_are_counted(
         keeper.enqueue(subject.plane, KEYS[0], tile(subject))
         assert waited(lambda: "full" in keeper.trouble)
         offer(keeper, subject)
-        assert keeper.n_queued == 2 and "2 solved tiles could not be kept: more than 2 were waiting" in keeper.trouble
+        assert keeper.n_queued == 2 and "2 solved tiles could not be saved: more than 2 were waiting" in keeper.trouble
     assert waited(lambda: keeper.n_queued == 0)
 
 
@@ -157,7 +157,7 @@ def test_what_the_disk_refuses_to_read_is_said_and_stays_and_is_read_when_the_di
             assert sheet is not None
             broken.setattr(sheet, "arrays", Refusing(sheet.arrays))
         assert fresh.load(subject.plane, KEYS, names) == {}
-        assert "kept cells cannot be read: [Errno 5] Input/output error" in fresh.trouble
+        assert "saved cells cannot be read: [Errno 5] Input/output error" in fresh.trouble
         assert not any(fresh.has(subject.plane, key) for key in KEYS)
     assert waited(lambda: fresh.load(subject.plane, KEYS, names).keys() == {*KEYS})
     assert waited(lambda: fresh.trouble == "")
@@ -184,7 +184,7 @@ def test_a_tile_that_cannot_be_written_for_a_reason_of_its_own_holds_up_no_other
 ) -> None:
     keeper.enqueue(subject.plane, TileKey(4, 4, 2, 2), {name: array[:3] for name, array in tile(subject).items()})
     offer(keeper, subject)
-    assert waited(lambda: keeper.n_queued == 0) and "1 solved tile could not be kept" in keeper.trouble
+    assert waited(lambda: keeper.n_queued == 0) and "1 solved tile could not be saved" in keeper.trouble
     assert keeper.sheets is not None and all(keeper.sheets.has(subject.plane, key) for key in KEYS)
 
 
@@ -193,7 +193,7 @@ def test_a_store_that_is_gone_is_said_to_be_and_nothing_is_dropped(
 ) -> None:
     shutil.move(finished, finished.with_name("away.zarr"))
     offer(keeper, subject)
-    assert waited(lambda: "kept later" in keeper.trouble) and keeper.n_queued == len(KEYS)
+    assert waited(lambda: "not saved yet" in keeper.trouble) and keeper.n_queued == len(KEYS)
     shutil.move(finished.with_name("away.zarr"), finished)
     assert all_written(keeper, subject)
 

@@ -149,7 +149,7 @@ def test_lines_come_clipped_to_the_view_and_what_cannot_be_drawn_is_said(subject
     assert arrays["regions"].shape == seen.sight.shape
     moved = replace(chosen, plane=chosen.plane.with_value("R", 0.7), overlays=("curves",))
     about, _, lacking, _ = sent(subject, moved)
-    assert "a store has curves of its own plane alone" in lacking
+    assert "a store has curves only of its own plane" in lacking
     assert about["lines"]["curves"]["lines"] == []  # known to be lacking: the page asks no more
 
 

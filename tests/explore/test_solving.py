@@ -279,7 +279,7 @@ def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finishe
     with exploring(finished, client) as explorer:
         with hold_lease(sidecar_of(finished), str(finished)):
             solved(explorer, view_of(explorer.subject))
-            assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
+            assert waited(lambda: "not saved yet" in explorer.tiles.keeper.trouble)
             assert not (finished / "zoom").exists()
         assert waited(lambda: explorer.tiles.keeper.trouble == "" and (finished / "zoom").exists())
 
@@ -316,7 +316,7 @@ def test_a_store_that_cannot_be_written_is_explored_without_keeping(
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
         assert solved(explorer, sight)
-        assert waited(lambda: "kept later" in explorer.tiles.keeper.trouble)
+        assert waited(lambda: "not saved yet" in explorer.tiles.keeper.trouble)
         assert "cannot be written: Read-only file system" in explorer.tiles.keeper.trouble
         assert explorer.tiles.keeper.n_queued > 0
 

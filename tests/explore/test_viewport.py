@@ -96,7 +96,7 @@ def test_cells_in_view_are_between_one_and_two_pixels_wide() -> None:
 
 
 def test_an_axis_of_one_point_cannot_be_explored() -> None:
-    with pytest.raises(InputError, match="axis omega has one point; to be explored it needs two or more"):
+    with pytest.raises(InputError, match="axis omega: found one point, must have two or more to be explored"):
         Lattice(Axis("omega", (1.0,)))
 
 
@@ -243,13 +243,13 @@ def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
         ({"kind": [b"sweep"]}, "kind: found 'sweep'; possible: exponent"),
         ({"overlay": [b"stars"]}, "overlay: found 'stars'; possible: grazing"),
         ({"without": [b"stars"]}, "without: found 'stars'; possible: fold"),
-        ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', which begins and ends at one point"),
+        ({"cut": [b"2.5,0.3,2.5,0.3"]}, "cut: found '2.5,0.3,2.5,0.3', must have two distinct ends"),
         ({"vmin": [b"nan"]}, "vmin: found 'nan', must be a finite number"),
         ({"b": [b"-1e308:1e308"]}, r"b: found -1e\+308, must be -1e\+100 to 1e\+100"),
         ({"b": [b"-1e308:-1e307"]}, r"b: found -1e\+308, must be"),
         ({"b": [b"0:5e-324"]}, "b: found '0:5e-324', must be wider than rounding"),
         ({"cut": [b"1e308,-1e308,1,1e308"]}, r"cut: found 1e\+308, must be"),
-        ({"cut": [b"2.5,0.3,2.5,0.30000000000000004"]}, "which begins and ends at one point"),
+        ({"cut": [b"2.5,0.3,2.5,0.30000000000000004"]}, "must have two distinct ends"),
         ({"cell": [b"2.5,1e308"]}, r"cell: found 1e\+308, must be"),
     ],
 )
@@ -345,7 +345,7 @@ def test_the_progress_of_a_view_is_how_densely_it_is_drawn_and_is_not_rounded_up
         (0.0, 0.0, 0.0, 0.0): "drawn: 0 % at 1/8 of full resolution",
         (1.0, 0.5, 0.0, 0.0): "drawn at 1/8 of full resolution, 50 % at 1/4 of full resolution",
         (1.0, 1.0, 1.0, 0.9999): "drawn at 1/2 of full resolution, 99 % at full resolution",
-        (1.0, 1.0, 1.0, 1.0): "all that is in view is solved",
+        (1.0, 1.0, 1.0, 1.0): "all visible cells are solved",
     }
     assert {shares: refinement(shares) for shares in lines} == lines
     line = progress(Work("", 2, 1234.5), 3, [], (1.0, 0.5, 0.0, 0.0))

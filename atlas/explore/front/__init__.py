@@ -1,1 +1,1 @@
-"""The front-end of both pages: modules of JavaScript that draw planes from codes and numbers of their cells."""
+"""The front end of both pages: JavaScript modules that draw planes from codes and numbers of their cells."""

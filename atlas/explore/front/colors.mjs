@@ -1,9 +1,9 @@
-// The colours of cells, from their codes and numbers: to the bit those of atlas.render.layers.paint.
+// Computes the colours of cells from their codes and numbers, equal to the bit to those of atlas.render.layers.paint.
 
 export const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 export const pixel = ([r, g, b]) => (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
 
-/** Where a number stands between the ends of a bar's scale, from 0 to 1; below or above that beyond them. */
+/** Return the position of a number between the limits of a colorbar: 0 to 1, less or more outside the limits. */
 export function shareOf(bar, [low, high], value) {
   if (bar.scale === "two-sided") return value < 0 ? (0.5 / -low) * (value - low) : (0.5 / high) * value + 0.5;
   if (bar.scale !== "log") return high === low ? 0 : (value - low) / (high - low);
@@ -11,13 +11,13 @@ export function shareOf(bar, [low, high], value) {
   return (Math.log10(Math.max(value || bar.zero, low)) - least) / (Math.log10(high) - least);
 }
 
-/** Whether a bar can have these ends. */
+/** Return true if a colorbar can have these limits. */
 export function fits(bar, [low, high]) {
   if (!(low < high)) return false;
   return bar.scale === "log" ? low > 0 : bar.scale !== "two-sided" || (low < 0 && high > 0);
 }
 
-/** The ends of a bar's scale: those asked for, null for its own, where it takes them. */
+/** Return the limits of a colorbar: the requested ones if they are possible, its own where the request is null. */
 export function endsOf(bar, asked) {
   const own = bar.ends, ends = bar.main && asked ? own.map((end, k) => asked[k] ?? end) : own;
   return fits(bar, ends) ? ends : own;
@@ -26,7 +26,7 @@ export function endsOf(bar, asked) {
 const STEPS = 512;
 const placed = (share, count) => Math.min(count - 1, Math.max(0, Math.floor(share * count)));
 
-/** The colours of a bar between these ends, from the lower one on. */
+/** Return the colours of a colorbar between these limits, from the lower one on. */
 export function tableOf(bar, [low, high]) {
   const table = (hex) => Uint32Array.from(hex.match(/.{6}/g), (color) => pixel(rgb(`#${color}`)));
   if (!bar.both || !(low < 0 && high > 0)) return table(bar.colors);
@@ -37,7 +37,7 @@ export function tableOf(bar, [low, high]) {
   });
 }
 
-/** The colour of a number on a bar. */
+/** Return the colour of a number on a colorbar. */
 export function coloring(bar, ends) {
   const table = tableOf(bar, ends);
   return (value) => table[placed(shareOf(bar, ends, Math.max(value, bar.scale === "log" ? 0 : ends[0])), table.length)];
@@ -48,7 +48,7 @@ function shadeOf({ variable, low, high, dark }, values) {
   return (k) => 1 - (1 - dark) * share(values[variable][k]);
 }
 
-/** The colour of each cell of a map, as pixels: of its code, or of its number on a bar between the ends asked for. */
+/** Return the pixel of each cell of a map: the colour of its code, or of its number between the requested limits. */
 export function colorsOf(map, codes, values, asked) {
   const colors = new Uint32Array(codes.length), brightness = map.shade && shadeOf(map.shade, values);
   const flat = map.entries.map((entry) => (entry.color ? pixel(rgb(entry.color)) : 0));
@@ -62,7 +62,7 @@ export function colorsOf(map, codes, values, asked) {
   return colors;
 }
 
-/** Whether a texture inks a point of its tile. */
+/** Return true if a hatch inks a point of its pattern. */
 export function inkedBy(hatch, x, y, size, width) {
   const near = (value) => ((value % size) + size) % size < width;
   const square = (x - size / 2) ** 2 + (y - size / 2) ** 2;
@@ -70,7 +70,7 @@ export function inkedBy(hatch, x, y, size, width) {
     "-": near(y), "|": near(x), ".": square < width ** 2 }[hatch];
 }
 
-/** The tile of each entry's texture, as masks, and the pixels of their inks. */
+/** Return the pattern of each entry's hatch, as masks, and the pixels of the inks. */
 export function texturesOf(entries, ratio) {
   const size = Math.round(8 * ratio);
   const masks = entries.map(({ hatch }) => hatch && Uint8Array.from({ length: size * size }, (_, k) =>

@@ -1,13 +1,13 @@
-// Elements of a page, its canvases and frames.
+// Creates elements of a page, and helps with canvases and animation frames.
 
-/** An element with these properties and children. */
+/** Return an element with these properties and children. */
 export function make(tag, given, ...inside) {
   const made = Object.assign(document.createElement(tag), given);
   made.append(...inside);
   return made;
 }
 
-/** The context of a canvas that has its size in pixels of the screen. */
+/** Return the context of a canvas whose size is in pixels of the screen. */
 export function fitted(canvas) {
   const ratio = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
   canvas.width = Math.round(box.width * ratio);
@@ -17,7 +17,7 @@ export function fitted(canvas) {
   return { context, ratio, width: box.width, height: box.height };
 }
 
-/** A function that has something drawn in the next frame, once however often it is called; it is `due` until then. */
+/** Return a function that draws in the next frame, once for any number of calls; it is `due` until then. */
 export function oncePerFrame(act) {
   const ask = () => {
     if (!ask.due) requestAnimationFrame(() => { ask.due = false; act(); });
@@ -29,7 +29,7 @@ export function oncePerFrame(act) {
 /** Copy a text, and return whether that was possible. */
 export async function copied(text) {
   if (navigator.clipboard) return navigator.clipboard.writeText(text).then(() => true, () => false);
-  const box = document.body.appendChild(make("textarea", { value: text })); // by plain HTTP there is no clipboard
+  const box = document.body.appendChild(make("textarea", { value: text })); // plain HTTP has no clipboard
   box.select();
   const done = document.execCommand("copy");
   box.remove();

@@ -1,4 +1,4 @@
-// The key of a map: the bars of its scales with their ends, its legend, and the curves over it, which are switched here.
+// The legend of a map: its colorbars with their limits, its classes, and the curves over it, which are switched here.
 
 import { endsOf, fits, inkedBy, rgb, shareOf, tableOf } from "./colors.mjs";
 import { fitted, make } from "./elements.mjs";
@@ -65,7 +65,7 @@ function endsInputs(bar, look, change) {
 }
 
 function lineEntry(kind, label, look, change, paint) {
-  if (!kind) return make("li", {}, swatch(paint), label); // switched elsewhere
+  if (!kind) return make("li", {}, swatch(paint), label); // switched outside the legend
   const box = make("input", { type: "checkbox" });
   box.onchange = () => {
     const hidden = new Set(look().hidden);
@@ -101,7 +101,7 @@ function labelOf({ label }, enlarged) {
   return text;
 }
 
-/** Fill an element with the key of a map; `look` gives the look, `change` changes it, and `enlarged` gives the
+/** Fill an element with the legend of a map; `look` gives the style, `change` changes it, and `enlarged` gives the
  * labels of classes whose single cells are drawn larger. */
 export function fillKey(key, map, lines, look, change, enlarged) {
   const { meaning, title, bars, legend } = map, main = bars.find((bar) => bar.main);
@@ -113,7 +113,7 @@ export function fillKey(key, map, lines, look, change, enlarged) {
   updateKey(key);
 }
 
-/** Have a key show the new look. */
+/** Update a legend to the new style. */
 export function updateKey(key) {
   for (const element of key.querySelectorAll("*")) {
     if (element.update) element.update();

@@ -1,12 +1,12 @@
-// The keyboard: arrows move the view, + and - zoom it, Enter on the plane chooses the cell in its middle, Esc ends a
+// Handles keys and touch: arrows move the window, + and - zoom it, Enter chooses the cell in its middle, Esc ends a
 // followed orbit, the cut or an enlarged picture; two fingers zoom, each staying on its cell.
 
 import { scales, tell } from "./live.mjs";
 
-const SHARE = 0.1; // of the view, by which an arrow moves it
-const FACTOR = 1.25; // by which + and - zoom
+const SHARE = 0.1; // of the window, by which an arrow moves it
+const FACTOR = 1.25; // factor of one zoom step
 
-/** Hear keys and fingers, and put their requests into `heard`. */
+/** Handle keys and fingers, and put their requests into `heard`. */
 export function hearKeys({ heard, plot }) {
   const moves = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}
   window.addEventListener("keydown", (event) => {

@@ -1,7 +1,7 @@
-// The plane of the explorer's page: the cells in view as the server has sent them, and how the browser shows them.
+// The plane of the explorer's page: the visible cells from the server, and the style in which the browser shows them.
 //
-// Without the server it shows another scale, another map of the same variables, lines that are
-// switched, the cell under the pointer. The server gets the look of the plane before it is asked for anything more.
+// Without the server the browser shows other colour limits, another map of the same variables, overlays that are
+// switched, and the cell under the pointer. The server receives the style before any further request.
 
 import { make, oncePerFrame } from "./elements.mjs";
 import { fillKey, updateKey } from "./key.mjs";
@@ -11,15 +11,15 @@ import { cellWith, drawPlane, drawnAxis, scaleOf } from "./plane.mjs";
 import { number, resultsOf } from "./words.mjs";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
-const parts = {}; // the elements of the page that are filled here, by name
-let models = null, subject = null; // of Bokeh, and the subject as pane.py describes it
-let look = null, lastTold = ""; // how the plane looks, and the last look that the server got
-let held = null; // the cells in view, as the server has sent them
-let shown = null; // the map that is drawn, its cells and their colours
+const parts = {}; // elements of the page that this module fills, by name
+let models = null, subject = null; // models of Bokeh, and the subject as plane_pane.py describes it
+let look = null, lastTold = ""; // style of the plane, and the last style that the server received
+let held = null; // visible cells from the server
+let shown = null; // map that is drawn, its cells and their colours
 let enlarged = new Set(); // labels of classes whose single cells are drawn larger
 let pointer = null, turns = 0;
 
-/** Begin, once the document is there. */
+/** Start once the document is ready. */
 export function begin(given) {
   models = given;
   subject = JSON.parse(given.subject);
@@ -34,28 +34,28 @@ export function begin(given) {
   hear();
 }
 
-// How the plane looks
+// Style of the plane
 
 const query = () => queryOf(look);
 
-/** Change how the plane looks. */
+/** Change the style of the plane. */
 function change(given) {
   look = changed(look, given);
   remember();
   show();
 }
 
-/** Tell the server how the plane looks, unless it knows. */
+/** Send the style of the plane to the server, unless the server has it. */
 export function tell() {
   if (!look || query() === lastTold) return;
   lastTold = query();
   models.look.data = { query: [lastTold] };
 }
 
-/** The coordinates in which both axes are drawn, and back. */
+/** Return the functions to and from the coordinates in which the axes are drawn. */
 export const scales = () => subject.axes.map(({ log }) => scaleOf(log));
 
-// Messages of the server
+// Messages from the server
 
 async function hear() {
   const [sent] = models.sent.data.message || [], turn = ++turns;
@@ -81,7 +81,7 @@ async function hear() {
   show();
 }
 
-// What is shown
+// Drawing
 
 async function show() {
   fill("look");
@@ -115,7 +115,7 @@ function drawNow() {
     fill("key");
   }
   const pixels = new Uint32Array(pen.getImageData(0, 0, canvas.width, canvas.height).data.buffer);
-  if (dark.matches) for (let k = 0; k < pixels.length; k++) pixels[k] ^= 0xffffff; // the page inverts them again
+  if (dark.matches) for (let k = 0; k < pixels.length; k++) pixels[k] ^= 0xffffff; // the page inverts all colours again
   const NDArray = blank.data.words[0].constructor, picture = new NDArray(pixels, [canvas.height, canvas.width]);
   const [x, y] = ranges.map(({ start }) => [start]), [dw, dh] = ranges.map(({ start, end }) => [end - start]);
   const [across, up] = axes.map(({ edges }) => [edges[0], edges.at(-1) - edges[0]]);
@@ -133,7 +133,7 @@ function cellAt(at) {
   return found.every((cell) => cell >= 0) ? found : null;
 }
 
-/** The place of the cell that is drawn at a cell of the view: that of a coarser one where no finer one is known. */
+/** Return the index of the cell drawn at a cell of the viewport: a coarser cell if no finer one is known. */
 function placeOf(cell, stage) {
   return held.axes.map(({ cuts, from, first }, along) => {
     const half = (1 << stage) >> 1, own = (((cell[along] + first + half) >> stage) << stage) - first;
@@ -143,9 +143,9 @@ function placeOf(cell, stage) {
   });
 }
 
-// The parts of the page
+// Parts of the page
 
-/** Take an element as a part of the page. */
+/** Register an element as a part of the page. */
 export function take(name, element) {
   parts[name] = element;
   fill(name);
@@ -158,7 +158,7 @@ function fill(name) {
   if (parts[name] && models) FILLED[name](parts[name]);
 }
 
-let keyed = null; // the map and lines of the key, as text
+let keyed = null; // map and overlays of the legend, as text
 
 function fillMapKey(element) {
   if (!shown) {
@@ -175,7 +175,7 @@ function fillMapKey(element) {
 
 const rowOf = (head, text, title = "") => make("tr", {}, make("td", { textContent: head }), make("td", { className: /^[−\d]/.test(text) ? "number" : "", title, textContent: text }));
 
-/** Fill an element with the cell clicked, as the server says it; the pointer over a number shows all its digits. */
+/** Fill an element with the clicked cell, as the server describes it; the title of a number has all its digits. */
 function fillCell(element) {
   const { caption, places, variables, values } = JSON.parse(element.dataset.given, (_, value) => value ?? NaN);
   const arrays = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]])), about = { ...subject, variables, arrays: {} };
@@ -206,11 +206,11 @@ function fillBar(element) {
   element.replaceChildren(...(share < 100 ? [bar] : []));
 }
 
-// The address
+// Address
 
 let rests = false, timer = 0, there = "";
 
-/** Have the address say where the plane is, and how it looks. */
+/** Write the position and the style of the plane into the address. */
 export function remember() {
   there = models.address.text || there;
   if (!there) return;
@@ -218,10 +218,10 @@ export function remember() {
   window.onpopstate = () => window.location.reload();
   rests = false;
   clearTimeout(timer);
-  timer = setTimeout(() => { rests = true; }, 1500); // a view at which somebody rested stays in the browser's history
+  timer = setTimeout(() => { rests = true; }, 1500); // a view that was shown for a while stays in the browser's history
 }
 
-/** Open the page of other axes, or of another layer, with the look of this one as far as that page has it. */
+/** Open the page of other axes or of another layer, in the style of this page as far as possible. */
 export function turn(_, { data: { place: [other], overlays: [possible] } }) {
   look = { ...look, overlays: look.overlays.filter((name) => possible.includes(name)) };
   window.location.assign(withToken(`${other}&${query()}`));
@@ -232,7 +232,7 @@ function withToken(text) {
   return `?${text}${token ? `&token=${token}` : ""}`;
 }
 
-/** The element of a part of the page, wherever Bokeh puts it. */
+/** The custom element of a part of the page, wherever Bokeh puts it. */
 export const Part = class extends HTMLElement {
   connectedCallback() {
     take(this.dataset.of, this);

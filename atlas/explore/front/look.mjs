@@ -1,4 +1,4 @@
-// How a plane looks: its map, the lines over it, the ends of its scale, the kinds of curves that are hidden.
+// The style of a plane: its map, its overlays, its colour limits, and the kinds of curves that are hidden.
 
 import { colorsOf } from "./colors.mjs";
 import { make } from "./elements.mjs";
@@ -8,10 +8,10 @@ import { unpacked } from "./numbers.mjs";
 const NUMBER = "number-", LOGARITHM = "-log";
 const isNumber = (look) => look.map.startsWith(NUMBER);
 
-/** The name of the map that a look asks for. */
+/** Return the name of the map of a style. */
 export const mapName = (look) => look.map + (look.log && isNumber(look) ? LOGARITHM : "");
 
-/** The look that the parameters of an address ask for. */
+/** Return the style that the parameters of an address give. */
 export function lookOf(given) {
   const list = (name) => (given.get(name) || "").split(",").filter(Boolean);
   const end = (name) => (Number.isFinite(parseFloat(given.get(name))) ? Number(given.get(name)) : null), ends = [end("vmin"), end("vmax")];
@@ -19,7 +19,7 @@ export function lookOf(given) {
     overlays: list("overlay"), hidden: new Set(list("without")), ends: ends.some((end) => end !== null) ? ends : null };
 }
 
-/** The query of an address that asks for a look. */
+/** Return the query of an address that gives a style. */
 export function queryOf(look) {
   const pairs = isNumber(look) ? [["kind", "scalar"], ["variable", look.map.slice(NUMBER.length)], ...(look.log ? [["log", "1"]] : [])] : [["kind", look.map]];
   for (const [name, list] of [["overlay", look.overlays], ["without", [...look.hidden]]])
@@ -28,13 +28,13 @@ export function queryOf(look) {
   return pairs.map(([name, value]) => `${name}=${encodeURIComponent(value).replaceAll("%2C", ",")}`).join("&");
 }
 
-/** The look once it is changed: another map has ends of its own. */
+/** Return a changed style; another map has its own colour limits. */
 export function changed(look, given) {
   const made = { ...look, ...given };
   return mapName(made) !== mapName(look) && !("ends" in given) ? { ...made, ends: null } : made;
 }
 
-/** Fill an element with what changes a look: one of `maps` (name, label), whether it is logarithmic, `overlays`. */
+/** Fill an element with the controls of a style: `maps` (name, label), a switch for logarithms, and `overlays`. */
 export function fillLook(element, { maps, overlays, logs }, look, change) {
   if (!element.firstChild) {
     const select = make("select", { ariaLabel: "map" });
@@ -61,14 +61,14 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
   updateKey(element);
 }
 
-/** The lines of a look as one; `lines` are the lines of a page by the names of their overlays. */
+/** Return the lines of all overlays of a style; `lines` are the lines of a page by the names of their overlays. */
 export function linesOf(look, lines) {
   const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((overlay) => overlay[name] || []);
   return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),
     lines: all("lines"), corners: all("corners"), ends: all("ends"), names: all("names") };
 }
 
-/** A function that unpacks an array of rows of this width by its name, once. */
+/** Return a function that unpacks an array by its name, once, in rows of this width. */
 export function reader(packed, width) {
   const read = new Map();
   return (name) => {
@@ -80,7 +80,7 @@ export function reader(packed, width) {
   };
 }
 
-/** A map with the arrays of its cells, these further ones among them, and with their colours. */
+/** Return a map with the arrays of its cells, including the given further ones, and with their colours. */
 export async function shownAs(map, look, numbers, more, hasRegions) {
   const names = [...new Set([...map.needs, ...more])], borders = hasRegions && look.overlays.includes("boundaries");
   const [codes, regions, ...several] = await Promise.all([map.codes, borders ? "regions" : map.codes, ...names].map(numbers));

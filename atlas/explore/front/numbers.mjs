@@ -1,14 +1,14 @@
-// Arrays of cells as bytes: see numbers.py, which packs them.
+// Unpacks arrays of cells from bytes; numbers.py packs them.
 
 const TYPES = { float64: Float64Array, int32: Int32Array, int8: Int8Array, uint8: Uint8Array, uint16: Uint16Array };
 
-/** The bytes that a deflated array of bytes holds. */
+/** Return the bytes that a deflated array of bytes contains. */
 export async function inflated(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** The numbers of a type of numpy, in rows of this width, that packed bytes hold. */
+/** Return the numbers of a numpy type, in rows of this width, that packed bytes contain. */
 export async function unpacked(packed, type, width) {
   const planes = await inflated(packed), Type = TYPES[type];
   const size = Type.BYTES_PER_ELEMENT, bytes = new Uint8Array(planes.length);
@@ -25,7 +25,7 @@ function summed(bytes, size, width) {
     for (let k = width; k < count; k++) whole[k] += whole[k - width];
     return;
   }
-  const half = new Uint32Array(bytes.buffer); // the lower half of each number first
+  const half = new Uint32Array(bytes.buffer); // the lower half of each number comes first
   for (let k = 2 * width; k < 2 * count; k += 2) {
     const low = half[k] + half[k - 2 * width];
     half[k + 1] += half[k + 1 - 2 * width] + (low > 0xffffffff ? 1 : 0);

@@ -1,4 +1,4 @@
-"""Arrays of cells as deflated bytes, rounded only as far as a limit of size asks; ``numbers.mjs`` reads them back."""
+"""Arrays of cells as deflated bytes, rounded only as far as a size limit requires; ``numbers.mjs`` unpacks them."""
 
 import base64
 import zlib
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from atlas.render.coded_maps import CodedMap
 
 MANTISSA = 52
-"""Bits of a double's mantissa."""
+"""Number of mantissa bits of a double."""
 DIGITS = {24: 7, 17: 5, 14: 4, 10: 3}
-"""Bits of the mantissa that are kept, and the significant digits that they hold: rounding changes a value by at most
-half a unit of the last of these.
+"""Numbers of mantissa bits that may be kept, with the significant digits that they hold.
+
+Rounding changes a value by at most half a unit of the last of these digits.
 """
 
 
@@ -22,8 +23,9 @@ half a unit of the last of these.
 class PackedArray:
     """An array as bytes, or as text.
 
-    type     the name of its type in numpy
-    bits     of the mantissa that are kept of a float; the values are exact with MANTISSA
+    type   name of the array's type in numpy
+    data   the deflated bytes
+    bits   number of mantissa bits that are kept of a float; values are exact with MANTISSA
     """
 
     type: str
@@ -37,21 +39,21 @@ class PackedArray:
 
     @property
     def length(self) -> int:
-        """How many characters that is."""
+        """Number of characters of the text."""
         return 4 * -(-len(self.data) // 3)
 
     @property
     def digits(self) -> int | None:
-        """The significant digits that all values have; None where they are exact."""
+        """Number of significant digits of all values; None if the values are exact."""
         return DIGITS.get(self.bits)
 
 
 def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
-    """An array (y, x), packed; of floats the first ``bits`` bits of the mantissa.
+    """Return an array (y, x), packed, with ``bits`` mantissa bits of floats.
 
-    Its bits count as whole numbers, of which each is stored as its difference from the one below in y, modulo the
-    range of its type: neighbouring cells are alike, and their differences have few digits. Bytes of equal significance
-    stand together.
+    The bits of a value are taken as a whole number. Each number is stored as its difference from the number below in y,
+    modulo the range of its type: neighbouring cells are alike, so the differences have few digits. Bytes of equal
+    significance are stored together.
     """
     kept = round_mantissa(values, bits) if values.dtype.kind == "f" else values
     kept = kept.astype(np.uint8) if kept.dtype.kind == "b" else kept
@@ -62,7 +64,7 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
 
 
 def add_codes(packed: dict[str, PackedArray], made: CodedMap) -> str:
-    """Add the codes of a map to arrays, and return their name there: that of an equal array where there is one."""
+    """Add the codes of a map to the arrays, and return their name there: the name of an equal array if there is one."""
     codes = pack(made.codes)
     name = next((name for name, known in packed.items() if known.data == codes.data), f"map-{made.name}")
     packed.setdefault(name, codes)
@@ -70,7 +72,7 @@ def add_codes(packed: dict[str, PackedArray], made: CodedMap) -> str:
 
 
 def unpack(packed: PackedArray, width: int) -> NDArray[np.generic]:
-    """The array (y, x) of this many columns that is packed, as the page reads it."""
+    """Return the packed array (y, x) with ``width`` columns, as the page reads it."""
     size = np.dtype(packed.type).itemsize
     planes = np.frombuffer(zlib.decompress(packed.data), np.uint8).reshape(size, -1)
     steps = planes.T.copy().view(f"<u{size}").reshape(-1, width).astype(f"u{size}")
@@ -78,7 +80,7 @@ def unpack(packed: PackedArray, width: int) -> NDArray[np.generic]:
 
 
 def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64]:
-    """Values to ``bits`` bits of the mantissa, the nearest, ties to even; values that are not finite stay."""
+    """Return values rounded to ``bits`` mantissa bits, to nearest, ties to even. Values that are not finite stay."""
     exact = np.asarray(values, np.float64)
     if bits >= MANTISSA:
         return exact
@@ -92,11 +94,15 @@ def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64
 def pack_within(
     arrays: Mapping[str, Callable[[], NDArray[np.generic]]], limit: int, last: str, first: str
 ) -> tuple[dict[str, PackedArray], list[str]]:
-    """Arrays, packed, of at most ``limit`` characters as texts where that can be, and the names of those left out.
+    """Return packed arrays of at most ``limit`` characters as text, if possible, and the names of omitted arrays.
 
-    They are exact where they fit. Otherwise floats lose digits, one after the other, always one with the
-    most digits: the one named ``first``, then the largest text, ``last`` the last. Those are left out that have no more
-    digits to lose.
+    arrays   functions that return the arrays, by name
+    limit    maximum number of characters
+    last     name of the array that loses digits last
+    first    name of the array that loses digits first
+
+    The arrays are exact if they fit. Otherwise floats lose digits, one array after the other, always one with the most
+    digits: ``first``, then the largest text, and ``last`` at the end. An array with no more digits to lose is omitted.
     """
     packed = {name: pack(read()) for name, read in arrays.items()}
     left_out: list[str] = []

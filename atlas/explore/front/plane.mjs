@@ -1,8 +1,8 @@
-// Draws a plane with a 2D context: its cells, its curves and marks, its axes.
+// Draws a plane in a 2D context: its cells, its curves and marks, its axes.
 //
 // A scene is { axes: [x, y], window, plot, shown, lines, names, hidden, mark }. An axis is as `drawnAxis` makes it; the
-// window is in the coordinate in which it is drawn; the plot is the area in CSS pixels; shown is { map, codes, colors,
-// regions }; lines are as atlas.render.lines has them.
+// window is in the drawn coordinates; the plot is the area in CSS pixels; shown is { map, codes, colors,
+// regions }; lines are as atlas.render.coded_lines returns them.
 
 import { pixel, rgb, texturesOf } from "./colors.mjs";
 import { number } from "./words.mjs";
@@ -11,11 +11,11 @@ const BORDER = "#101418", OUTLINE = "#1a2433";
 const POINT = 96 / 72; // CSS pixels
 const VISIBLE = 2 * POINT, MOST_MARKS = 300; // as in atlas.render.raster
 
-/** The coordinate in which an axis is drawn, and back. */
+/** Return the functions to and from the coordinate in which an axis is drawn. */
 export const scaleOf = (log) => (log ? [Math.log, Math.exp] : [(value) => value, (value) => value]);
 
-/** An axis of `count` cells between its `edges`, all or the outer ones, with `to` and `from` the coordinate in which it
- * is drawn, and the `cuts` between cells in that.
+/** Return an axis of `count` cells between its `edges`, all or the outer two, with functions `to` and `from` the drawn
+ * coordinate, and with the `cuts` between cells in this coordinate.
  */
 export function drawnAxis(axis) {
   const { edges, log, count = edges.length - 1 } = axis, [to, from] = scaleOf(log);
@@ -24,7 +24,7 @@ export function drawnAxis(axis) {
   return { ...axis, to, from, cuts };
 }
 
-/** The cell of an axis that has a value; -1 for none. */
+/** Return the cell of an axis that contains a value; -1 if there is none. */
 export function cellWith({ cuts, to }, value) {
   const place = to(value);
   let [low, high] = [0, cuts.length - 1];
@@ -47,7 +47,7 @@ function cellsAlong(cuts, [low, high], count, falling) {
   return found;
 }
 
-/** The pixels of the cells in view, `ratio` to a CSS pixel; clear where there are no cells. */
+/** Return the pixels of the visible cells, `ratio` to a CSS pixel; transparent where there are no cells. */
 export function pixelsOf({ axes: [x, y], window, plot, shown }, ratio) {
   const columns = Math.max(1, Math.round(plot.width * ratio)), rows = Math.max(1, Math.round(plot.height * ratio));
   const image = new ImageData(columns, rows), pixels = new Uint32Array(image.data.buffer), count = x.cuts.length - 1;
@@ -82,11 +82,11 @@ function position({ window, plot }, at, along) {
   return along ? plot.top + (1 - share) * plot.height : plot.left + share * plot.width;
 }
 
-/** Where a value of an axis, the first or the second, lies on the page. */
+/** Return the position on the page of a value of the first or the second axis. */
 export const place = (scene, value, along) => position(scene, scene.axes[along].to(value), along);
 
-/** Connected regions of cells of a class whose single cells are drawn larger, by its label: [first and last column,
- * first and last row, colour] of each.
+/** Return the connected regions of classes whose single cells are drawn larger, by label: [first and last column,
+ * first and last row, colour] of each region.
  */
 export function specksOf({ map: { entries }, codes }, width) {
   const found = {}, seen = new Uint8Array(codes.length), label = (cell) => entries[codes[cell]].enlarged;
@@ -110,7 +110,7 @@ export function specksOf({ map: { entries }, codes }, width) {
   return found;
 }
 
-/** Draw the regions larger that would be invisible, unless they are too many, and return the labels of their classes. */
+/** Enlarge the regions that would be invisible, unless they are too many; return the labels of their classes. */
 function drawSpecks(pen, scene) {
   const { axes, plot, shown } = scene, drawn = new Set();
   shown.specks ??= specksOf(shown, axes[0].cuts.length - 1);
@@ -137,7 +137,7 @@ function drawSpecks(pen, scene) {
   return drawn;
 }
 
-/** Draw the cells of a scene and what lies on them; returns the labels of the classes with single cells drawn larger. */
+/** Draw the cells of a scene and the lines over them; return the labels of the classes with enlarged cells. */
 export function drawPlane(pen, scene, ratio) {
   const { left, top, width, height } = scene.plot;
   pen.putImageData(pixelsOf(scene, ratio), Math.round(left * ratio), Math.round(top * ratio));
@@ -153,7 +153,7 @@ export function drawPlane(pen, scene, ratio) {
   return enlarged;
 }
 
-/** Round numbers between two ends, about `most` at most. */
+/** Return round numbers between two limits, about `most` at most. */
 export function ticks(low, high, most, log) {
   if (log && high / low > 8) {
     const found = [];
@@ -242,7 +242,7 @@ function drawNames(pen, scene) {
   }
 }
 
-/** The end of a curve. */
+/** Draw the end of a curve. */
 export function dot(pen, x, y) {
   pen.beginPath();
   pen.arc(x, y, 2.5, 0, 7);
@@ -252,7 +252,7 @@ export function dot(pen, x, y) {
   pen.stroke();
 }
 
-/** A mark with an outline: polygons in units of 7 pixels. */
+/** Draw a mark with an outline, from polygons in units of 7 pixels. */
 export function outlined(pen, shape, x, y) {
   pen.beginPath();
   for (const part of shape) {

@@ -1,4 +1,4 @@
-"""The modules that both pages run, joined into one script, and the style sheet of their keys."""
+"""The JavaScript modules that both pages run, joined into one script, and the style sheet of their legends."""
 
 import html
 import json
@@ -12,17 +12,17 @@ SHARED = ("numbers.mjs", "colors.mjs", "words.mjs", "elements.mjs", "plane.mjs",
 
 
 LIVE = ("live.mjs", "keys.mjs", "widgets.mjs")
-"""Those of the explorer's page."""
+"""The modules of the explorer's page only."""
 TICKS = "return atlasPage.tickText(tick, base, unit, decimals)"
 
 
 def program(package: str, *own: str) -> str:
-    """The shared modules and those of a package as one script, whose names their exports become."""
+    """Return the shared modules and those of a package as one script, in which their exports are names."""
     return "".join(_joined(text) for text in (*_texts(__package__, SHARED), *_texts(package, own)))
 
 
 def page_script() -> str:
-    """The script of the explorer's page, which calls the exports of its modules ``atlasPage``."""
+    """Return the script of the explorer's page. Its object ``atlasPage`` has the exports of the page's own modules."""
     own = "".join(_texts(__package__, LIVE))
     names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", own, re.MULTILINE))
     return (
@@ -32,19 +32,23 @@ def page_script() -> str:
 
 
 def call(function: str, **given: Any) -> Any:
-    """What has Bokeh call an exported function with these models and values, and the model that has changed."""
+    """Return the callback with which Bokeh calls an exported function.
+
+    function   name of the function
+    given      models and values that the function receives, besides the model that has changed
+    """
     from bokeh.models import CustomJS
 
     return CustomJS(args={"given": given}, code=f"atlasPage.{function}(given, cb_obj)")
 
 
 def html_part(name: str, given: Any = None) -> str:
-    """The HTML of a part of the page that a module fills, by the JSON that it is given."""
+    """Return the HTML of a part of the page that a module fills from the JSON ``given``."""
     return f'<atlas-part class="{name}" data-of="{name}" data-given="{html.escape(json.dumps(given))}"></atlas-part>'
 
 
 def legend_css() -> str:
-    """The style sheet of the key of a map."""
+    """Return the style sheet of the legend of a map."""
     return files(__package__).joinpath("key.css").read_text("utf-8")
 
 

@@ -1,8 +1,8 @@
-// Numbers of cells in words. A `subject` is plain JSON: see static/about.py.
+// Formats the numbers of cells as text. A `subject` is plain JSON, see static/about.py.
 
 const raised = (text) => text.replace(/./g, (letter) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(letter)] || "");
 
-/** A number with at most this many digits. */
+/** Return a number as text with at most this many digits. */
 export function number(value, digits = 6) {
   if (!Number.isFinite(value)) return Number.isNaN(value) ? "none" : value > 0 ? "∞" : "−∞";
   const small = value !== 0 && Math.abs(value) < 1e-3, near = Number(value.toPrecision(digits));
@@ -11,14 +11,14 @@ export function number(value, digits = 6) {
   return `${mantissa === "1" ? "" : `${mantissa.replace("-", "−")}·`}10${raised(power)}`;
 }
 
-/** A number and its error: two digits of the error, and of the number as many as that leaves, 4 to `most`. */
+/** Return a number and its error as text: two digits of the error, the number to the same place, 4 to `most` digits. */
 function withError(value, error, most) {
   if (!(error > 0) || !Number.isFinite(value)) return number(value, most);
   const size = value ? Math.floor(Math.log10(Math.abs(value))) : 0, certain = size - Math.floor(Math.log10(error)) + 2;
   return `${number(value, Math.min(most, Math.max(4, certain)))} ± ${number(error, 2)}`;
 }
 
-/** The value of a variable in cell k, where `subject.arrays` says how many digits it has. */
+/** Return the value of a variable in cell k as text; `subject.arrays` gives its number of digits. */
 function inWords(subject, name, k, values) {
   const value = values[name][k], { special, variables, arrays } = subject, { flag, endless } = variables[name];
   const digits = Math.min(6, arrays[name]?.digits || 6);
@@ -29,15 +29,15 @@ function inWords(subject, name, k, values) {
   return flag ? (value ? "yes" : "no") : number(value, digits);
 }
 
-/** Whether a variable is a result in cell k. */
+/** Return true if a variable is a result in cell k. */
 function isResult(subject, name, k, values) {
   const value = values[name][k], { regime, reason } = subject.special;
   if (name === reason) return value !== 0;
   return name === regime || (subject.variables[name].regimes.includes(values[regime][k]) && !Number.isNaN(value));
 }
 
-/** The results in cell k of these variables, each with its label, its value in words and its name; none of an error
- * beside its exponent, which has it.
+/** Return the results in cell k of these variables, each with its label, its value as text and its name. An error
+ * is left out beside its exponent, whose text contains the error.
  */
 export function resultsOf(subject, names, k, values) {
   const { largest, error } = subject.special;
@@ -45,7 +45,7 @@ export function resultsOf(subject, names, k, values) {
     .map((name) => [subject.variables[name].label, inWords(subject, name, k, values), name]);
 }
 
-/** The regime of cell k and the results that a map shows of it. */
+/** Return the regime of cell k and the results that a map shows of the cell. */
 export function sentence(subject, map, k, values) {
   const { regime } = subject.special, rest = map.needs.filter((name) => name !== regime);
   return [subject.regimes[values[regime][k]], ...resultsOf(subject, rest, k, values).map(([label, text]) => `${label} ${text}`)].join("; ");

@@ -1,4 +1,4 @@
-"""The words of a page on an atlas: its axes, variables and parameters, and what to cite."""
+"""The texts of a page on an atlas: its axes, variables and parameters, and what to cite."""
 
 import shlex
 from typing import TYPE_CHECKING, Any
@@ -20,11 +20,11 @@ _PROVENANCE = {
     "title": "atlas", "digest": "digest of the spec", "solver_version": "solver version", "software": "computed with",
     "run_id": "run", "origin": "grown from", "references": "sources of the machine",
 }  # fmt: skip
-"""The attributes of a store that a page lists, and their names there."""
+"""Attributes of a store that a page lists, with their names on the page."""
 
 
 def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
-    """An atlas for the page's program, as plain JSON."""
+    """Return an atlas as plain JSON for the page's program."""
     record, place = handle.spec.system_def, ds.attrs.get(ATTRACTOR)
     names = {meant.code: meant.text for meant in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
@@ -43,7 +43,7 @@ def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, Plane
 
 
 def meanings() -> dict[str, Any]:
-    """The regimes and the reasons in words, and the names of the variables that a page treats in a way of their own."""
+    """Return the regimes and the reasons in words, and the names of variables that a page treats specially."""
     special = {"regime": REGIME, "reason": REASON, "largest": LARGEST, "error": ERROR}
     return {
         "regimes": {meant.code: meant.text for meant in REGIME.codes},
@@ -53,8 +53,10 @@ def meanings() -> dict[str, Any]:
 
 
 def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
-    """The command that solves a cell again, but for the values of the axes; empty where cells start from a state that
-    the page does not hold: on one of several attractors, or on a neighbour's.
+    """Return the command that solves a cell again, without the values of the axes.
+
+    The command is empty if cells start from a state that the page does not have: on one of several attractors, or on a
+    neighbour's.
     """
     spec = handle.spec
     if spec.coexistence or spec.continuation is not None:
@@ -66,9 +68,10 @@ def command(ds: "xr.Dataset", handle: AtlasStore) -> str:
 
 
 def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
-    """A variable in words: its label with its unit, whether it is a flag, the regimes in which it is a result.
+    """Return a variable as plain JSON: its label with its unit, True for a flag, and the regimes in which it is a
+    result.
 
-    ``endless``: below zero it stands for infinitely many.
+    ``endless`` is True if values below zero stand for infinity.
     """
     meant = variable_of(ds, name)
     return {
@@ -80,14 +83,14 @@ def variable(ds: "xr.Dataset", name: str) -> dict[str, Any]:
 
 
 def provenance(ds: "xr.Dataset", handle: AtlasStore) -> dict[str, str]:
-    """Where the numbers are from, by its name on the page."""
+    """Return the origin of the numbers, by names on the page."""
     cells = " × ".join(f"{len(axis):,}".replace(",", "\N{NARROW NO-BREAK SPACE}") for axis in handle.spec.axes)
     named = {"cells": cells} | {_PROVENANCE[key]: str(ds.attrs[key]) for key in _PROVENANCE if key in ds.attrs}
     return {name: named[name] for name in ("atlas", *named) if name in named}
 
 
 def citation(ds: "xr.Dataset", handle: AtlasStore) -> str:
-    """What to cite, as BibTeX."""
+    """Return what to cite, as BibTeX."""
     return bibtex(handle.spec.system_def, software_version(str(ds.attrs.get("software", ""))), handle.solver_version)
 
 

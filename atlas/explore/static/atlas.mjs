@@ -1,4 +1,4 @@
-// The atlas of the page, and the numbers of its cells, which are unpacked when they are first needed.
+// The atlas of the page, and the numbers of its cells, which are unpacked at their first use.
 
 import { reader } from "../front/look.mjs";
 import { drawnAxis } from "../front/plane.mjs";

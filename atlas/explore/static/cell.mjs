@@ -1,4 +1,4 @@
-// The cell that is chosen, with all its numbers, and the precision of the numbers.
+// Shows the chosen cell with all its numbers, and the precision of the numbers.
 
 import { copied, make } from "../front/elements.mjs";
 import { number, resultsOf } from "../front/words.mjs";
@@ -6,7 +6,7 @@ import { LARGEST, NX, PENDING, REGIME, atlas, axes, by, numbers } from "./atlas.
 
 const isCoarse = () => Math.max(...atlas.block) > 1;
 
-/** Where a cell lies, in words. */
+/** Return the position of a cell as text. */
 export const placeOf = (cell) => axes.map((axis, along) => `${axis.symbol} = ${number(axis.values[cell[along]])}`).join(", ");
 
 async function allNumbers() {
@@ -37,7 +37,7 @@ function coexisting(k, arrays) {
   return [make("p", { className: "note", textContent: "Its attractors; below, all numbers of the first:" }), make("table", { className: "all" }, make("tr", {}, ...heads), ...rows)];
 }
 
-/** Show a cell, or none, if it is still the one chosen once its numbers are read. */
+/** Show a cell or no cell, if the choice is still the same once the numbers are read. */
 export async function drawCell(cell, stays) {
   const panel = by("cell"), hint = "Click a cell to see all its numbers.";
   if (!cell) return panel.replaceChildren(make("p", { className: "note", textContent: hint }));
@@ -57,7 +57,7 @@ export async function drawCell(cell, stays) {
     make("code", { textContent: line }), copying("copy command", () => line));
 }
 
-/** A button that copies a text. */
+/** Return a button that copies a text. */
 export function copying(label, text) {
   const button = make("button", { type: "button", textContent: label });
   button.onclick = async () => {
@@ -67,7 +67,7 @@ export function copying(label, text) {
   return button;
 }
 
-/** Say how exact the numbers are. */
+/** Show how exact the numbers are. */
 export function describe() {
   const { fixed, variables, others, arrays, leftOut, block, attractor } = atlas;
   by("fixed").append(...fixed.flatMap(({ symbol, value, meaning }, k) =>

@@ -12,14 +12,14 @@ const map = by("map");
 const mapOf = (name) => atlas.maps.find((map) => map.name === name);
 const whole = () => axes.map(({ cuts }) => [cuts[0], cuts[cuts.length - 1]]);
 
-// What is shown: all that the address holds. Everything on the page follows from it.
+// The view state: all that the address contains. Everything on the page follows from the view state.
 const FIRST = { map: atlas.maps[0].name, log: false, overlays: atlas.lines.curves ? ["curves"] : [], hidden: new Set(), ends: null };
 let state = { ...FIRST, window: whole(), cell: null };
 let shown = null; // a map, the arrays and the colours of its cells: that of the state once these are read
 let enlarged = new Set(); // labels of classes whose single cells are drawn larger
 let plot = { left: 0, top: 8, width: 1, height: 1 };
 
-// The picture
+// Picture
 
 const themed = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -41,7 +41,7 @@ function drawNow() {
   updateKey(by("key"));
 }
 
-// The gestures, and the address.
+// Gestures and address
 
 async function change(given, remembered = false) {
   const before = state;
@@ -83,7 +83,7 @@ function remember(asNew) {
   try {
     history[asNew ? "pushState" : "replaceState"](null, "", address);
   } catch (error) {
-    if (error.name !== "SecurityError") throw error; // inside another page it has no address of its own
+    if (error.name !== "SecurityError") throw error; // a page inside another page has no address of its own
   }
 }
 

@@ -1,4 +1,4 @@
-"""An atlas as one HTML file that opens from disk: its cells, maps and curves, and where they are from."""
+"""An atlas as one HTML file that opens from disk: its cells, maps and curves, and their provenance."""
 
 import html
 import json
@@ -39,27 +39,31 @@ if TYPE_CHECKING:
     import xarray as xr
 
 LIMIT = 20_000_000
-"""Bytes that a page may have."""
+"""Default maximum size, in bytes, of a page."""
 SIZE = 1000.0, 800.0
-"""Pixels of a plane for which names and lines are placed."""
+"""Width and height, in pixels, of the plane for which labels and lines are placed."""
 MAX_CELLS = 1 << 20
-"""Cells of a page; a larger atlas is shown by an overview."""
+"""Maximum number of cells of a page; a larger atlas is shown by an overview."""
 COEXISTING = (REGIME.name, "period", "impacts_upper", "impacts_lower", LARGEST.name, "share")
-"""The results of attractors that a page lists beside the one that it shows."""
+"""The results of further attractors that a page lists beside the attractor that it shows."""
 PROGRAM = ("atlas.mjs", "cell.mjs", "page.mjs")
-"""The modules of a page of its own, in this order."""
+"""The modules of the static page only, in this order."""
 _EACH = 300
-"""Bytes that surround an array in a page, at most."""
+"""Maximum number of bytes that a page has around an array."""
 
 
 def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_cells: int = MAX_CELLS) -> Path:
-    """Write the plane of an atlas as one HTML file of at most ``limit`` bytes, and return its path.
+    """Write the plane of an atlas as one HTML file, and return its path.
 
-    The page has the cells themselves, or the finest overview with at most ``most_cells``; of an atlas of all attractors
-    the one with the largest share in each cell. Numbers are exact where they fit; otherwise floats lose digits, the
-    exponent last, down to three, and then variables are left out: the page says which. The file appears whole or not at
-    all, in place of any before; the same atlas gives the same bytes.
-    Raises InputError for another suffix than .html, a path that cannot be written, and an atlas that is no plane.
+    ds           the dataset of an atlas
+    path         path of the file, which ends in .html
+    limit        maximum size of the file, in bytes
+    most_cells   maximum number of cells; beyond it the page has the finest overview that fits
+
+    In an atlas of all attractors each cell shows the attractor with the largest share. Numbers are exact if they fit.
+    Otherwise floats lose digits, down to three and the exponent last, and then variables are left out; the page reports
+    both. The file is replaced as a whole or not at all, and the same atlas gives the same bytes. Raise InputError if
+    the suffix is not .html, the path cannot be written, or the dataset is not a plane.
     """
     target = validate_path(path)
     check_path(target)
@@ -70,7 +74,7 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
 
 
 def check_path(path: Path) -> None:
-    """InputError unless a page can be written there: to be asked before the work."""
+    """Raise InputError unless a page can be written to the path; to be called before the work."""
     if path.suffix.lower() != ".html":
         suffix = f"found {path.suffix!r}" if path.suffix else "found none"
         raise InputError(f"{path.name}: the suffix of a page is .html, {suffix}")
@@ -78,7 +82,7 @@ def check_path(path: Path) -> None:
 
 
 def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS) -> str:
-    """The page as text; arguments and errors as in ``write_page``."""
+    """Return the page as text; arguments and errors are those of ``write_page``."""
     ds = select_dominant(every)
     _check_plane(ds)
     handle = handle_of(ds)
@@ -121,7 +125,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
 
 
 def lines_of(ds: "xr.Dataset", visible: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
-    """The lines that can be drawn over the maps of these cells, by their names, and the arrays that they need."""
+    """Return the overlays that can be drawn on maps of these cells, by name, and the arrays that they need."""
     view = MapView(
         KIND_TABLE["period"],
         ds,
@@ -130,7 +134,7 @@ def lines_of(ds: "xr.Dataset", visible: "xr.Dataset") -> tuple[dict[str, Any], d
     )
     lines, arrays = dict[str, Any](), dict[str, Any]()
     for name in MAP_OVERLAYS:
-        with suppress(OverlayError):  # this atlas has none
+        with suppress(OverlayError):  # this atlas has no such overlay
             drawn = lines_over(view, name, SIZE)
             if drawn.described["lines"] or drawn.regions is not None:
                 lines[name] = drawn.described
@@ -150,9 +154,9 @@ def _check_plane(ds: "xr.Dataset") -> None:
 
 
 def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]:
-    """The cells of a page, read, with all variables of one number a cell; and for how many cells each stands, (x, y).
+    """Return the cells of a page, loaded, and the number of cells of the atlas (x, y) for which each stands.
 
-    InputError where there are too many, and no overview of them.
+    The cells have all variables with one number per cell. Raise InputError if there are too many cells and no overview.
     """
     across, up = axis_names(ds)
     names = [str(name) for name in ds.data_vars if {*ds[name].dims} == {across, up}]
@@ -165,7 +169,7 @@ def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]
         known = {variable.name for variable in part.pyramid.variables}
         names = [name for name in names if name in known]
     halved = 0
-    while True:  # unevenly spaced cells may take more halvings than their number says
+    while True:  # unevenly spaced cells may need more halvings than their number suggests
         pixels = [-(-count >> halved) for count in size]
         with counted() as reads:
             seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= limit else ds
@@ -175,7 +179,7 @@ def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]
 
 
 def _others(every: "xr.Dataset") -> dict[str, Any]:
-    """Of an atlas of all attractors the arrays that tell those after the first, as ``largest-1``."""
+    """Return arrays that describe the attractors after the first in an atlas of all attractors, as ``largest-1``."""
     names = [name for name in COEXISTING if name in every]
     arrays: dict[str, Any] = {}
     for place in range(1, every.sizes[ATTRACTOR]):
@@ -196,7 +200,7 @@ def _values(visible: "xr.Dataset", name: str) -> Any:
 def _filled(
     described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, PackedArray]
 ) -> str:
-    """The whole page."""
+    """Return the whole page."""
     whole = {
         **described,
         "maps": [made.described for made in maps],
