@@ -62,7 +62,7 @@ def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str,
     own.
 
     A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
-    kernel.coordinates.placed.
+    kernel.coordinates.start_at.
     """
     states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)

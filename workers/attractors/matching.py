@@ -146,7 +146,7 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
 
 
 def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: int) -> Array:
-    """Return block states (ALONG, n, 2) of a cycle without a force from a physical state on the cycle, evenly in time."""
+    """Return block states (ALONG, n, 2) of a cycle without a force, evenly in time, from a physical state on it."""
     own = at_rows(oscillator, np.zeros(1, dtype=np.int64))
     set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
     motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))

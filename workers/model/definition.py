@@ -160,7 +160,7 @@ class Definition:
 
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
-        """Elements whose law is an expression, which segments replace."""
+        """Elements whose law is an expression, which is replaced by segments."""
         every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
         return tuple(element for element in every if isinstance(element.law, Expression))
 
@@ -207,7 +207,7 @@ class Definition:
         return self._used_outside("let")
 
     def _used_outside(self, *left_out: str) -> set[str]:
-        """Return the names used in all fields except these; names in ``let`` that are used count with the names in
+        """Return the names used in all fields except these; names in ``let`` that are used count, with the names in
         them.
         """
         fields = (field.name for field in dataclasses.fields(self) if field.name not in left_out)

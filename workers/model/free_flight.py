@@ -251,7 +251,7 @@ def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int,
 
 
 def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) -> tuple[GuardedFlow, dict[int, Mask]]:
-    """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
+    """Return the free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
     modes = structure.flow.modes
     gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
     too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
@@ -260,19 +260,24 @@ def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) ->
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
-    """Machines (N,) with a block (N, n) that turns too far in a forcing period for doubles to keep its phase."""
+    """Return the mask (N,) of machines with a block that turns too far in a forcing period for doubles to keep its
+    phase.
+
+    d, w   (N, n) see Block
+    omega  (N,) forcing frequencies
+    """
     turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
 
 
 def phase_of(tau: Array) -> Array:
-    """The forcing phase at a section, between -pi and pi."""
+    """Return the forcing phase at a section, between -pi and pi."""
     phase = np.fmod(tau, 2.0 * np.pi)
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
 def centred(structure: FlightStructure, machines: SingleContactMachines) -> RestState:
-    """The loading of machines of this structure, with balanced machines at rest midway between their stops.
+    """Return the rest of machines of this structure; balanced machines rest midway between their stops.
 
     The position of a rigid mode is counted from midway between the stops, or from the only stop.
     """
@@ -302,9 +307,10 @@ def centred(structure: FlightStructure, machines: SingleContactMachines) -> Rest
 
 
 def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
-    """The load (N, n) of machines that no rest balances, as it drives a rigid mode.
+    """Return the load that no rest balances, and the velocities of the motion under it.
 
-    And the constant velocities (N, n) of the damped motion under it from which the blocks of flight are counted.
+    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which the
+    blocks of flight are counted.
     """
     n, modes = machines.gap_row.shape[1], structure.flow.modes
     drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
@@ -313,11 +319,11 @@ def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleC
 
 
 def balanced(machines: SingleContactMachines) -> Mask:
-    """Whether y rests midway between both stops, or anywhere, to rounding: needed for symmetric motion.
+    """Return the mask (N,) of machines in which y rests midway between both stops, or anywhere, to rounding.
 
-    Then no force f is needed to hold y in the middle m, K x + f g = load and g . x = m: |f| is at most its change by
-    ULPS of each entry. With K v + s g = 0 and g . v = 1 that change is |v| . (|load| + |K| |x|) + |s| (|g| . |x| +
-    |upper| + |lower|).
+    Symmetric motion needs it. No force f is then needed to hold y in the middle m, K x + f g = load and g . x = m: |f|
+    is at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 this change is |v| . (|load| + |K|
+    |x|) + |s| (|g| . |x| + |upper| + |lower|).
     """
     stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
     middle = 0.5 * (machines.upper + machines.lower)
@@ -344,7 +350,7 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
 
 def finite(record: Any) -> Mask:
-    """Mask of the records that hold finite numbers only."""
+    """Return the mask (N,) of the records that hold finite numbers only."""
     arrays = arrays_in(record)
     if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
         return np.ones(len(arrays[0]), dtype=np.bool_)
@@ -352,13 +358,13 @@ def finite(record: Any) -> Mask:
 
 
 def numbers_of(record: Any) -> Array:
-    """All numbers of N records, one row (N, .) each."""
+    """Return all numbers of N records, one row (N, .) each."""
     rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
     return np.concatenate(rows, axis=1)
 
 
 def arrays_in(record: Any) -> list[Array]:
-    """The arrays of a record and of the records in it."""
+    """Return the arrays of a record and of the records in it."""
     arrays = list[Array]()
     for field in record:
         if isinstance(field, tuple):
@@ -369,15 +375,15 @@ def arrays_in(record: Any) -> list[Array]:
 
 
 def derivative(row: Array, modes: BlockDecomposition) -> Array:
-    """derivative_of in these modes."""
+    """Return ``derivative_of`` a row in these modes."""
     return derivative_of(row, modes.eta, modes.lam)
 
 
 def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
-    """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
+    """Return row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
     return np.stack([-lam * row[..., 1], row[..., 0] - 2.0 * eta * row[..., 1]], axis=-1)
 
 
 def times(row: Array, matrix: Array) -> Array:
-    """row @ matrix, for N of each."""
+    """Return row @ matrix, for N of each."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])
