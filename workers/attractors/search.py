@@ -172,7 +172,10 @@ class MotionSearch:
         return np.asarray(reached)
 
     def _is_on_cycle(self, course: AutonomousSchedule, r: int) -> bool:
-        """Return True if a motion passes an event of a known cycle of its cell within a turn, and set its label."""
+        """Return True if a motion passes an event of a known cycle of its cell, to CLOSING_DISTANCE, within a turn.
+
+        The motion then gets the label of the cycle.
+        """
         cells, cycles = self.cells, self.known.cycles[self.owner[r]]
         longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
         turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0

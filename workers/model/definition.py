@@ -207,9 +207,7 @@ class Definition:
         return self._used_outside("let")
 
     def _used_outside(self, *left_out: str) -> set[str]:
-        """Return the names used in all fields except these; names in ``let`` that are used count, with the names in
-        them.
-        """
+        """Return the names used in all fields except these; names in ``let`` that are used count, with their own names."""
         fields = (field.name for field in dataclasses.fields(self) if field.name not in left_out)
         names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):

@@ -246,7 +246,12 @@ def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tupl
 
 
 def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
-    """The reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines."""
+    """Return the reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines.
+
+    modes     blocks
+    resonant  (N,) mask of undamped resonance
+    rigid     (N,) mask of machines with an invalid rigid mode
+    """
     return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid}
 
 

@@ -19,7 +19,7 @@ PARALLEL = 1e-12
 """Relative deviation up to which a row counts as a multiple of another."""
 
 HALFWAY = 1e-12
-"""Deviation from half a forcing period, as a share of the period, up to which two phases count as half a period apart."""
+"""Deviation from half a forcing period, as a share of a period, up to which two phases count as half a period apart."""
 
 MIDWAY = 1e-13
 """Deviation, as a share of its terms, up to which a position counts as midway between stops and as balancing a load."""

@@ -287,8 +287,8 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """Return groups of machines by the frictions that stick on the row of a sticking rigid contact, and each machine's
-    group.
+    """Return groups of machines by the frictions that stick on the row of a sticking rigid contact, and the group of
+    each.
 
     A group maps each such friction to its contact, see along_contacts.
     """

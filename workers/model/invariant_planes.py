@@ -10,7 +10,7 @@ from workers.model.oscillator import Array
 
 SINGULAR = 1e-10
 """Relative determinant below which coordinates of a plane cannot be h and h'. Its inverse bounds the entries of the
-transformation relative to the entries of its eigenvectors' transformation.
+transformation relative to its eigenvalues.
 """
 
 

@@ -1,4 +1,4 @@
-"""A TOML table converted to a definition and its parameters, with every fault in one line."""
+"""Conversion of a TOML table to a definition and its parameters, with every error in one line."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -30,9 +30,9 @@ from workers.model.parse_force import is_unforced, read_force, with_means
 from workers.model.reserved_names import is_taken
 
 MAX_COORDINATES = 8
-"""Most coordinates of a system."""
+"""Maximum number of coordinates of a system."""
 MANY = 64
-"""Most parameters and names in ``let`` of a system."""
+"""Maximum number of parameters, and of names in ``let``, of a system."""
 
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
@@ -49,7 +49,8 @@ PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(
     machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> tuple[Parameter, ...]:
-    """All parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and velocities.
+    """Return all parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and
+    velocities.
 
     Omega and tau of a force, and the initial values, need no entry: the table may change their default, range and
     words. A single number is a default.
@@ -104,7 +105,7 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the coordinates and velocities.
+    """Return the names of the coordinates and velocities.
 
     The default name of a velocity is v with the number at the end of its coordinate's name: v1 for x1, v for y.
     """
@@ -130,7 +131,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 def read_definition(
     table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> Definition:
-    """The definition of a table [system] with these parameters, coordinates and velocities."""
+    """Return the definition of a table [system] with these parameters, coordinates and velocities."""
     n = len(coordinates)
     # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
@@ -168,7 +169,7 @@ def read_definition(
 
 
 def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:
-    """The coordinate that may drift; an empty name for none."""
+    """Return the coordinate that may drift; empty if there is none."""
     if value is None:
         return ""
     name = read_text("system.drift", value)
@@ -182,7 +183,7 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
 
 
 def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Names for expressions, in the order of their use."""
+    """Return the names of ``let`` with their expressions, in the order of their use."""
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
@@ -205,7 +206,7 @@ def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tup
 
 
 def symbol_of(name: str) -> str:
-    r"""A name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
+    r"""Return a name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
     base, underscore, rest = name.partition("_")
     stem = base.rstrip("0123456789")
     below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
@@ -214,7 +215,7 @@ def symbol_of(name: str) -> str:
 
 
 def check_not_reserved(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """DefinitionError at the first name that an atlas reserves."""
+    """Raise DefinitionError at the first name that an atlas reserves."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():

@@ -1,4 +1,4 @@
-"""Laws of springs, contacts and friction in a table, with every fault in one line: see laws.py."""
+"""Conversion of tables to laws of springs, contacts and friction, see laws.py, with every error in one line."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -11,7 +11,7 @@ SPRING_KEYS = ("name", "row", *LAW)
 
 
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
-    """The entries LAW of an element of this kind."""
+    """Return the entries LAW of an element of this kind."""
     law, argument = table["law"], ARGUMENTS[kind]
     if isinstance(law, str):
         if argument in known:
@@ -43,7 +43,7 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
 
 
 def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:
-    """A spring of a machine of n coordinates."""
+    """Return a spring of a machine of n coordinates."""
     one = read_table(where, value, SPRING_KEYS)
     for key in ("name", "row", "law"):
         if key not in one:

@@ -29,5 +29,7 @@ NAMES = frozenset((
 
 
 def is_taken(name: str) -> bool:
-    """Whether an atlas reserves the name, also for coarse cells along an axis and their bounds."""
+    """Return True if an atlas reserves the name; names of coarse cells along an axis and of their bounds are reserved
+    too.
+    """
     return name in NAMES or name.endswith(("_bounds", "_coarse"))
