@@ -45,8 +45,9 @@ REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name
 
 @dataclass(frozen=True)
 class Reason(CodeMeaning):
-    """A reason for a missing or uncertain result; ``text`` is a sentence, ``regime`` the regime of the cells with this
-    reason.
+    """A reason for a missing or uncertain result.
+
+    ``text`` is a sentence, and ``regime`` the regime of the cells with this reason.
     """
 
     regime: int
@@ -341,9 +342,7 @@ _STICKING = {
 
 
 def of_friction(variable: Variable, stops: bool) -> Variable:
-    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop as
-    well.
-    """
+    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop too."""
     meaning, label = _STICKING[stops].get(variable.name, (variable.long_name, variable.label))
     return replace(variable, long_name=meaning, label=label)
 

@@ -24,9 +24,11 @@ def solve_lines(
 ) -> Results:
     """Solve every line along one axis as a slow sweep, and return results as ``solve_tile`` does.
 
-    system, params, settings  as for ``solve_tile``
-    axis                      axis of the parameters' broadcast shape along which the lines run
-    backward                  True if each line is solved from its last cell to its first
+    system    as for ``solve_tile``
+    params    as for ``solve_tile``
+    settings  as for ``solve_tile``
+    axis      axis of the parameters' broadcast shape along which the lines run
+    backward  True if each line is solved from its last cell to its first
 
     The first cell of a line starts from its own initial state. Every other cell starts from ``state``, the section
     state on the attractor, of the nearest earlier cell that has one; invalid and failed cells have none. If the gap has
@@ -58,8 +60,7 @@ def solve_lines(
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Return the initial states of the cells at one position of all lines: the newest known states, else the cells'
-    own.
+    """Return the initial states of the cells at one position of all lines: the newest known states, else their own.
 
     A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
     kernel.coordinates.start_at.

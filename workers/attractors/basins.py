@@ -44,9 +44,7 @@ class AttractorTable(CoexistenceSearch):
         self.attractors.sort(key=lambda attractor: attractor.order)
 
     def mirror_labels(self) -> NDArray[np.int64]:
-        """Return the labels of the attractors' mirror images, -1 if none is known; a symmetric attractor has its own
-        label.
-        """
+        """Return the labels of the attractors' mirror images, -1 if unknown; a symmetric attractor has its own label."""
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
     def search_from(self, states: Array, references: bool) -> MotionSearch:
@@ -140,10 +138,10 @@ def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
 
 
 def section_points(table: AttractorTable, count: int) -> Array:
-    """Return physical section states (A, count, 2n) of every attractor; an orbit has each of its states once, the rest
-    NaN.
+    """Return physical section states (A, count, 2n) of every attractor.
 
-    States of a cycle without a force lie evenly in time along the cycle.
+    An orbit has each of its states once, the rest NaN. States of a cycle without a force lie evenly in time along the
+    cycle.
     """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)

@@ -98,11 +98,10 @@ class CellAttractors:
 
 
 def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attractor | None:
-    """Return the attractor of motion r, which was solved in full, without regard to other motions; None if it is
-    unknown.
+    """Return the attractor of motion r, which was solved in full, without regard to other motions.
 
     It is an orbit or motion without impact with a proof, or chaos or a torus with its statistics. For a motion that
-    locks onto a stop it is the class alone.
+    locks onto a stop it is the class alone. Return None if the attractor is unknown.
     """
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
     new = Attractor(regime, search.result(r), int(search.cells.mode[r]), reference=reference)

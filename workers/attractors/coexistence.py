@@ -130,8 +130,9 @@ class CoexistenceSearch:
         self._put(search, number, moving)
 
     def _put(self, search: MotionSearch, number: Rows, rows: Rows) -> None:
-        """Assign the motions ``rows`` to their attractors, in the order of the initial states, and count the cost of
-        all motions.
+        """Assign the motions ``rows`` to their attractors, in the order of the initial states.
+
+        The cost of all motions of the search is counted.
         """
         np.add.at(self.periods_used, search.owner, search.cells.periods_used)
         for r in rows.tolist():
@@ -238,9 +239,7 @@ class CoexistenceSearch:
 
 
 def _of_share(hits: int, tried: int) -> dict[str, Any]:
-    """Return the share of an attractor that ``hits`` of ``tried`` initial states reach, with its error and its
-    interval.
-    """
+    """Return the share of an attractor that ``hits`` of ``tried`` initial states reach, its error and its interval."""
     (below, above), (low, high) = wilson(hits, tried, 1.0), wilson(hits, tried)
     return {"share": hits / tried, "share_error": 0.5 * (above - below), "share_low": low, "share_high": high}
 

@@ -90,15 +90,16 @@ def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: S
 def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) -> tuple[Array, Array]:
     """Return the lowest and highest initial states (N, 2n) of N cells.
 
-    By default a displacement lies within REACH a of its rest position, and a velocity within REACH v of 0. a and v are
-    the amplitudes of the impact-free response to the force. a is at least half of the gap, as far as the coordinate
-    takes part in the gap, and v at least omega times that half. A gap that is one coordinate stays between the stops.
+    By default a displacement lies within REACH a of its rest position, and a velocity within REACH v of 0. Here a and v
+    are the amplitudes of the impact-free response to the force. The amplitude a is at least half of the gap, as far as
+    the coordinate takes part in the gap, and v is at least omega times that half. A gap that is one coordinate stays
+    between the stops.
     """
     N, n = oscillators.gap_row.shape
     moves = oscillators.to_physical
     forced = oscillators.gap.forced.reshape(N, 2 * n, -1, 2)
     amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
-    if oscillators.has_modes:  # that of the mode with all contacts open, or a little more
+    if oscillators.has_modes:  # the amplitude of the mode with all contacts open, or a little more
         amplitude = np.einsum("nij,nj->ni", np.abs(moves), oscillators.gap.swing.reshape(N, 2 * n))
     middle = np.einsum("nij,nj->ni", moves, oscillators.gap.rest.reshape(N, 2 * n))
     row = np.abs(oscillators.gap_row)
@@ -122,7 +123,7 @@ def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) ->
 @lru_cache(maxsize=8)
 def _points(size: int, count: int, seed: int) -> Array:
     """Return ``count`` points of the unit cube (count, size)."""
-    from scipy.stats import qmc  # takes a while to load
+    from scipy.stats import qmc  # imported here, since it loads slowly
 
     points: Array = qmc.Halton(size, scramble=True, rng=seed).random(count)
     return points

@@ -199,10 +199,10 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
 
 
 def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
-    """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit, on the section of the known
-    proof.
+    """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
-    Cycles without a force are equal if they are the same set of states, in any phase.
+    Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
+    states, in any phase.
     """
     if (old.regime, old.period) != (new.regime, new.period):
         return False
@@ -213,7 +213,7 @@ def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: 
             state = 2.0 * np.append(centre, np.zeros_like(centre)) - state
         return old.cycle.is_through(state, new.cycle.period)
     neutral = old.jacobian is None and new.jacobian is None  # neither of these orbits attracts
-    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
+    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # all motion without impact is one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
@@ -229,16 +229,17 @@ def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[A
 
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
-    """Return means (len(rows), 4n) over the last ``count`` sections of each motion: of block coordinates and their
-    squares.
+    """Return the mean block coordinates and mean squares (len(rows), 4n) over the last ``count`` sections of each
+    motion.
     """
     states = sections[rows, -count:].reshape(len(rows), count, 2 * sections.shape[2])
     return np.concatenate([states, states * states], axis=2).mean(axis=1)
 
 
 def distance(one: Array, other: Array) -> float:
-    """Return the largest distance between means of two motions, in standard errors, from their batches (k, 4n) and (l,
-    4n).
+    """Return the largest distance between means of two motions, in standard errors.
+
+    one, other  (k, 4n) and (l, 4n) batches of the motions
 
     a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
     """

@@ -127,8 +127,9 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
-        """Simulate the motions until they reach their attractors; ``references`` adds the statistics of new chaos and
-        tori.
+        """Simulate the motions until they reach their attractors.
+
+        ``references`` adds the statistics of new chaos and tori.
         """
         self.course.run()
         self._compare()
@@ -147,9 +148,7 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """Return the motions of ``rows`` that reach no orbit in ``batches`` batches, and their batches (rows, batches,
-        4n).
-        """
+        """Return the motions of ``rows`` that reach no orbit, and their batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, matching.BATCH, look=not self.cells.unforced or k == batches - 1)

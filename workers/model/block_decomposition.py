@@ -1,8 +1,8 @@
-"""Decomposition of linear oscillators M x'' + C x' + K x into blocks h'' + 2 eta h' + lam h: modes, or invariant
-planes.
+"""Decomposition of linear oscillators into blocks: undamped modes, or invariant planes.
 
-M is invertible, C and K are arbitrary. With symmetric matrices and classical damping the undamped modes stay modes, and
-are the blocks. Otherwise the real Schur form splits the state space into planes, one for each pair of eigenvalues.
+An oscillator M x'' + C x' + K x becomes blocks h'' + 2 eta h' + lam h. M is invertible, C and K are arbitrary. With
+symmetric matrices and classical damping the undamped modes stay modes, and are the blocks. Otherwise the real Schur
+form splits the state space into planes, one for each pair of eigenvalues.
 """
 
 import math
@@ -67,8 +67,9 @@ class BlockDecomposition(NamedTuple):
 
 @memoize_arrays
 def split(mass: Array, damping: Array, stiffness: Array) -> BlockDecomposition:
-    """Return the blocks of oscillators with these matrices (N, n, n); each depends on its own matrices only, to the
-    bit.
+    """Return the blocks of oscillators with these matrices (N, n, n).
+
+    The blocks of an oscillator depend on its own matrices only, to the bit.
     """
     N, n = mass.shape[:2]
     matrices, modal = (mass, stiffness), symmetric(mass) & symmetric(stiffness)
@@ -118,8 +119,11 @@ def resists(damping: Array) -> Mask:
 
 
 def _rounding(n: int, damping: Any, stiffness: Any) -> Any:
-    """Return the rounding of a growth rate of zero, for n coordinates with damping and squared frequencies of these
-    sizes.
+    """Return the rounding of a growth rate of zero.
+
+    n          number of coordinates
+    damping    size of the damping
+    stiffness  size of the squared frequencies
     """
     return FREE * n * np.maximum(damping, np.sqrt(stiffness))
 
@@ -250,7 +254,7 @@ def _split_any(blocks: BlockDecomposition, r: int, mass: Array, damping: Array, 
     Coordinates are first balanced by powers of two, and time is scaled by a power of two. Blocks of free motions, K x =
     0, have no stiffness.
     """
-    from scipy.linalg import matrix_balance  # see planes.planes_of
+    from scipy.linalg import matrix_balance  # see invariant_planes.planes_of
 
     n = len(mass)
     blocks.to_blocks[r] = blocks.to_physical[r] = np.nan

@@ -61,10 +61,17 @@ Kinds = Rows | EllipsisType
 def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]]:
     """Return the oscillators of many machines, and the reason against each, NO_REASON if there is none.
 
-    The reasons are: a rigid mode invisible in the gap, or more than one; growing motion invisible in the gap; planes
-    inseparable in double precision; undamped resonance, without a periodic forced response. A forcing period may also
-    have more free oscillations than double precision can resolve in phase. A push at the stop may fail to open the gap,
-    g.M^-1 g <= 0. Numbers may exceed the range of doubles. The reasons that ``faults`` reports are not repeated here.
+    Each of the following is a reason:
+
+    RIGID_MODE       a rigid mode is invisible in the gap, or there is more than one
+    UNSTABLE         growing motion is invisible in the gap
+    COUPLED_DAMPING  planes are inseparable in double precision
+    RESONANCE        undamped resonance, without a periodic forced response
+    LONG_PERIOD      a forcing period has more free oscillations than double precision can resolve in phase
+    NO_OSCILLATOR    a push at the stop does not open the gap, g.M^-1 g <= 0
+    OUT_OF_DOUBLES   numbers exceed the range of doubles
+
+    ``faults`` reports further reasons, which are not repeated here.
     """
     few, kind = _kinds(machines)
     structure = structure_of(few)

@@ -167,7 +167,7 @@ class Definition:
     def law_use(
         self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
     ) -> tuple[Array, Array]:
-        """Return how far a law that is an expression was used, see ``laws.law_use``, at values (N,) of each parameter."""
+        """Return how far a law that is an expression was used, at values (N,) of each parameter; see ``laws.law_use``."""
         named = {name: value[: len(low)] for name, value in self._named(values).items()}
         return laws.law_use(element, named, low, high)
 
@@ -207,7 +207,10 @@ class Definition:
         return self._used_outside("let")
 
     def _used_outside(self, *left_out: str) -> set[str]:
-        """Return the names used in all fields except these; names in ``let`` that are used count, with their own names."""
+        """Return the names used in all fields except ``left_out``.
+
+        Names in ``let`` are included if they are used, with the names in their expressions.
+        """
         fields = (field.name for field in dataclasses.fields(self) if field.name not in left_out)
         names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):
@@ -215,9 +218,7 @@ class Definition:
         return names
 
     def changes_with(self, names: Collection[str]) -> bool:
-        """Return True if anything besides forcing frequency and phase of the machines depends on parameters of these
-        names.
-        """
+        """Return True if the machines, apart from forcing frequency and phase, depend on parameters of these names."""
         return not self._used_outside("let", "measures").isdisjoint(names)
 
     @np.errstate(all="ignore")

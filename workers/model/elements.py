@@ -95,11 +95,10 @@ class Spring:
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of each forcing period, from ``start`` to the next phase; ``start`` is a share of 2 pi / omega after the
-    section.
+    """A part of each forcing period, from ``start`` to the start of the next phase.
 
-    The entries of a phase replace those of the machine. Its force and cosine replace those of the first harmonic of
-    order 1, with the same phase angles.
+    ``start`` is a share of 2 pi / omega, counted from the section. The entries of a phase replace those of the machine.
+    Its force and cosine replace those of the first harmonic of order 1, with the same phase angles.
     """
 
     start: Expression

@@ -80,8 +80,9 @@ def read_number(where: str, value: object, valid_form: str = "must be a number",
 
 
 def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
-    """Return the value, a table whose keys are among ``keys``, if there are any; raise DefinitionError for any other
-    value.
+    """Return the value, a table; raise DefinitionError for any other value, or for a key that is not among ``keys``.
+
+    An empty ``keys`` admits all keys.
     """
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise fault(where, value, "must be a table")

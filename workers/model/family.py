@@ -79,8 +79,9 @@ class OrbitMachines:
 
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
-    """Return a function from rows of values (N, free) to machines and the reason against each; other parameters are
-    fixed.
+    """Return a function from rows of values (N, free) to machines and the reason against each.
+
+    The parameters besides ``free`` are fixed.
     """
     return _MachineFactory(system, fixed, free)
 

@@ -265,11 +265,12 @@ def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) ->
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
-    """Return the mask (N,) of machines with a block that turns too far in a forcing period for doubles to keep its
-    phase.
+    """Return the mask (N,) of machines whose phase in a block is lost by rounding.
 
     d, w   (N, n) see Block
     omega  (N,) forcing frequencies
+
+    Such a block turns by more than LARGEST_ANGLE in a forcing period.
     """
     turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
@@ -326,9 +327,13 @@ def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleC
 def balanced(machines: SingleContactMachines) -> Mask:
     """Return the mask (N,) of machines in which y rests midway between both stops, or anywhere, to rounding.
 
-    Symmetric motion needs it. No force f is then needed to hold y in the middle m, K x + f g = load and g . x = m: |f|
-    is at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 this change is |v| . (|load| + |K|
-    |x|) + |s| (|g| . |x| + |upper| + |lower|).
+    Symmetric motion needs such a rest. No force f is then needed to hold y in the middle m:
+
+        K x + f g = load,  g . x = m
+
+    f| is then at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 the change is
+
+        |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|)
     """
     stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
     middle = 0.5 * (machines.upper + machines.lower)

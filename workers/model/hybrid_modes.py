@@ -25,9 +25,10 @@ from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
-"""States of a contact, with the sign of its side: open; on its stop (sticking on a rigid stop, or engaged with a soft
-one); inside a soft stop that can only push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 2
-j; odd numbers push.
+"""States of a contact, with the sign of its side.
+
+OPEN is open. ON is sticking on a rigid stop, or engaged with a soft one. DETACHED is inside a soft stop that can only
+push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 2 j; odd numbers push.
 """
 
 ROUNDING = 1e-12
@@ -96,8 +97,9 @@ def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array
 
 
 def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
-    """Return kinetic level and slope (N,) of friction f that slides in phase p, in the segment of its law given by
-    ``sign``.
+    """Return kinetic level and slope (N,) of friction f while it slides in phase p.
+
+    ``sign`` decides the segment of its law.
     """
     kinetic, _, slope = machines.friction_constants[:, p, f].T
     _, more, level = machines.friction_laws[:, f, abs(sign) - 1].T
@@ -244,9 +246,9 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
     inverse_mass = apply_stacked(np.linalg.inv, mass.shape, mass)
     D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
-    free = inverse_mass - D @ G @ inverse_mass  # along held rows nothing accelerates
+    free = inverse_mass - D @ G @ inverse_mass  # along sticking rows nothing accelerates
     acceleration, drive = free @ forces, force @ np.ascontiguousarray(free.swapaxes(1, 2))
-    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the held coordinates
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the sticking coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
     drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
@@ -287,10 +289,9 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """Return groups of machines by the frictions that stick on the row of a sticking rigid contact, and the group of
-    each.
+    """Return groups of machines by the frictions that stick on the row of a sticking rigid contact.
 
-    A group maps each such friction to its contact, see along_contacts.
+    The second result is the group of each machine. A group maps each such friction to its contact, see along_contacts.
     """
     held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
@@ -342,7 +343,7 @@ def _signals(
         k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[:, c].any():
-            hold(k)  # the pressing force, or the pull up to that of friction that also holds
+            hold(k)  # the contact force; a pull is possible up to the level of friction that also sticks
             helping = [
                 machines.friction_constants[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c
             ]
@@ -394,7 +395,7 @@ def _reduced(
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
-    # Forces along the held rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
+    # Forces along the sticking rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
     # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,
     # so that N' times the equation, x = D y + N q, has neither p nor y'':
     #     N'MN q'' + N'CN q' + N'KN q = N'f - N'K D y - N'C D u.

@@ -21,8 +21,7 @@ def condition_of(planes: Array) -> float:
 
 
 def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
-    """Return eta and lam (n,) of the planes of z' = A z, and the rows (2n, 2n) that take z to their coordinates (h,
-    h').
+    """Return eta and lam (n,) of the planes of z' = A z, and the rows (2n, 2n) of their coordinates (h, h') on z.
 
     The rows W of a plane, orthonormal, satisfy W A = B W. With ``grows`` motion may grow. The eigenvectors of a double
     real eigenvalue with a plane of eigenvectors are then each paired with an eigenvector of another eigenvalue.
@@ -42,12 +41,11 @@ def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
 
 
 def _coordinates(W: Array, B: Array, whole: bool) -> tuple[float, float, Array]:
-    """Return eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'; NaN if no h makes these
-    independent.
+    """Return eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'.
 
     h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent. The rows are scaled so
     that the velocity part of the row of h' has unit length. With ``whole`` the whole row has unit length, since its
-    velocity part may be zero.
+    velocity part may be zero. The rows are NaN if no alpha makes h and h' independent.
     """
     mixed = 0.5 * (B[1, 1] - B[0, 0])
     values, vectors = np.linalg.eigh(np.array([[B[0, 1], mixed], [mixed, -B[1, 0]]]))
@@ -84,7 +82,7 @@ def _planes_of_vectors(A: Array) -> tuple[Array, Array, Array]:
 def refine_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Array, Array, Array]:
     """Return planes whose eta and lam have errors relative to themselves, not to the largest: one Newton step.
 
-    With P A P^-1 = B + E, B the blocks [[0, 1], [-lam, -2 eta]], the rows (I + X) P are first order in E if X_ij B_j -
+    P A P^-1 = B + E, with B the blocks [[0, 1], [-lam, -2 eta]]. The rows (I + X) P are first order in E if X_ij B_j -
     B_i X_ij = E_ij for i != j. B_i + E_ii is then the matrix of the plane, and h' is b11 h + b12 h'.
     """
     n = len(eta)
@@ -99,7 +97,7 @@ def refine_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Arra
     for i, j in permutations(range(n), 2):
         with suppress(np.linalg.LinAlgError):  # of planes with equal motion
             X[i, j] = np.linalg.solve(np.kron(unit, B[j].T) - np.kron(B[i], unit), E[i, j].ravel()).reshape(2, 2)
-        X[i, j] = np.where(np.max(np.abs(X[i, j])) < 1.0, X[i, j], 0.0)  # nearly equal: no more than rounding
+        X[i, j] = np.where(np.max(np.abs(X[i, j])) < 1.0, X[i, j], 0.0)  # nearly equal planes: no more than rounding
     rows = planes + X.swapaxes(1, 2).reshape(2 * n, 2 * n) @ planes
     h = rows[0::2]
     rows[1::2] = B[:, 0, :1] * h + B[:, 0, 1:] * rows[1::2]

@@ -229,7 +229,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
-    fit &= np.all(elements.weight > 0.0, axis=1)  # else its inverse is infinite, and no contact would move anything
+    fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse weight is infinite, and no contact would move anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 
@@ -263,8 +263,9 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
 
 
 def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
-    """Return the mask (N,) of machines in which growing motion, while all contacts are open, is invisible to all
-    elements.
+    """Return the mask (N,) of machines with growing motion that is invisible to contacts and friction.
+
+    The motion is that with all contacts open and nothing sticking.
     """
     row, slide = machines.row, machines.friction_rows
     rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),

@@ -1,7 +1,7 @@
 """The period of a machine without a force, which is unknown before its cycle is found.
 
-Kernels simulate motions over periods of omega. For these machines omega is the lowest natural frequency, and after the
-proof of a cycle 2 pi / its length, so that a period is one turn of the cycle.
+Kernels simulate motions over periods of omega. For these machines omega is the lowest natural frequency. After the
+proof of a cycle omega is 2 pi / its length, so that a period is one turn of the cycle.
 """
 
 import numpy as np

@@ -51,11 +51,12 @@ class Observable:
 
     The kinds are:
 
-    section           an output at each section t = k T
-    impact_phase      omega t + tau modulo 2 pi, the phase of the force when a contact is reached, in [0, 2 pi)
-    impact_speed      speed |y'| along the contact's row at that time, before the impact
-    maximum, minimum  an output when it ceases to rise, or to fall: at a turning point, or at an impact
-    energy_loss       energy taken by contacts, friction and dampers in each forcing period
+    section       an output at each section t = k T
+    impact_phase  omega t + tau modulo 2 pi, the phase of the force when a contact is reached, in [0, 2 pi)
+    impact_speed  speed |y'| along the contact's row at that time, before the impact
+    maximum       an output when it ceases to rise, at a turning point or at an impact
+    minimum       an output when it ceases to fall, at a turning point or at an impact
+    energy_loss   energy taken by contacts, friction and dampers in each forcing period
 
     A soft contact is reached at its stop.
     """
@@ -150,8 +151,7 @@ class Observable:
         )
 
     def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
-        """Return the row (N, n) of the output on a derivative of the displacements, and the index of the derivative in
-        ORDERS.
+        """Return the row (N, n) of the output, and the index in ORDERS of the derivative that the row acts on.
 
         The row is for N machines with these parameters (N,), and zero if the observable is no output.
         """

@@ -22,8 +22,7 @@ LARGEST_ANGLE = 3e7
 
 
 class Block(NamedTuple):
-    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard: columns of
-    GuardedFlow.blocks.
+    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard.
 
     d, w, inv_w     d = lam - eta^2, w = sqrt|d|, and the inverse of w, 0 for w = 0
     slow, fast      decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
@@ -36,6 +35,8 @@ class Block(NamedTuple):
     swing           bounds of the forced response of h and h'; without a force, the size of displacements by a load,
                     friction, or the room between stops
     rest            shares of a constant load in h and h'
+
+    The fields are the columns of GuardedFlow.blocks.
     """
 
     eta: Any
@@ -75,7 +76,7 @@ PAIRS = {
     "row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0,
     "swing": COLUMN.swing0, "rest": COLUMN.rest0,
 }  # fmt: skip
-"""The first column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
+"""First column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
 
 OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
 """End of the columns that the flow alone decides, and of the following columns of guard and kick."""
@@ -86,7 +87,7 @@ def make_blocks(eta: Array, lam: Array) -> Array:
 
     The metric is set except for rigid modes. The k-th derivative of an oscillation is at most sqrt(lam)^k times its
     amplitude. Near critical damping this bound is large, and the energy and q'' = -2 eta q' - lam q give better bounds.
-    Both kinds hold for blocks that do not grow.
+    Both bounds hold for blocks that do not grow.
     """
     d = lam - eta * eta
     w = np.sqrt(np.abs(d))
@@ -216,12 +217,11 @@ HEAD = OscillatorScalars(*range(len(OscillatorScalars._fields)))
 _OF_HEAD = HEAD._asdict()
 
 OF_LANE = HEAD.upper
-"""Count of the numbers of an oscillator held in a lane: the first ones."""
+"""Count of the numbers of an oscillator that a lane has: the first ones of the head."""
 
 
 class Oscillator(NamedTuple):
-    """A machine for kernels: with one rigid contact, whose gap coordinate y moves between two stops or one, or with
-    modes.
+    """A machine for kernels: with one rigid contact, or with modes.
 
     gap          free flight. Its guard is y(t) - y0, seen from rest_y = y0. Its column k is the direction of an impact,
                  cA.k = 1, c.k = 0
@@ -234,6 +234,8 @@ class Oscillator(NamedTuple):
                  the force by which the stop holds y. States are counted from rest. The lower stop holds in the same
                  mode while the signal is positive. Empty for machines with modes
     table        the ModeTable of a machine with modes; empty for machines with one rigid contact
+
+    The gap coordinate y of a machine with one rigid contact moves between two stops, or one.
 
     In a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
     contacts open, no force and no load, in any mode. ``gap`` has these blocks and no guard. Their eta is the decay rate
@@ -270,9 +272,7 @@ class Oscillator(NamedTuple):
 
     @property
     def contacts(self) -> tuple[Array, Array, Mask]:
-        """Rows (N, C, n), lower and upper stops (N, C, 2) of the contacts of many machines; mask (C,) of rigid
-        contacts.
-        """
+        """Rows (N, C, n), lower and upper stops (N, C, 2) of the contacts of many machines; mask (C,) of rigid ones."""
         if self.has_modes:
             own = self.table.machines
             return own.row, own.stops, ~own.soft.any(axis=0)

@@ -49,11 +49,10 @@ PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(
     machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> tuple[Parameter, ...]:
-    """Return all parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and
-    velocities.
+    """Return all parameters of a table [system]: omega, its own, tau, then the initial values.
 
-    Omega and tau of a force, and the initial values, need no entry: the table may change their default, range and
-    words. A single number is a default.
+    The initial values are those of coordinates and velocities. Omega and tau of a force, and the initial values, need
+    no entry: the table may change their default, range and words. A single number is a default.
     """
     entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():

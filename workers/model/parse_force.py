@@ -105,8 +105,9 @@ def _refuse_phases_of_force(table: Mapping[str, Any]) -> None:
 
 
 def _read_order(where: str, one: Mapping[str, Any]) -> Fraction:
-    """Return the order, a whole number or a ratio in quotes; 1 for a force in [system] itself and for waveforms without
-    an order.
+    """Return the order, a whole number or a ratio in quotes.
+
+    A force in [system] itself, and a waveform without an order, have order 1.
     """
     order = one.get("order", 1 if where == "system" or _is_waveform(one) else None)
     if isinstance(order, int) and not isinstance(order, bool) and order > 0:

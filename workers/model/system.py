@@ -57,13 +57,16 @@ _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all 
 class System:
     """A vibro-impact system: its parameters, the names of its physical state, and its definition.
 
-    name                              name of the system
-    parameters                        its parameters, initial values included
-    definition                        its entries as expressions
-    version                           version of the definition, raised when a packaged definition changes a number
-    packaged                          True if the name alone identifies it
-    axes                              usual axes, (name, low, high)
-    title, source, equation, picture  texts: title, reference, equation of motion, drawing
+    name        name of the system
+    parameters  its parameters, initial values included
+    definition  its entries as expressions
+    version     version of the definition, raised when a packaged definition changes a number
+    packaged    True if the name alone identifies it
+    axes        usual axes, (name, low, high)
+    title       title, for pictures and lists
+    source      reference of the system
+    equation    equation of motion, as text
+    picture     drawing of the machine, as text
 
     ``states`` has the components of the physical section state in order, displacements, then velocities. Each is also a
     parameter, the initial value at t = 0.
@@ -210,9 +213,7 @@ class System:
         return take_one(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """Return the oscillators at values (N,) of each parameter, and the reason against each, NO_REASON if there is
-        none.
-        """
+        """Return the oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)
@@ -249,10 +250,10 @@ class System:
         return table | {"parameters": {p.name: p.table() for p in self.parameters}}
 
     def to_resolved(self) -> dict[str, Any]:
-        """Return the entry in a store, enough for ``from_resolved``: the name of a packaged system, else the whole
-        definition.
+        """Return the entry in a store, enough for ``from_resolved``.
 
-        The version of a packaged system is included from the second on.
+        It is the name of a packaged system, with its version from the second on, or the whole definition of any other
+        system.
         """
         if not self.packaged:
             return {"system": self.table()}
@@ -260,8 +261,9 @@ class System:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "System":
-        """Return the system of such an entry; raise DefinitionError or KeyError if this program does not have the
-        system.
+        """Return the system of an entry made by ``to_resolved``.
+
+        Raise DefinitionError or KeyError if this program does not have the system.
         """
         system = resolved["system"]
         # Names that an atlas has reserved since the store was made are accepted: the store can be read.

@@ -55,9 +55,9 @@ class Waveform:
         return np.interp(shares, self._shares, self._values, period=1.0)
 
     def harmonic(self, k: int) -> HarmonicAmplitudes:
-        """Return the Fourier coefficients of order k, from the bends J of the slope at shares x:
+        """Return the Fourier coefficients of order k, from the bends J of the slope at shares x.
 
-            -(2 pi k)^2 (sine, cosine) = 2 sum J (sin 2 pi k x, cos 2 pi k x)
+        -(2 pi k)^2 (sine, cosine) = 2 sum J (sin 2 pi k x, cos 2 pi k x)
         """
         angles = 2.0 * np.pi * np.fmod(k * self._shares, 1.0)
         unit = -2.0 / (2.0 * np.pi * k) ** 2
@@ -80,10 +80,13 @@ class Waveform:
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
     def fewest(self, within: float, orders: Iterable[int], limit: int) -> tuple[dict[int, HarmonicAmplitudes], float]:
-        """Return the fewest of the largest harmonics of these orders with an error of at most ``within``, and their
-        error.
+        """Return the fewest of the largest harmonics of these orders within an error, and the error that they have.
 
-        If ``limit`` harmonics do not reach that error, return the best approximation.
+        within  largest error
+        orders  orders of the harmonics
+        limit   maximum number of harmonics
+
+        If ``limit`` harmonics do not reach the error, return the best approximation.
         """
         every = {k: part for k in orders if any(part := self.harmonic(k))}
         ranked = sorted(every, key=lambda k: (-math.hypot(*every[k]), k))
