@@ -342,7 +342,7 @@ _STICKING = {
 
 
 def of_friction(variable: Variable, stops: bool) -> Variable:
-    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop too."""
+    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop."""
     meaning, label = _STICKING[stops].get(variable.name, (variable.long_name, variable.label))
     return replace(variable, long_name=meaning, label=label)
 

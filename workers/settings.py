@@ -76,7 +76,7 @@ class Settings:
 
     @property
     def deciding_periods(self) -> int:
-        """Maximum number of forcing periods for deciding a cell. The remaining tenth of ``max_periods`` is for proofs."""
+        """Maximum number of forcing periods for deciding a cell; a tenth of ``max_periods`` is reserved for proofs."""
         return self.max_periods - self.max_periods // 10
 
 

@@ -42,7 +42,7 @@ def solve_lines(
     grids = broadcast(record, params)
     shape = next(iter(grids.values())).shape
     if not -len(shape) <= axis < len(shape):
-        raise ValueError(f"axis: found {axis}, the cells have {len(shape)} axes")
+        raise ValueError(f"axis: found {axis}, must be one of the {len(shape)} axes of the cells")
     if shape[axis] == 0:
         return solve_tile(system, params, settings)
     values = {name: np.moveaxis(grid, axis, 0) for name, grid in grids.items()}

@@ -44,7 +44,7 @@ class AttractorTable(CoexistenceSearch):
         self.attractors.sort(key=lambda attractor: attractor.order)
 
     def mirror_labels(self) -> NDArray[np.int64]:
-        """Return the labels of the attractors' mirror images, -1 if unknown; a symmetric attractor has its own label."""
+        """Return the labels of the mirror images, -1 if one is unknown; a symmetric attractor has its own label."""
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
     def search_from(self, states: Array, references: bool) -> MotionSearch:
@@ -81,7 +81,9 @@ def solve_basins(
     for name, value in params.items():
         given = np.asarray(value, dtype=np.float64)
         if name not in record.states and given.size and np.ptp(given) > 0.0:
-            raise ValueError(f"{name}: found {given.min():g} to {given.max():g}, basins are of one machine")
+            raise ValueError(
+                f"{name}: found {given.min():g} to {given.max():g}, must be one value: a basin is of one machine"
+            )
     machine = tuple(fixed_values(record, params).items())
     table = reference_table(json.dumps(record.to_resolved()), machine, settings, starts)
     variables, at_once = record.variables(settings, basins=True), motions_at_once(settings, len(record.states))

@@ -51,10 +51,10 @@ def solve_attractors(
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
     if settings.method == "fixed":
-        raise ValueError('method: found "fixed", all attractors are found by the method "adaptive" only')
+        raise ValueError('method: found "fixed", must be "adaptive" to find all attractors')
     for name, _, _ in starts.box:
         if name not in record.states:
-            raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
+            raise KeyError(f"box: found {name}, must be a component of the state: {', '.join(record.states)}")
 
     def solve_part(params: dict[str, Array], arrays: Results) -> None:
         coexistence = CoexistenceSearch(record, params, settings, starts)

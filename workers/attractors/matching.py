@@ -1,9 +1,10 @@
 """Matching of motions to known attractors: exactly for orbits, by statistics otherwise.
 
 An orbit is given by its section state h*, its period p, and the Jacobian J of p periods there. A motion is matched to
-the orbit if one of its section states lies near h*, and the part of its last turns that J does not explain is less than
-half of the contraction. An orbit itself is accepted by the same test, see ``orbit.attraction``, so no new proof is
-needed. Two proved orbits are compared on the section of one of the proofs, since both may impact at t = k T.
+the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that J does not
+explain is less than half of the contraction. An orbit itself is accepted by the same test, see ``orbit.attraction``, so
+no new proof is needed. Two proved orbits are compared on the section of one of the proofs, since both may impact at t =
+k T.
 
 Chaos and tori are given by batches of BATCH section states: the means of the 2n block coordinates and of their squares.
 Two motions differ if one of these 4n means differs by more than DIFFERENT standard errors, of the pooled variance of
@@ -213,7 +214,7 @@ def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: 
             state = 2.0 * np.append(centre, np.zeros_like(centre)) - state
         return old.cycle.is_through(state, new.cycle.period)
     neutral = old.jacobian is None and new.jacobian is None  # neither of these orbits attracts
-    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # all motion without impact is one attractor
+    if old.regime == NO_IMPACT and not half and (neutral or not oscillator.has_modes):  # counts as one attractor
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h

@@ -167,7 +167,10 @@ class Definition:
     def law_use(
         self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
     ) -> tuple[Array, Array]:
-        """Return how far a law that is an expression was used, at values (N,) of each parameter; see ``laws.law_use``."""
+        """Return how far a law that is an expression was used, at values (N,) of each parameter: see ``laws.law_use``.
+
+        The motions had arguments between ``low`` and ``high`` (N,).
+        """
         named = {name: value[: len(low)] for name, value in self._named(values).items()}
         return laws.law_use(element, named, low, high)
 

@@ -137,9 +137,7 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
         right = (
             "a larger within" if element.within.constant is None else f"within = {enough * element.within.constant:.2g}"
         )
-        raise DefinitionError(
-            f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; {right} would do"
-        )
+        raise DefinitionError(f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; give {right}")
     (x, F), argument = table.T, {Contact: "depth", Friction: "|v|", Spring: "y"}[type(element)]
     for i in range(len(x) - 1):
         if not x[i] < x[i + 1]:
@@ -148,18 +146,19 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
             )
         if isinstance(element, Contact) and F[i + 1] < F[i]:
             raise DefinitionError(
-                f"{where}: falls from {F[i]:g} to {F[i + 1]:g} at the defaults where depth grows to {x[i + 1]:g}; a "
-                "contact's must not fall; a spring's may, [[system.springs]]"
+                f"{where}: found a fall from {F[i]:g} to {F[i + 1]:g} at the defaults, up to depth {x[i + 1]:g}; a "
+                "contact's law must not fall; that of a spring may, see [[system.springs]]"
             )
     if isinstance(element, Spring):
         return
     if x[0] != 0.0:
-        raise DefinitionError(f"{where}: begins at {argument} {x[0]:g} at the defaults, must begin at 0")
+        raise DefinitionError(f"{where}: found {argument} {x[0]:g} in the first row at the defaults, must be 0")
     if not np.all(F >= 0.0):
         raise DefinitionError(f"{where}: found force {np.min(F):g} at the defaults, must be 0 or more")
     if F[-1] < F[-2]:
         raise DefinitionError(
-            f"{where}: falls for ever from {argument} {x[-2]:g} on at the defaults; give a last row with the same force"
+            f"{where}: falls without end from {argument} {x[-2]:g} on at the defaults; "
+            "repeat the last force in one more row"
         )
 
 
@@ -173,11 +172,12 @@ def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array])
                 )
         if definition.drift and measure.displacement and row[definition.coordinates.index(definition.drift)] != 0.0:
             raise DefinitionError(
-                f"system.measures.{name}.displacement: sees {definition.drift}, which drifts; its advance is progress"
+                f"system.measures.{name}.displacement: found {definition.drift}, which drifts; "
+                "its advance is drift_per_period"
             )
         if not row.any():
             raise DefinitionError(
-                f"system.measures.{name}.{measure.kind}: found zeros only; give the row that makes what is measured"
+                f"system.measures.{name}.{measure.kind}: found zeros only; give the row of the measured output"
             )
 
 
@@ -255,7 +255,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
         for what, entries in ((where, stiffness[i]), ("the gap row of a contact", rows[:, i])):
             if entries.any():
                 raise DefinitionError(
-                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
+                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave out this entry or drift"
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
     rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might overflow

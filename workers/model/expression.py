@@ -252,4 +252,4 @@ def _check_names(tree: ast.expr, known: Collection[str]) -> None:
         _, least, most = FUNCTIONS[name]
         if not least <= count <= most:
             wanted = f"{most} argument" + "s" * (most > 1) if least == most else f"{least} to {most} arguments"
-            raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
+            raise ExpressionError(f"found {name} with {count}, must have {wanted}")

@@ -25,13 +25,14 @@ class NoOscillatorError(ValueError):
 class OrbitMachines:
     """N machines of n coordinates and their modes, each built at its first use.
 
-    omega, tau  (N,) forcing frequency, and forcing phase at a section
-    elements    contacts and friction
-    rest        (N, 2n) physical state from which states and stops are counted
-    make        function that builds a mode of all N machines
-    describe    function that returns the machines as numbers, also counted from rest
-    build       function that returns their record for the kernels of cells
-    known       modes built so far
+    omega     (N,) forcing frequency
+    tau       (N,) forcing phase at a section
+    elements  contacts and friction
+    rest      (N, 2n) physical state from which states and stops are counted
+    make      function that builds a mode of all N machines
+    describe  function that returns the machines as numbers, also counted from rest
+    build     function that returns their record for the kernels of cells
+    known     modes built so far
     """
 
     omega: Array
@@ -115,7 +116,7 @@ class _MachineParts:
         def make(code: ModeCode) -> HybridModes:
             pieces, wrong = build_modes_at(self.structures(code), omega)
             if np.any(wrong):
-                raise NoOscillatorError("a mode of this orbit has no bounded motion there")
+                raise NoOscillatorError("a mode of this orbit has no bounded motion at these parameters")
             return pieces
 
         return OrbitMachines(omega, tau, self.elements, self.rest, make, lambda: own, lambda: build_hybrid(own)[0])

@@ -200,7 +200,7 @@ def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, 
 
 @np.errstate(all="ignore")
 def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return ``build_modes`` for machines with these structures at forcing frequencies (N,)."""
+    """Return ``build_modes`` of machines with these structures, at forcing frequencies (N,)."""
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
     made = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
@@ -248,7 +248,7 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
     free = inverse_mass - D @ G @ inverse_mass  # along sticking rows nothing accelerates
     acceleration, drive = free @ forces, force @ np.ascontiguousarray(free.swapaxes(1, 2))
-    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the sticking coordinates
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of sticking coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
     drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
@@ -260,7 +260,7 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
 
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """Return a mode of this structure at forcing frequencies (N,), and its fault (N,) by machine, see ``build_modes``."""
+    """Return a mode of this structure at forcing frequencies (N,), and its fault (N,), see ``build_modes``."""
     own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
     (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, own.still.shape[1]
     moving, resonant = motion_in(own.flow, own.loading, omega)
@@ -289,7 +289,7 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """Return groups of machines by the frictions that stick on the row of a sticking rigid contact.
+    """Return groups of machines by the friction that sticks on the row of a sticking rigid contact.
 
     The second result is the group of each machine. A group maps each such friction to its contact, see along_contacts.
     """

@@ -229,7 +229,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
-    fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse weight is infinite, and no contact would move anything
+    fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse is infinite: no contact moves anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 

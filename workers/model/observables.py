@@ -79,7 +79,7 @@ class Observable:
             return cls._of_impacts(kind, rest, text, definition)
         if kind == ENERGY_LOSS:
             if rest:
-                raise ValueError(f"{text}: {ENERGY_LOSS} is of the whole machine, write {ENERGY_LOSS}")
+                raise ValueError(f"{text}: {ENERGY_LOSS} belongs to the whole machine, must be written {ENERGY_LOSS}")
             return cls(kind)
         known = outputs_of(definition)
         if len(rest) != 1 or rest[0] not in known:

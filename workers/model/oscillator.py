@@ -113,7 +113,10 @@ def make_blocks(eta: Array, lam: Array) -> Array:
 
 
 def rates_of(blocks: Array) -> Any:
-    """Return the complex rates (..., n, 2) of blocks (..., n, columns): each motion in a block is a sum of e^(rate s)."""
+    """Return the complex rates (..., n, 2) of blocks (..., n, columns).
+
+    Each motion in a block is a sum of e^(rate s).
+    """
     eta, w, slow, fast = (blocks[..., k] for k in (COLUMN.eta, COLUMN.w, COLUMN.slow, COLUMN.fast))
     real = blocks[..., COLUMN.d] < 0.0
     return np.stack([np.where(real, -slow, -eta + 1j * w), np.where(real, -fast, -eta - 1j * w)], axis=-1)

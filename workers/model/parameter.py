@@ -16,10 +16,15 @@ OMEGA, TAU = "omega", "tau"
 class Parameter:
     """A parameter of a system.
 
-    name, symbol, unit, meaning  text about it; the symbol is mathtext
-    default                      value if none is given
-    low, high                    valid range, low <= value <= high
-    low_open, high_open          True if the range excludes this bound
+    name       name in files, commands and data
+    symbol     symbol in pictures, as mathtext
+    unit       unit as text, "1" if there is none
+    meaning    meaning in words
+    default    value if none is given
+    low        lower bound of the valid range low <= value <= high
+    high       upper bound of the valid range
+    low_open   True if the lower bound itself is invalid
+    high_open  True if the upper bound itself is invalid
     """
 
     name: str

@@ -57,9 +57,7 @@ def read_parameters(
     entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():
         if name in entries:
-            raise DefinitionError(
-                f"system.parameters.{name}: the machine has no force that it could be of; give force too"
-            )
+            raise DefinitionError(f"system.parameters.{name}: found in a machine without a force; give force too")
     if len(entries) > MANY:
         raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
     of_force = [
@@ -78,7 +76,7 @@ def read_parameters(
         for key in ("low", "high"):
             if isinstance(entries.get(name), Mapping) and key in entries[name]:
                 where = f"system.parameters.{name}.{key}"
-                raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
+                raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
     own = [name for name in entries if name not in known]
     parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
@@ -95,7 +93,9 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
     read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
     parameter = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
     if not parameter.low <= parameter.high:
-        raise DefinitionError(f"{where}: low {parameter.low:g} must not be above high {parameter.high:g}")
+        raise DefinitionError(
+            f"{where}: found low {parameter.low:g} above high {parameter.high:g}, must be low <= high"
+        )
     if name == OMEGA and not (parameter.low > 0.0 or (parameter.low == 0.0 and parameter.low_open)):
         raise DefinitionError(f"{where}.low: found {parameter.low:g}, must be 0 with low_open = true, or more")
     if not parameter.admits(parameter.default):
@@ -122,7 +122,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
         if name in (OMEGA, TAU):
             raise DefinitionError(f"system.coordinates: {name} is a parameter of the force; choose another name")
         if names.count(name) > 1:
-            twice = f"{name} is there twice in {', '.join(names)}"
+            twice = f"found {name} twice in {', '.join(names)}"
             raise DefinitionError(f"system.coordinates: {twice}; give velocities = [...] too")
     return coordinates, velocities
 
@@ -176,7 +176,7 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
         raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
     if unforced:
         raise DefinitionError(
-            "system.drift: what drifts is followed from one forcing period to the next; give force too"
+            "system.drift: found in a machine without a force; a drift is per forcing period: give force too"
         )
     return name
 
@@ -199,7 +199,9 @@ def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tup
             while chain.count(chain[-1]) < 2:
                 chain.append(min(waiting[chain[-1]].names & waiting.keys()))
             circle = " uses ".join(chain[chain.index(chain[-1]) :])
-            raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
+            raise DefinitionError(
+                f"system.let: found the circle {circle}; define one of these names without the others"
+            )
         ready.append((free, waiting.pop(free)))
     return tuple(ready)
 

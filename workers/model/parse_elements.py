@@ -44,7 +44,7 @@ def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> t
         return (_read_contact("system", {"name": STOP, **short}, known, n),)
     if short:
         first = next(iter(short))
-        raise DefinitionError(f"system.{first}: stands beside [[system.contacts]]; write it into one of these")
+        raise DefinitionError(f"system.{first}: found beside [[system.contacts]], must stand in one of these tables")
     parts = read_tables("system.contacts", table["contacts"])
     if not parts:
         raise DefinitionError("system.contacts: found none; give one, or leave the key out")
@@ -131,7 +131,7 @@ def check_element_count(*elements: Collection[Contact] | Collection[Friction] | 
     laws = [element.law for kind in elements for element in kind]
     if any(law is not None for law in laws) and len(laws) > LAWFUL:
         raise DefinitionError(
-            f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} where one "
+            f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} if one "
             f"has a law; with segments up to {SEGMENTS} each the modes would be too many to number"
         )
 
@@ -142,10 +142,10 @@ def _read_law(
     """Return the law of a contact or friction, which replaces the keys ``instead``; empty if there is none."""
     if "law" not in table:
         for key in (key for key in LAW if key in table):
-            raise DefinitionError(f"{where}.{key}: there is no law that it could be of; give law too")
+            raise DefinitionError(f"{where}.{key}: found without a law; give law too, or leave this key out")
         return {}
     for key in (key for key in instead if key in table):
-        raise DefinitionError(f"{where}: found law and {key}; the law at 0 and beyond takes the place of {key}")
+        raise DefinitionError(f"{where}: found law and {key}; the law replaces {key}")
     return read_law(where, table, known, kind)
 
 
@@ -206,7 +206,7 @@ def _refuse_same(where: str, value: object) -> None:
     """Raise DefinitionError for entries that no phase can change."""
     for key in _SAME:
         if isinstance(value, Mapping) and key in value:
-            raise DefinitionError(f"{where}.{key}: phases leave mass, rows and positions of stops as they are")
+            raise DefinitionError(f"{where}.{key}: phases cannot change mass, rows or positions of stops")
 
 
 def _read_name(where: str, table: Mapping[str, Any]) -> str:

@@ -42,7 +42,7 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
     if "force" in table or "cosine" in table:
         parts = {"system": {key: table[key] for key in FORCE_KEYS if key in table}} | parts
     elif "phase" in table:
-        raise DefinitionError("system.phase: there is no force that it could be of; give force too")
+        raise DefinitionError("system.phase: found without a force; give force too")
     tables = {
         where: read_table(where, one, WAVEFORM_KEYS if _is_waveform(one) else HARMONIC_KEYS)
         for where, one in parts.items()
@@ -158,7 +158,7 @@ def _harmonics_of(
     if error > within:
         digits = 10.0 ** (1 - math.floor(math.log10(error)))
         raise DefinitionError(
-            f"{where}.within: found {within:g}; the {limit} harmonics that there is room for, up to {reach} times its "
+            f"{where}.within: found {within:g}; the {limit} harmonics that are allowed, up to {reach} times its "
             f"frequency, come within {math.ceil(error * digits) / digits:g}; give that or more"
         )
     return [
@@ -190,4 +190,4 @@ def _parsed(where: str, text: str, known: Collection[str]) -> Expression:
     try:
         return parse(text, known)
     except ExpressionError as error:
-        raise DefinitionError(f"{where}: as part of a waveform {error}; give its force a name of let") from None
+        raise DefinitionError(f"{where}: as part of a waveform {error}; give its force a name in let") from None

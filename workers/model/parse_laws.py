@@ -15,13 +15,15 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
     law, argument = table["law"], ARGUMENTS[kind]
     if isinstance(law, str):
         if argument in known:
-            raise DefinitionError(f"{where}.law: {argument} is its argument, and a parameter; give that another name")
+            raise DefinitionError(
+                f"{where}.law: {argument} is the argument of the law and a parameter; rename the parameter"
+            )
         for key, meaning in (
             ("within", "largest error, as a share of the largest force"),
             ("range", "largest argument"),
         ):
             if key not in table:
-                raise DefinitionError(f"{where}: {key} missing; a law as an expression has its {meaning}")
+                raise DefinitionError(f"{where}: {key} missing; a law that is an expression needs its {meaning}")
         ends = (2,) if kind is Spring and isinstance(table["range"], list | tuple) else ()
         return {
             "law": read_entries(f"{where}.law", law, [*known, argument]),
@@ -29,7 +31,7 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
             "range": read_entries(f"{where}.range", table["range"], known, *ends),
         }
     for key in (key for key in LAW[1:] if key in table):
-        raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; it is of an expression")
+        raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; only an expression takes this key")
     if not isinstance(law, list | tuple) or not 2 <= len(law) <= SEGMENTS + 1:
         given = f"{len(law)} rows" if isinstance(law, list | tuple) else law
         raise fault(

@@ -168,9 +168,7 @@ class System:
         except ValueError as error:
             raise DefinitionError(f"observe: {error}") from None
         if self.definition.unforced and settings.method == "fixed":
-            raise DefinitionError(
-                'method: found "fixed", which counts forcing periods, and there is no force; take "adaptive"'
-            )
+            raise DefinitionError('method: found "fixed", must be "adaptive" for a machine without a force')
         names = NAMES.union(variable.name for variable in self.own_variables)
         results = (variable for observable in observables for variable in observable.variables)
         check_unambiguous((("observe", variable) for variable in results), names)
@@ -187,12 +185,12 @@ class System:
         if not unforced:
             self.must_have_force(what)
         if self.definition.drift:
-            raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
+            raise DefinitionError(f"system {self.name!r}: {what} do not exist if a coordinate drifts")
 
     def must_have_force(self, what: str) -> None:
         """Raise DefinitionError, in one line, if there is no force, without which ``what`` does not exist."""
         if self.definition.unforced:
-            raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
+            raise DefinitionError(f"system {self.name!r}: {what} do not exist for a machine without a force")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
         """Return values (N,) of each parameter of machines without a force, simulated over cycles of this length.
@@ -202,7 +200,9 @@ class System:
         if cycle is None:
             return dict(values)
         if not self.definition.unforced:
-            raise ValueError(f"cycle: found {cycle:g}, but system {self.name!r} has the period of its force")
+            raise ValueError(
+                f"cycle: found {cycle:g}, must be left out: system {self.name!r} has the period of its force"
+            )
         return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
     def build(self, values: Mapping[str, float]) -> Any:
@@ -238,7 +238,7 @@ class System:
     def unknown_name_message(self, name: str, kind: str = "parameter") -> str:
         """Return one line for an unknown parameter name."""
         if self.definition.unforced and name in (OMEGA, TAU):
-            return f"{kind} {name!r}: system {self.name!r} has no force that it could be of; leave it out"
+            return f"{kind} {name!r}: system {self.name!r} has no force; leave this name out"
         return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
@@ -270,7 +270,9 @@ class System:
         record = packaged_system(system) if isinstance(system, str) else _read(system, packaged=False)
         version = resolved.get("system_version", 1)
         if record.packaged and record.version != version:
-            raise DefinitionError(f"system {record.name} is of version {version} there, of {record.version} here")
+            raise DefinitionError(
+                f"system: found {record.name} of version {version}, installed is version {record.version}"
+            )
         return record
 
 
