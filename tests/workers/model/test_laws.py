@@ -525,9 +525,12 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
         ),
         (
             with_law("contacts", [[0, 0], [1, 1]], stiffness=1),
-            "system.contacts[0]: found law and stiffness; the law at",
+            "system.contacts[0]: found law and stiffness; the law replaces",
         ),
-        (with_law("friction", [[0, 1], [1, 1]], kinetic=1), "system.friction[0]: found law and kinetic; the law at"),
+        (
+            with_law("friction", [[0, 1], [1, 1]], kinetic=1),
+            "system.friction[0]: found law and kinetic; the law replaces",
+        ),
         (with_law("friction", [[0, 1], [1, 1]], static=0.5), "system.friction[0].static: found 0.5, kinetic 1 at the"),
         (with_law("contacts", "d"), "system.contacts[0]: within missing; a law that is an expression needs its"),
         (with_law("contacts", "d", within=0.1), "system.contacts[0]: range missing; a law that is an expression"),
@@ -544,7 +547,7 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
             with_law("contacts", "d**2", within=1e-7, range=1),
             " segments at the defaults, must be at most 64; give within = 3.4e-05",
         ),
-        (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: falls from 1 to"),
+        (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: found a fall from 1 to"),
         (
             with_law("contacts", "d", within=0.1, range=1) | {"parameters": {"d": 1.0}},
             "system.contacts[0].law: d is the argument of the law and a parameter; rename the parameter",
