@@ -395,7 +395,7 @@ WRONG = [
     (with_parameter("g", {"default": "k"}), "system.parameters.g.default: found 'k', must be a number"),
     (with_parameter("g", {"defualt": 1.0}), "unknown key in system.parameters.g 'defualt'; did you mean 'default'?"),
     (with_parameter("g", {"default": 2.0, "high": 1.0}), "system.parameters.g.default: found 2, must satisfy g <= 1"),
-    (with_parameter("g", {"default": 2.0, "low": 1.001, "high": 1.0}), "system.parameters.g: found low 1.001 above high"),
+    (with_parameter("g", {"default": 2.0, "low": 1.001, "high": 1.0}), "system.parameters.g: found low 1.001 above"),
     (with_parameter("g", {"default": 2.0, "low_open": 1}), "system.parameters.g.low_open: found 1, must be true"),
     (with_parameter("g", {"default": 2.0, "unit": 1}), "system.parameters.g.unit: found 1, must be text in quotes"),
     (with_parameter("g", {"default": 2.0, "symbol": "$g$"}), "system.parameters.g.symbol: found '$g$', must be"),
