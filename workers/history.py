@@ -25,13 +25,14 @@ MAX_TRACE_PERIODS = 1_000_000
 
 
 class Trace(NamedTuple):
-    """History of one cell over K periods; a chatter has infinitely many impacts, see ``impacts``.
+    """History of one cell over K periods.
 
     times      (K + 1,) section times k T
     states     (K + 1, 2n) physical section states, the initial state first
     impacts    (N, 3) time, side and speed before the impact, of every impact. The side is +1 for the upper and -1 for
-               the lower stop; for contact c of a machine with modes it is +-(1 + c). A chatter is listed down to
-               rounding; a row of speed 0 marks the end of the chatter, where the mass comes to rest on the stop
+               the lower stop. For contact c of a machine with modes it is +-(1 + c). Of the infinitely many impacts of
+               a chatter, those above rounding are listed. A row of speed 0 marks the end of the chatter, where the mass
+               comes to rest on the stop
     exponents  (K, m) running means of the exponents per period. m is 0, 1 or the number of all exponents, as
                ``settings.exponents`` asks; all are 2n, or 2n - 1 if a coordinate drifts
     """

@@ -69,8 +69,10 @@ def solve_basins(
 ) -> Results:
     """Return the attractor that every initial state reaches, as arrays of the initial states' broadcast shape.
 
-    system, params, settings  as for ``solve_tile``; only components of the initial state may have several values
-    starts                    the initial states that find the attractors
+    system    as for ``solve_tile``
+    params    as for ``solve_tile``; only components of the initial state may have several values
+    settings  as for ``solve_tile``
+    starts    the initial states that find the attractors
 
     The results describe the attractor. ``label`` is its index in the table, and ``settled`` the number of periods until
     the motion is on it. A motion on an attractor beyond the table has the label BEYOND_TABLE and its own results;

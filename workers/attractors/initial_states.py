@@ -92,8 +92,8 @@ def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) ->
 
     By default a displacement lies within REACH a of its rest position, and a velocity within REACH v of 0. Here a and v
     are the amplitudes of the impact-free response to the force. The amplitude a is at least half of the gap, as far as
-    the coordinate takes part in the gap, and v is at least omega times that half. A gap that is one coordinate stays
-    between the stops.
+    the coordinate takes part in the gap. The amplitude v is at least omega times that half. A gap that is one
+    coordinate stays between the stops.
     """
     N, n = oscillators.gap_row.shape
     moves = oscillators.to_physical

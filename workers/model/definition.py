@@ -160,7 +160,7 @@ class Definition:
 
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
-        """Elements whose law is an expression, which is replaced by segments."""
+        """Elements whose law is an expression; segments replace the expression."""
         every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
         return tuple(element for element in every if isinstance(element.law, Expression))
 

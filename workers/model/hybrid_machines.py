@@ -163,7 +163,7 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     """Return the mask (N,) of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
-    Stops lie at equal distances from 0, belts rest, and half a period later the law is the same, with the load and the
+    Stops lie at equal distances from 0, and belts rest. Half a period later the law is the same, with the load and the
     even harmonics of the force negated.
     """
     own, phases = machines, machines.sizes[0]

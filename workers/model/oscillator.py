@@ -240,10 +240,10 @@ class Oscillator(NamedTuple):
 
     The gap coordinate y of a machine with one rigid contact moves between two stops, or one.
 
-    In a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
-    contacts open, no force and no load, in any mode. ``gap`` has these blocks and no guard. Their eta is the decay rate
-    of the slowest mode of the flow with contacts open. ``gap_row``, ``upper`` and ``lower`` belong to the first
-    contact.
+    In a machine with modes, states between periods are in the blocks of ``gap`` in any mode. They are the blocks of the
+    undamped modes of the first phase with all contacts open, no force and no load, without a guard. Their eta is the
+    decay rate of the slowest mode of the flow with contacts open. ``gap_row``, ``upper`` and ``lower`` belong to the
+    first contact.
 
     A drifting coordinate times omega is the last number of the state, and the velocity of its free motion the last but
     one. Nothing depends on the drifting coordinate. It is reset to 0 at each section, so a motion closes when all other
