@@ -1,7 +1,7 @@
-"""The numerics of impact-atlas, run by Dask's workers. Depends on numpy, scipy and numba only.
+"""The numerics of impact-atlas, run by Dask's workers; depends on numpy, scipy and numba only.
 
-Two functions: ``solve_tile`` for results over arrays of parameters, ``trace`` for one orbit's history. Both take the
-name of a packaged system, or a ``System`` of one's own, ``System.from_toml``.
+``solve_tile`` computes results over arrays of parameters, ``trace`` the history of one motion. Both take the name of a
+packaged system, or a ``System`` made by ``System.from_toml``.
 """
 
 from importlib import import_module
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from workers.tile import solve_tile
 
 SOLVER_VERSION = 14
-"""Raised whenever a number of solve_tile may change."""
+"""Version of the solver, raised whenever a number of ``solve_tile`` may change."""
 
 __all__ = ["SOLVER_VERSION", "Settings", "System", "solve_tile", "trace"]
 
@@ -23,7 +23,7 @@ _HOMES = {"solve_tile": "workers.tile", "trace": "workers.history", "System": "w
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name at its first use, so that reading a spec does not wait for numba."""
+    """Import a public name at its first use, so that reading a spec does not wait for numba."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

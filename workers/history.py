@@ -1,4 +1,4 @@
-"""``trace``, the history of one cell: section states, every impact, running means of the exponents."""
+"""``trace``: the history of one cell, with its section states, every impact, and running means of the exponents."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -18,22 +18,23 @@ from workers.settings import Settings, check_whole
 from workers.tile import broadcast, initial_state
 
 RECORD = 4096
-"""Room for the impacts of one period; a period with more is repeated with twice the room."""
+"""Initial room, in impacts, for one period; a period with more impacts is repeated with twice the room."""
 
 MAX_TRACE_PERIODS = 1_000_000
-"""Most periods of a history, which is kept in memory: 300 MB and more."""
+"""Maximum number of periods of a history. A history is held in memory, 300 MB and more at this length."""
 
 
 class Trace(NamedTuple):
     """History of one cell over K periods.
 
-    times      (K + 1,)     section times k T
-    states     (K + 1, 2n)  physical section states, the initial one first
-    impacts    (N, 3)       time, side (+1 upper, -1 lower; of contact c of a machine with modes +-(1 + c)) and speed
-                            before it, of every impact. Of the infinitely many impacts of a chatter those above rounding
-                            are listed; a row of speed 0 marks its end, where the rest begins
-    exponents  (K, m)       running means of the exponents per period; m = 0, 1 or all, 2n or one less where a
-                            coordinate drifts, as settings.exponents asks
+    times      (K + 1,) section times k T
+    states     (K + 1, 2n) physical section states, the initial state first
+    impacts    (N, 3) time, side and speed before the impact, of every impact. The side is +1 for the upper and -1 for
+               the lower stop. For contact c of a machine with modes it is +-(1 + c). Of the infinitely many impacts of
+               a chatter, those above rounding are listed. A row of speed 0 marks the end of the chatter, where the mass
+               comes to rest on the stop
+    exponents  (K, m) running means of the exponents per period. m is 0, 1 or the number of all exponents, as
+               ``settings.exponents`` asks; all are 2n, or 2n - 1 if a coordinate drifts
     """
 
     times: Array
@@ -49,12 +50,17 @@ def trace(
     settings: Settings | None = None,
     cycle: float | None = None,
 ) -> Trace:
-    """The history of one cell from its initial state over 0 to a million forcing periods, nothing dropped.
+    """Return the history of one cell from its initial state over ``periods`` forcing periods, with nothing dropped.
 
-    A machine without a force is followed over periods of the length ``cycle``, else over natural ones, and its
-    exponents are per unit time. Raises KeyError for unknown names and ValueError, in one line, for a cycle of a machine
-    with a force, for another number of periods, for parameters without a motion, and if the motion costs more
-    evaluations than allowed to a cell over the same periods.
+    system    name of a packaged system, or a System
+    params    parameter name -> value; all others have their defaults
+    periods   number of periods, 0 to 1,000,000
+    settings  see Settings
+    cycle     length of a period of a machine without a force; natural periods if None
+
+    The exponents of a machine without a force are per unit time. Raise KeyError for an unknown name. Raise ValueError,
+    in one line, if ``cycle`` is given for a machine with a force, ``periods`` is out of range, or the parameters have
+    no motion. Also raise ValueError if the motion costs more evaluations than a cell may spend on as many periods.
 
     >>> from workers import trace
     >>> history = trace("two-mass", {"omega": 4.0, "b": 0.1}, periods=3)
@@ -103,7 +109,7 @@ def trace(
 
 
 def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
-    """The one motion of a batch a period later, with room for all of its impacts."""
+    """Return the one motion of a batch a period later, with room for all of its impacts."""
     before = map_fields(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:
         batch.done[:] = 0
@@ -115,6 +121,11 @@ def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
 
 
 def within_periods(oscillators: Oscillator, states: Array, times: Array) -> Array:
-    """Physical states (S, K, 2n) of one machine at times (K,) within the period after each section state (S, 2n)."""
+    """Return the physical states (S, K, 2n) of one machine at times (K,) within the period after each state.
+
+    oscillators  record of the one machine
+    states       (S, 2n) physical section states
+    times        (K,) times after the section
+    """
     reached: Array = oscillators.with_modes(lambda _: states_within(oscillators, 0, states, times), np.array([0]))
     return reached

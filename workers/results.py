@@ -11,7 +11,7 @@ from workers.settings import Settings
 
 @dataclass(frozen=True)
 class CodeMeaning:
-    """Meaning of a code in the data: its name there, and its words on pictures and pages."""
+    """Meaning of a code in the data: ``name`` stands in data and commands, ``text`` on pictures and pages."""
 
     code: int
     name: str
@@ -45,7 +45,10 @@ REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name
 
 @dataclass(frozen=True)
 class Reason(CodeMeaning):
-    """A reason for a missing or uncertain result, in a sentence; with the regime of such cells."""
+    """A reason for a missing or uncertain result.
+
+    ``text`` is a sentence, and ``regime`` the regime of the cells with this reason.
+    """
 
     regime: int
 
@@ -98,11 +101,11 @@ REASONS = tuple(Reason(code, name, text, regime) for code, (name, regime, text) 
     ("dies_away", UNDETERMINED, "nothing drives it: its motion dies away, but is not at rest when its budget ends"),
     ("flies_off", UNDETERMINED, "it moves off at a constant speed, with no stop ahead: it never comes back"),
 )))  # fmt: skip
-"""Codes are stored: new reasons are appended, and a code never changes its meaning."""
+"""All reasons by code. Codes are stored: new reasons are appended, and a code never changes its meaning."""
 
 
 class InvalidError(ValueError):
-    """Parameters without an oscillator; ``reason`` is the code of the reason."""
+    """Error for parameters without an oscillator; ``reason`` is the code of the reason."""
 
     def __init__(self, reason: int) -> None:
         super().__init__(REASONS[reason].text)
@@ -111,18 +114,24 @@ class InvalidError(ValueError):
 
 SOLVED = frozenset(regime.code for regime in REGIMES) - {PENDING}
 OF_MOTIONS = frozenset({NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, LOCKING})
-"""The codes of all regimes except pending, and of regimes with exponents."""
+"""Codes of the regimes whose cells have exponents. SOLVED has the codes of all regimes except pending."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One result array: name, numpy type, value of a cell without a result, CF long_name and units.
+    """One result array.
 
-    ``extra`` names the dimensions that follow those of the cells: "attractor" (how many are kept), "exponent" (2n),
-    "state" (2n), "sample" (section_samples). ``sparse``: most tiles hold only its fill value and are stored without a
-    chunk. ``label``: short words for tables and lists, if its name does not suffice. ``regimes``: codes of the regimes
-    in which it is a result. ``endless``: a negative value stands for infinitely many, at rest on a stop. ``codes``:
-    meanings of its values if they are codes.
+    name              name in the store
+    dtype             numpy type
+    fill              value of a cell without a result
+    long_name, units  CF attributes
+    extra_dims        dimensions after the dimensions of the cells: "attractor" (number of attractors kept), "exponent"
+                      (2n), "state" (2n), "sample" (section_samples)
+    sparse            True if most tiles hold only the fill value; such tiles are stored without a chunk
+    label             short words for tables and lists; empty if the name suffices
+    regimes           codes of the regimes in which cells have this result
+    allows_infinite   True if a negative value stands for infinitely many, at rest on a stop
+    codes             meanings of the values, if the values are codes
     """
 
     name: str
@@ -139,24 +148,24 @@ class Variable:
 
     @property
     def words(self) -> str:
-        """Its label, or its name as words."""
+        """The label, or the name as words if there is no label."""
         return self.label or self.name.replace("_", " ")
 
     def meaning(self, code: int) -> CodeMeaning:
-        """Meaning of one of its codes."""
+        """Return the meaning of a code of this variable."""
         return next(meaning for meaning in self.codes if meaning.code == code)
 
     def code_of(self, name: str) -> int:
-        """The code with this name."""
+        """Return the code of this variable with this name."""
         return next(meaning.code for meaning in self.codes if meaning.name == name)
 
 
 PER_PERIOD = "per forcing period"
-"""Ending of meanings of quantities per forcing period: their unit is 1, since a period has none."""
+"""Ending of ``long_name`` for quantities per forcing period. Their unit is 1, since a period has no unit."""
 PER_TIME = "per unit time"
-"""Ending of meanings of quantities per time, as for all of a machine without a force."""
+"""Ending of ``long_name`` for quantities per unit time, as for all rates of a machine without a force."""
 ATTRACTOR = "attractor"
-"""The dimension along the attractors of a cell, the one with the largest share first."""
+"""Dimension along the attractors of a cell; the attractor with the largest share comes first."""
 
 
 def _number(name: str, long_name: str, *extra: str, label: str = "", regimes: frozenset[int] = SOLVED) -> Variable:
@@ -168,7 +177,11 @@ def _count(name: str, long_name: str, *extra: str, fill: int = 0, label: str = "
 
 
 def count_of_orbit(name: str, long_name: str, label: str = "", endless: bool = True) -> Variable:
-    """A count along an orbit, a result if there is one; the number of impacts may be infinite."""
+    """Return the variable of a count along an orbit, a result of periodic cells only.
+
+    name, long_name, label  see Variable
+    endless                 True if the count may be infinite, as the number of impacts may
+    """
     return Variable(name, "int32", 0, long_name, label=label, regimes=frozenset({PERIODIC}), allows_infinite=endless)
 
 
@@ -253,12 +266,12 @@ _BY_NAME = {
 
 
 def result_named(name: str) -> Variable:
-    """The result of this name that all machines may have; for another name a plain number."""
+    """Return the result variable of this name that all machines may have; for any other name a plain number."""
     return _BY_NAME.get(name) or _number(name, name)
 
 
 def in_words(values: Mapping[str, Any]) -> dict[str, str]:
-    """The regime of a cell by its name, and its reason, if any, as a sentence."""
+    """Return the name of the regime of a cell, and the sentence of its reason if the cell has one."""
     reason = int(values.get(REASON.name, NO_REASON))
     why = {REASON.name: REASONS[reason].text} if reason != NO_REASON else {}
     return {REGIME.name: REGIME.meaning(int(values[REGIME.name])).name} | why
@@ -267,12 +280,12 @@ def in_words(values: Mapping[str, Any]) -> dict[str, str]:
 def result_variables(
     settings: Settings, attractors: bool = False, basins: bool = False, own: tuple[Variable, ...] = ()
 ) -> tuple[Variable, ...]:
-    """The variables of a solution with these settings; ``regime`` comes last, since it is written last.
+    """Return the variables of a solution with these settings; ``regime`` comes last, since it is written last.
 
-    ``own``: the machine's own variables, see ``model.measures``.
-
-    With ``attractors`` each cell lists all its attractors: every result except the cost has the dimension
-    ``attractor``. With ``basins`` each initial state has the label of the attractor that it reaches.
+    settings    see Settings
+    attractors  True if each cell lists all its attractors: every result except the cost has the dimension ``attractor``
+    basins      True if each initial state has the label of the attractor that it reaches
+    own         the machine's own variables, see ``model.measures``
     """
     chosen = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
@@ -305,9 +318,9 @@ _IN_TIME = {
 
 
 def in_time(variable: Variable) -> Variable:
-    """The variable of a machine without a force: per unit time in place of per forcing period.
+    """Return the variable for a machine without a force: per unit time in place of per forcing period.
 
-    What moves without impact there is at rest, or slides for ever.
+    Motion without impact is at rest there, or slides for ever.
     """
     meaning = variable.long_name.replace(PER_PERIOD, PER_TIME)
     still = variable.name == REGIME.name
@@ -325,29 +338,33 @@ _STICKING = {
         "stuck_fraction": ("share of the time that friction sticks", "share of time sticking"),
     },
 }
-"""Meanings and labels of results of a machine with friction, with and without a rigid stop, by name."""
+"""Meanings and labels of results of a machine with friction, by name; the key is True if it has a rigid stop."""
 
 
 def of_friction(variable: Variable, stops: bool) -> Variable:
-    """The variable of a machine with friction, which sticks; ``stops``: there is a rigid stop to rest on, too."""
+    """Return the variable for a machine with friction, which may stick; ``stops`` is True if it has a rigid stop."""
     meaning, label = _STICKING[stops].get(variable.name, (variable.long_name, variable.label))
     return replace(variable, long_name=meaning, label=label)
 
 
 def of_one(variable: Variable) -> Variable:
-    """The variable for a single attractor of a cell."""
+    """Return the variable for a single attractor of a cell."""
     return replace(variable, extra_dims=tuple(dim for dim in variable.extra_dims if dim != ATTRACTOR))
 
 
 def leading(variables: tuple[Variable, ...], arrays: Mapping[str, Any], dims: int) -> dict[str, Any]:
-    """Arrays over cells of ``dims`` dimensions, with the first attractor of each: views, not copies."""
+    """Return the arrays with the first attractor of each cell only, as views.
+
+    variables  result variables
+    arrays     arrays by name, whose first ``dims`` axes are those of the cells
+    """
     many = {variable.name for variable in variables if ATTRACTOR in variable.extra_dims}
     first = (slice(None),) * dims + (0,)
     return {name: values[first] if name in many else values for name, values in arrays.items()}
 
 
 def reason_counts(codes: np.ndarray) -> dict[str, int]:
-    """Cells by reason, each as its sentence, from an array of codes; cells without a reason are left out."""
+    """Return the number of cells by reason, each reason as its sentence; cells without a reason are left out."""
     present, counts = np.unique(codes[codes != NO_REASON], return_counts=True)
     return {REASONS[code].text: count for code, count in zip(present.tolist(), counts.tolist(), strict=True)}
 
@@ -355,7 +372,10 @@ def reason_counts(codes: np.ndarray) -> dict[str, int]:
 def empty_results(
     variables: tuple[Variable, ...], shape: tuple[int, ...], sizes: dict[str, int]
 ) -> dict[str, np.ndarray]:
-    """Arrays of the given cell shape, each filled with its variable's value for a cell without a result."""
+    """Return arrays of cell shape ``shape``, each filled with its variable's value for a cell without a result.
+
+    ``sizes`` has the length of each extra dimension by name.
+    """
     return {
         v.name: np.full(shape + tuple(sizes[dim] for dim in v.extra_dims), v.fill, dtype=v.dtype) for v in variables
     }

@@ -6,43 +6,43 @@ from dataclasses import dataclass
 EXPONENTS = ("none", "largest", "spectrum")
 METHODS = ("adaptive", "fixed")
 MAX_PERIODS = 500_000_000
-"""Most periods of each kind: the cost of a cell must fit the 32 bits of ``periods_used``."""
+"""Maximum number of periods of each kind. The cost of a cell must fit the 32 bits of ``periods_used``."""
 MAX_ORBIT_PERIOD = 10_000
-"""Most forcing periods of an orbit: a cell keeps a section state of each while it is solved."""
+"""Maximum number of forcing periods of an orbit. A cell keeps a section state of each period while it is solved."""
 MAX_SAMPLES = 100_000
-"""Most section states of a cell, 3 MB, and most values of an observable."""
+"""Maximum number of section states of a cell (3 MB), and of values of an observable."""
 VALID_WORDS = {"exponents": EXPONENTS, "method": METHODS}
-"""Settings that are words, and their valid words."""
+"""Settings that are words, with their valid words."""
 INTEGER_BOUNDS = {
     "max_periods": (1, MAX_PERIODS), "survival": (0, MAX_PERIODS), "transient_periods": (0, MAX_PERIODS),
     "periods": (1, MAX_PERIODS), "max_period": (1, MAX_ORBIT_PERIOD), "section_samples": (0, MAX_SAMPLES),
     "observe_values": (1, MAX_SAMPLES),
 }  # fmt: skip
-"""Settings that are integers, with the least and the greatest value."""
+"""Settings that are integers, with their minimum and maximum."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What to compute of a cell, how accurately, and at what cost.
+    """The settings of a cell: what is computed, how accurately, and at what cost.
 
     exponents          "none", "largest" or "spectrum"
     tolerance          target standard error of the largest exponent, per forcing period; > 0
-    max_periods        most forcing periods for deciding a cell's class, and averaging; 1 to 500 million (method
-                       "adaptive")
-    survival           most further forcing periods for watching motion that looks chaotic; 0 to 500 million (method
-                       "adaptive"). Motion is watched for all of them if a stable orbit is known, else for at least a
-                       32nd
-    method             "adaptive", or "fixed": the schedule of Li & Tan (2011), transient then average
-    transient_periods  periods dropped before the average (method "fixed"); 0 to 500 million
-    periods            periods averaged (method "fixed"); 1 to 500 million
-    max_period         longest orbit searched for, in forcing periods; 1 to 10,000. Where the exponent is clearly
-                       negative, orbits of up to 1000 periods are searched for in any case (method "adaptive")
-    section_samples    K: keep the last K section states of each cell; 0 to 100,000
-    observe            observables of each cell, with commas between, such as "impact_phase:stop,maximum:gap": see
-                       model/observables.py; "" for none. A system's machines have to have them
-    observe_values     keep the first K values of each observable; 1 to 100,000
+    max_periods        maximum number of forcing periods for deciding a cell's class, and for averaging; 1 to 500
+                       million (method "adaptive")
+    survival           maximum number of further forcing periods for watching motion that looks chaotic; 0 to 500
+                       million (method "adaptive"). If a stable orbit is known, motion is watched for all of them, else
+                       for at least a 32nd
+    method             "adaptive", or "fixed": the schedule of Li & Tan (2011), a transient and then an average
+    transient_periods  forcing periods dropped before the average; 0 to 500 million (method "fixed")
+    periods            forcing periods of the average; 1 to 500 million (method "fixed")
+    max_period         longest orbit searched for, in forcing periods; 1 to 10,000. If the exponent is clearly negative,
+                       orbits of up to 1000 periods are searched for in any case (method "adaptive")
+    section_samples    K: the last K section states of each cell are kept; 0 to 100,000
+    observe            observables of each cell, separated by commas, such as "impact_phase:stop,maximum:gap"; "" for
+                       none. The machines of the system must have them, see model/observables.py
+    observe_values     the first K values of each observable are kept; 1 to 100,000
 
-    Raises ValueError, in one line that names the setting, for anything else.
+    Raise ValueError, in one line that names the setting, for any other value.
 
     >>> from workers import Settings
     >>> Settings(tolerance=0.05).max_periods
@@ -76,11 +76,11 @@ class Settings:
 
     @property
     def deciding_periods(self) -> int:
-        """Forcing periods within which a cell is decided; the remaining tenth of ``max_periods`` is for proofs."""
+        """Maximum number of forcing periods for deciding a cell; a tenth of ``max_periods`` is reserved for proofs."""
         return self.max_periods - self.max_periods // 10
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> None:
-    """ValueError in one line unless the value is an integer from low to high."""
+    """Raise ValueError, in one line, unless ``value`` is an integer from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name}: found {value!r}, must be a whole number, {low} to {high}")

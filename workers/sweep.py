@@ -1,4 +1,4 @@
-"""``solve_lines``, continuation along lines: each cell starts from the attractor of the one before it."""
+"""``solve_lines``: slow sweeps along lines of cells; each cell starts from the attractor of the cell before it."""
 
 from collections.abc import Mapping
 
@@ -22,21 +22,27 @@ def solve_lines(
     axis: int = -1,
     backward: bool = False,
 ) -> Results:
-    """Solve every line along one axis of the parameters' broadcast shape as a slow sweep; results as in solve_tile.
+    """Solve every line along one axis as a slow sweep, and return results as ``solve_tile`` does.
 
-    The first cell of a line (with ``backward`` the last) starts from its own initial state. Every other cell starts
-    from ``state``, the section state on the attractor, of the nearest earlier cell with one: invalid and failed cells
-    have none. If the gap has become too narrow for that state, its gap coordinate is moved onto the stop, as by a wall
-    that closes in, and its velocities are kept; an outward velocity is reversed by the impact that follows at once.
+    system    as for ``solve_tile``
+    params    as for ``solve_tile``
+    settings  as for ``solve_tile``
+    axis      axis of the parameters' broadcast shape along which the lines run
+    backward  True if each line is solved from its last cell to its first
 
-    A cell depends on its line, but on no other line. Raises as solve_tile does, and ValueError for an axis that does
-    not exist.
+    The first cell of a line starts from its own initial state. Every other cell starts from the nearest earlier cell
+    with ``state``, the section state on the attractor. Invalid and failed cells have no ``state``. If the gap has
+    become too narrow for the state, its gap coordinate is moved onto the stop, as by a wall that closes in. The
+    velocities stay; an outward velocity is reversed by the impact that follows at once.
+
+    A cell depends on its line, but on no other line. Raise the errors of ``solve_tile``, and ValueError if the axis
+    does not exist.
     """
     record = find_system(system)
     grids = broadcast(record, params)
     shape = next(iter(grids.values())).shape
     if not -len(shape) <= axis < len(shape):
-        raise ValueError(f"axis: found {axis}, the cells have {len(shape)} axes")
+        raise ValueError(f"axis: found {axis}, must be one of the {len(shape)} axes of the cells")
     if shape[axis] == 0:
         return solve_tile(system, params, settings)
     values = {name: np.moveaxis(grid, axis, 0) for name, grid in grids.items()}
@@ -54,9 +60,10 @@ def solve_lines(
 
 
 def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
-    """Initial states of the cells at one position of all lines: the newest known states, else their own.
+    """Return the initial states of the cells at one position of all lines: the newest known states, else their own.
 
-    A gap coordinate beyond a stop is moved onto it. Without velocity it rests there, see kernel.coordinates.placed.
+    A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
+    kernel.coordinates.start_at.
     """
     states = initial_state(record, here)
     known = np.isfinite(last).all(axis=-1)

@@ -1,4 +1,4 @@
-"""``solve_tile``: every cell of a tile, from arrays of parameters to arrays of results."""
+"""``solve_tile``: the results of every cell of a tile, as arrays, from arrays of parameters."""
 
 import math
 import sys
@@ -19,25 +19,25 @@ from workers.results import ATTRACTOR, Variable, empty_results
 from workers.settings import Settings
 
 MAX_SECTION_BYTES, MIN_BATCH = 64 * 2**20, 256
-"""Most bytes of section states of the active cells; least number of active cells."""
+"""Maximum number of bytes of section states of the active cells; minimum number of active cells."""
 
 MODES_AT_ONCE = 512
-"""Active cells of machines with modes: each has a table of its modes."""
+"""Maximum number of active cells of machines with modes, since each has a table of its modes."""
 
 
 def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: Settings | None = None) -> Results:
-    """Exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
+    """Return exponents, regime and periodicity of every cell, as arrays of the parameters' broadcast shape.
 
     system    name of a system in the package, such as "two-mass", or a System
-    params    parameter name -> float or array; all others have their defaults. The arrays broadcast to the
-              shape of every result; "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1
-              where a coordinate drifts), "section" two (K, 2n).
+    params    parameter name -> float or array; all others have their defaults. The arrays broadcast to the shape of
+              every result. "spectrum" and "state" have one more axis (2n; "spectrum" 2n - 1 if a coordinate drifts),
+              "section" two (K, 2n)
     settings  see Settings
 
-    Exponents are per forcing period. ``System.variables`` has the variables and their units.
-    A cell depends on its own parameters and the settings only, to the bit. A cell never raises: it is "invalid" outside
-    the valid range, and "failed" if its motion cannot be followed; "reason" gives the cause. Raises KeyError for an
-    unknown system or parameter name and ValueError for shapes that do not broadcast.
+    Exponents are per forcing period. ``System.variables`` has the variables and their units. A cell depends on its own
+    parameters and the settings only, to the bit. A cell never raises an error. It is "invalid" outside the valid range,
+    and "failed" if its motion cannot be simulated; "reason" gives the cause. Raise KeyError for an unknown system or
+    parameter name, and ValueError for shapes that do not broadcast.
 
     >>> from workers import solve_tile
     >>> result = solve_tile("two-mass", {"omega": 4.0, "b": [0.1, 0.15]})
@@ -71,7 +71,15 @@ def solve_parts(
     solve_part: Callable[[dict[str, Array], Results], None],
     attractors: int = 0,
 ) -> Results:
-    """Arrays of these variables, written in parts of ``at_once`` cells, from their parameters (N,)."""
+    """Return the arrays of these variables, solved in blocks of at most ``at_once`` cells.
+
+    record      the system
+    params      as for ``solve_tile``
+    variables   result variables
+    at_once     maximum number of cells solved together
+    solve_part  function that writes the results of N cells from their parameters (N,)
+    attractors  number of attractors kept for each cell
+    """
     grids = broadcast(record, params)
     shape = next(iter(grids.values())).shape
     flat = {name: grid.flatten() for name, grid in grids.items()}
@@ -84,9 +92,9 @@ def solve_parts(
 
 
 def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Every parameter, with its default if missing, as arrays of one shape.
+    """Return every parameter, with its default if missing, as arrays of one shape.
 
-    Raises KeyError for an unknown name and ValueError for shapes that do not broadcast.
+    Raise KeyError for an unknown name, and ValueError for shapes that do not broadcast.
     """
     for name in params:
         record.parameter(name)
@@ -95,16 +103,18 @@ def broadcast(record: System, params: Mapping[str, ArrayLike]) -> dict[str, Arra
 
 
 def initial_state(record: System, params: Mapping[str, Array]) -> Array:
-    """The physical initial states (..., 2n) among the parameters (...)."""
+    """Return the physical initial states (..., 2n) that are among the parameters (...)."""
     return np.stack([params[name] for name in record.states], axis=-1)
 
 
 def result_arrays(
     variables: tuple[Variable, ...], settings: Settings, count: int, size: int, attractors: int = 0, exponents: int = 0
 ) -> Results:
-    """Arrays of cells without a result, with room for some attractors each.
+    """Return arrays of ``count`` cells without a result.
 
-    States have ``size`` components; there are as many exponents, or ``exponents``.
+    size        number of components of a state
+    attractors  number of attractors kept for each cell
+    exponents   number of exponents, 0 for ``size``
     """
     sizes = {ATTRACTOR: attractors, "exponent": exponents or size, "state": size}
     sizes |= {"sample": settings.section_samples, VALUE: settings.observe_values}

@@ -83,7 +83,7 @@ def test_without_impact_the_basin_is_where_no_impact_follows() -> None:
 
 
 def test_basins_are_of_one_machine() -> None:
-    with pytest.raises(ValueError, match=r"omega: found 3 to 4, basins are of one machine"):
+    with pytest.raises(ValueError, match=r"omega: found 3 to 4, must be one value: a basin is of one machine"):
         solve_basins("two-mass", {"omega": np.array([3.0, 4.0])})
 
 

@@ -99,7 +99,7 @@ def test_a_pushed_mass_is_never_left_beyond_its_stop() -> None:
 
 @pytest.mark.parametrize("axis", [1, -2])
 def test_an_axis_that_does_not_exist_is_refused(axis: int) -> None:
-    with pytest.raises(ValueError, match=f"axis: found {axis}, the cells have 1 axes"):
+    with pytest.raises(ValueError, match=f"axis: found {axis}, must be one of the 1 axes of the cells"):
         solve_lines("two-mass", {"omega": OMEGA}, QUICK, axis=axis)
 
 

@@ -191,7 +191,7 @@ def test_a_later_version_of_a_packaged_system_has_another_digest_and_is_not_take
     resolved = Spec("two-mass", {"omega": [2.0, 3.0]}).to_resolved() | later.to_resolved()
     assert resolved_digest(resolved) != Spec("two-mass", {"omega": [2.0, 3.0]}).digest
     assert identity(later.to_resolved()) == {"system": "two-mass", "system_version": 2}
-    with pytest.raises(InputError, match="system two-mass is of version 2 there, of 1 here"):
+    with pytest.raises(InputError, match="system: found two-mass of version 2, installed is version 1"):
         Spec.from_resolved(resolved)
 
 

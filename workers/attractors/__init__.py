@@ -1,1 +1,1 @@
-"""All attractors of a cell: found from many initial states and distinguished, and their basins."""
+"""All attractors of a cell: found from many initial states and distinguished, with their basins."""

@@ -12,25 +12,31 @@ from workers.results import APERIODIC, CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QU
 STABLE = (NO_IMPACT, PERIODIC)
 STATISTICAL = (QUASIPERIODIC, CHAOTIC, APERIODIC)
 SHOWN = (*STABLE, LOCKING)
-"""Regimes in which one motion shows the attractor: an orbit, or the class of motion that locks onto a stop."""
+"""Regimes in which one motion represents the attractor: an orbit, or the class of motion that locks onto a stop."""
 ON_ATTRACTOR = (*SHOWN, *STATISTICAL)
 
 
 @dataclass(eq=False)
 class Attractor:
-    """An attractor of a cell: its results by variable, and the initial states, by number, that reach it.
+    """An attractor of a cell.
 
-    contact           contact of the state among the results
-    h, period         for an orbit: block coordinates of that state, period
-    jacobian, contraction, norm   Jacobian of a turn, 1 - |mu|, and the norm in which the Jacobian shrinks deviations
-    orbit             (p, n, 2) its states at t = (k + shift) T, the section of its proof
-    cycle             for a machine without a force; orbit then has states (ALONG, n, 2) all along it
-    mirror            its mirror image, if known and another attractor
-    reference         (k, 4n) for chaos and tori: batches, see ``same``
-    last              last physical states, with their contacts, of the motions on it
-    pooled, distance  initial states assigned to it by statistics; the largest distance among them
-    seen              periods of all motions on it together
-    transient         whether a motion has left it
+    regime            code of the regime
+    result            results by the names of the variables
+    mode              number of the mode of the state in ``result``
+    starts            numbers of the initial states that reach it
+    h, period         of an orbit: block coordinates of the state in ``result``, and the period
+    jacobian          Jacobian of one turn of the orbit
+    contraction       1 - |mu|, mu the largest multiplier
+    norm              norm in which the Jacobian shrinks deviations
+    shift             section of the proof: t = (k + shift) T
+    orbit             (p, n, 2) block states at t = (k + shift) T; of a cycle (ALONG, n, 2) states all along it
+    cycle             limit cycle of a machine without a force, else None
+    mirror            its mirror image, None if unknown or the attractor itself
+    reference         (k, 4n) batches of chaos and tori, see ``matching``
+    last              last physical states of the motions on it, each with the number of its mode
+    pooled, distance  number of initial states assigned by statistics, and the largest distance among them
+    seen              forcing periods of all motions on it together
+    transient         True if a motion has left it
     """
 
     regime: int
@@ -55,5 +61,5 @@ class Attractor:
 
     @property
     def order(self) -> tuple[int, int]:
-        """The sorting key of attractors of a cell: the largest share first, then the first initial state."""
+        """Sorting key of the attractors of a cell: the largest share first, then the first initial state."""
         return -len(self.starts), min(self.starts)

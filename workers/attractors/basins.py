@@ -1,8 +1,8 @@
 """``solve_basins``: which attractor each of many initial states of one machine reaches, by one table of attractors.
 
-The table is made first, from a set of initial states that depends on the parameters and ``AttractorSettings`` alone.
-Attractors beyond the table are labelled by ``labels_beyond`` once all initial states are solved. So labels depend
-neither on the tiles in which the states were solved nor on their order.
+The table is made first, from a set of initial states that depends only on the parameters and ``AttractorSettings``.
+Attractors beyond the table are labelled by ``labels_beyond`` once all initial states are solved. Labels therefore
+depend neither on the tiles in which the states were solved nor on their order.
 """
 
 import json
@@ -31,7 +31,7 @@ from workers.tile import initial_state, solve_parts
 class AttractorTable(CoexistenceSearch):
     """The attractors that the reference set of one machine reaches, the largest share first.
 
-    A label is a place among these ``attractors``.
+    A label is an index into ``attractors``.
     """
 
     def __init__(
@@ -44,17 +44,20 @@ class AttractorTable(CoexistenceSearch):
         self.attractors.sort(key=lambda attractor: attractor.order)
 
     def mirror_labels(self) -> NDArray[np.int64]:
-        """The labels of the attractors' mirror images, -1 where none is known; a symmetric attractor has its own."""
+        """Return the labels of the mirror images, -1 if one is unknown; a symmetric attractor has its own label."""
         return np.array([self.label(self.cell.image(attractor)) for attractor in self.attractors], dtype=np.int64)
 
     def search_from(self, states: Array, references: bool) -> MotionSearch:
-        """The search from physical states (N, 2n), compared with the attractors of the table."""
+        """Return the search from physical states (N, 2n), compared with the attractors of the table.
+
+        With ``references`` the statistics of new chaos and tori are collected.
+        """
         search = self.search(np.zeros(len(states), dtype=np.int64), states)
         search.solve(references)
         return search
 
     def label(self, attractor: Attractor | None) -> int:
-        """The label of an attractor of the table."""
+        """Return the label of an attractor of the table, UNKNOWN_LABEL for None."""
         return UNKNOWN_LABEL if attractor is None else self.attractors.index(attractor)
 
 
@@ -64,18 +67,25 @@ def solve_basins(
     settings: Settings | None = None,
     starts: AttractorSettings | None = None,
 ) -> Results:
-    """The attractor of every initial state, as arrays of the broadcast shape of the initial states; like solve_tile.
+    """Return the attractor that every initial state reaches, as arrays of the initial states' broadcast shape.
 
-    Only components of the initial state may have several values. The results describe the attractor, with ``label``,
-    its place in the table, and ``settled``, the periods until the motion is on it. A motion on an attractor that is not
-    in the table has the label BEYOND_TABLE and its own results; UNKNOWN_LABEL means that no attractor is known.
-    Raises ValueError for a parameter, other than an initial state, of several values.
+    system    as for ``solve_tile``
+    params    as for ``solve_tile``; only components of the initial state may have several values
+    settings  as for ``solve_tile``
+    starts    the initial states that find the attractors
+
+    The results describe the attractor. ``label`` is its index in the table, and ``settled`` the number of periods until
+    the motion is on it. A motion on an attractor beyond the table has the label BEYOND_TABLE and its own results;
+    UNKNOWN_LABEL means that no attractor is known. Raise the errors of ``solve_tile``, and ValueError if a parameter
+    other than an initial state has several values.
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
     for name, value in params.items():
         given = np.asarray(value, dtype=np.float64)
         if name not in record.states and given.size and np.ptp(given) > 0.0:
-            raise ValueError(f"{name}: found {given.min():g} to {given.max():g}, basins are of one machine")
+            raise ValueError(
+                f"{name}: found {given.min():g} to {given.max():g}, must be one value: a basin is of one machine"
+            )
     machine = tuple(fixed_values(record, params).items())
     table = reference_table(json.dumps(record.to_resolved()), machine, settings, starts)
     variables, at_once = record.variables(settings, basins=True), motions_at_once(settings, len(record.states))
@@ -83,7 +93,7 @@ def solve_basins(
 
 
 def fixed_values(system: System, given: Mapping[str, Any]) -> dict[str, float]:
-    """The parameters of the machine; its initial state is at rest, on any plane."""
+    """Return the parameters of the machine; the components of its initial state have their defaults, on any plane."""
     at_rest = {name: system.parameter(name).default for name in system.states}
     return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in system.parameters} | at_rest
 
@@ -92,7 +102,10 @@ def fixed_values(system: System, given: Mapping[str, Any]) -> dict[str, float]:
 def reference_table(
     system: str, values: tuple[tuple[str, float], ...], settings: Settings, starts: AttractorSettings
 ) -> AttractorTable:
-    """The table of a machine, kept for other tiles that this process solves; ``system`` is System.resolved as JSON."""
+    """Return the table of a machine, kept for other tiles that this process solves.
+
+    ``system`` is ``System.to_resolved`` as JSON.
+    """
     return AttractorTable(System.from_resolved(json.loads(system)), dict(values), settings, starts)
 
 
@@ -116,9 +129,10 @@ def _solve_part(table: AttractorTable, params: Mapping[str, Array], arrays: Resu
 
 
 def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
-    """Labels (N,) of states (N, 2n) on attractors beyond the table; new attractors are added to it.
+    """Return the labels (N,) of states (N, 2n) on attractors beyond the table, and add new attractors to the table.
 
-    The order of the states decides the order of new labels. UNKNOWN_LABEL if a state is on no attractor after all.
+    The order of the states decides the order of new labels. A state that is on no attractor after all has
+    UNKNOWN_LABEL.
     """
     labels = np.full(len(states), UNKNOWN_LABEL, dtype=np.int64)
     for k in range(len(states)):
@@ -128,9 +142,10 @@ def labels_beyond(table: AttractorTable, states: Array) -> NDArray[np.int64]:
 
 
 def section_points(table: AttractorTable, count: int) -> Array:
-    """Physical section states (A, count, 2n) of every attractor; an orbit has each of its states once, the rest NaN.
+    """Return physical section states (A, count, 2n) of every attractor.
 
-    States of a cycle without a force lie evenly in time along it.
+    An orbit has each of its states once, the rest NaN. States of a cycle without a force lie evenly in time along the
+    cycle.
     """
     N, size = len(table.attractors), table.oscillators.to_physical.shape[1]
     states = np.array([attractor.result["state"] for attractor in table.attractors]).reshape(N, size)

@@ -1,4 +1,4 @@
-"""The attractors of one cell; each motion is assigned to a known one or to a new one."""
+"""The known attractors of one cell: each motion is assigned to a known attractor or to a new one."""
 
 import numpy as np
 
@@ -14,17 +14,21 @@ from workers.orbit.map import iterate, jacobian_of
 from workers.results import LOCKING, NO_IMPACT
 
 FIRST = np.zeros(1, dtype=np.int64)
-"""The only row of a record of one machine."""
+"""Index of the only row of a record of one machine."""
 
 LONGEST_KNOWN = 32
-"""Longest orbit with which motions are compared; longer orbits are solved in full, and compared then."""
+"""Longest orbit, in periods, with which motions are compared. Motions on longer orbits are solved in full before they
+are compared.
+"""
 
 
 class CellAttractors:
-    """The known attractors of one cell; its oscillator is a record of many.
+    """The known attractors of one cell.
 
-    symmetric    whether the machine is its own mirror image half a period later
-    undecided    initial states, by number, without a known attractor
+    oscillator  record of many with one machine
+    symmetric   True if the machine is its own mirror image half a period later
+    attractors  known attractors, in the order in which they were found
+    undecided   numbers of the initial states without a known attractor
     """
 
     def __init__(self, oscillator: Oscillator) -> None:
@@ -34,7 +38,12 @@ class CellAttractors:
         self.undecided: list[int] = []
 
     def assign(self, start: int, search: MotionSearch, r: int) -> Attractor | None:
-        """The attractor, known or new, that motion r from an initial state reaches; None if it is unknown."""
+        """Return the attractor, known or new, that motion r reaches; None if it is unknown.
+
+        start   number of the initial state
+        search  search with motion r
+        r       row of the motion in ``search``
+        """
         known = search.recognised_attractor(r)
         if known is None:
             new = attractor_of(self.oscillator, search, r)
@@ -55,9 +64,10 @@ class CellAttractors:
         return known
 
     def find_same(self, new: Attractor) -> tuple[Attractor | None, float]:
-        """The known attractor equal to a new one, or None, and their distance: orbits exactly, others by statistics.
+        """Return the known attractor equal to a new one, None if there is none, and their distance in standard errors.
 
-        All motion that locks onto a stop follows the same release, so it is one attractor.
+        Orbits are compared exactly, and other motion by statistics. All motion that locks onto a stop is one attractor,
+        since it follows the same release.
         """
         if new.regime == LOCKING:
             return next(iter(self.of_same_regime(new)), None), np.nan
@@ -68,7 +78,7 @@ class CellAttractors:
         return nearest(self.of_same_regime(new), new.reference)
 
     def image(self, attractor: Attractor) -> Attractor | None:
-        """The mirror image of one of the attractors, which may be itself; None if unknown.
+        """Return the mirror image of one of the attractors, which may be the attractor itself; None if it is unknown.
 
         All motion without impact counts as one attractor, except in machines with modes.
         """
@@ -76,11 +86,11 @@ class CellAttractors:
         return attractor if alone or attractor.result["symmetric"] else attractor.mirror
 
     def of_same_regime(self, attractor: Attractor) -> list[Attractor]:
-        """The known attractors of the same regime."""
+        """Return the known attractors of the same regime."""
         return [known for known in self.attractors if known.regime == attractor.regime]
 
     def _add(self, new: Attractor) -> None:
-        """Add an attractor, and pair it with a known orbit if that is its mirror image."""
+        """Add an attractor, and pair it with a known orbit if that orbit is its mirror image."""
         for known in self.attractors if self.symmetric and new.reference is None else []:
             if is_same_orbit(self.oscillator, known, new, half=True):
                 known.mirror, new.mirror = new, known
@@ -88,10 +98,10 @@ class CellAttractors:
 
 
 def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attractor | None:
-    """The attractor of a motion that was solved in full, without other motions; None if it is unknown.
+    """Return the attractor of motion r, which was solved in full, without regard to other motions.
 
-    It is an orbit or motion without impact with a proof, chaos or a torus with its statistics, or for a motion that
-    locks onto a stop the class alone.
+    It is an orbit or motion without impact with a proof, or chaos or a torus with its statistics. For a motion that
+    locks onto a stop it is the class alone. Return None if the attractor is unknown.
     """
     regime, orbits, reference = int(search.regime[r]), search.cells.orbits, search.reference.get(r)
     new = Attractor(regime, search.result(r), int(search.cells.mode[r]), reference=reference)

@@ -1,8 +1,9 @@
 """``solve_attractors``: all attractors of every cell that its initial states reach, with their shares.
 
-A cell's own initial state is solved as by ``solve_tile``. The others follow in waves, each as large as all before it,
-so that most of them meet known attractors: a motion that falls into a known attractor is done (see ``same``), any other
-motion is solved in full. A cell is done early if half of its initial states all reach one attractor.
+A cell's own initial state is solved as by ``solve_tile``. The others follow in waves, each as large as all waves before
+it, so that most of them meet known attractors. A motion that falls into a known attractor is finished (see
+``matching``); any other motion is solved in full. A cell is finished early if half of its initial states all reach one
+attractor.
 
 Apparent chaos is watched for all of ``survival``, see ``Settings``, if any initial state of the cell has found a stable
 orbit. The periods of all motions on one attractor count together. If one motion leaves it, it is a transient: each
@@ -28,7 +29,7 @@ from workers.settings import Settings
 from workers.tile import initial_state, solve_parts
 
 WATCHED_AGAIN = 8
-"""The remaining motions of a transient are watched for this part of ``survival``."""
+"""Divisor of ``survival``: the remaining motions of a transient are each watched for this part of it."""
 
 
 def solve_attractors(
@@ -37,20 +38,23 @@ def solve_attractors(
     settings: Settings | None = None,
     starts: AttractorSettings | None = None,
 ) -> Results:
-    """All attractors of every cell, as arrays of the parameters' broadcast shape; like solve_tile.
+    """Return all attractors of every cell, as arrays of the parameters' broadcast shape.
 
-    Every result but the cost has one more dimension ``attractor`` after that shape, of length ``starts.keep``: the
-    attractor with the largest share first. Unused places hold no result, regime PENDING. A cell that is invalid, or has
-    no decided initial state, has the result of its own initial state in the first place.
-    ``System.variables(settings, attractors=True)`` has the variables.
-    Raises ValueError also for the method "fixed".
+    system, params, settings  as for ``solve_tile``; the method must be "adaptive"
+    starts                    the initial states, and the number of attractors kept
+
+    Every result but the cost has one more dimension ``attractor`` after the broadcast shape, of length ``starts.keep``;
+    the attractor with the largest share comes first. Unused entries hold no result, regime PENDING. A cell that is
+    invalid, or has no decided initial state, has the result of its own initial state in the first entry.
+    ``System.variables(settings, attractors=True)`` has the variables. Raise the errors of ``solve_tile``, and
+    ValueError for the method "fixed".
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
     if settings.method == "fixed":
-        raise ValueError('method: found "fixed", all attractors are found by the method "adaptive" only')
+        raise ValueError('method: found "fixed", must be "adaptive" to find all attractors')
     for name, _, _ in starts.box:
         if name not in record.states:
-            raise KeyError(f"box: {name} is no component of the state; they are {', '.join(record.states)}")
+            raise KeyError(f"box: found {name}, must be a component of the state: {', '.join(record.states)}")
 
     def solve_part(params: dict[str, Array], arrays: Results) -> None:
         coexistence = CoexistenceSearch(record, params, settings, starts)
@@ -65,9 +69,11 @@ def solve_attractors(
 class CoexistenceSearch:
     """N cells with parameters (N,), and their known attractors.
 
-    used (N,)    forcing periods
-    tried (N,)   initial states that have a motion
-    own          the search from the cells' own initial states
+    states        (N, starts, 2n) physical initial states of the cells
+    cells         known attractors of each cell
+    periods_used  (N,) forcing periods simulated
+    starts_tried  (N,) number of initial states that have a motion
+    own_search    search from the cells' own initial states
     """
 
     def __init__(
@@ -95,9 +101,12 @@ class CoexistenceSearch:
     def search(
         self, owner: Rows, states: Array, mode: Rows | None = None, regimes: tuple[int, ...] = STABLE + STATISTICAL
     ) -> MotionSearch:
-        """Motions of cells ``owner`` (N,) from physical states (N, 2n), compared with the attractors of these regimes.
+        """Return a search of N motions, compared with the known attractors of their cells.
 
-        contact (N,) are the contacts of motions that continue earlier ones.
+        owner    (N,) cells of the motions
+        states   (N, 2n) physical states
+        mode     (N,) numbers of the modes of motions that continue earlier ones
+        regimes  regimes of the attractors that are compared
         """
         known = KnownAttractors(
             self.oscillators, [[a for a in cell.attractors if a.regime in regimes] for cell in self.cells]
@@ -121,7 +130,10 @@ class CoexistenceSearch:
         self._put(search, number, moving)
 
     def _put(self, search: MotionSearch, number: Rows, rows: Rows) -> None:
-        """Assign these motions to their attractors, in the order of the initial states, and count the cost of all."""
+        """Assign the motions ``rows`` to their attractors, in the order of the initial states.
+
+        The cost of all motions of the search is counted.
+        """
         np.add.at(self.periods_used, search.owner, search.cells.periods_used)
         for r in rows.tolist():
             self.cells[search.owner[r]].assign(int(number[r]), search, r)
@@ -155,7 +167,7 @@ class CoexistenceSearch:
             self._put(search, number, np.flatnonzero(ended))
 
     def _missing(self, cell: CellAttractors, suspect: Attractor, last: bool) -> int:
-        """Periods for which an attractor is still to be watched."""
+        """Return the number of periods for which an attractor is still to be watched."""
         if suspect.regime not in (CHAOTIC, APERIODIC) or not any(a.regime in STABLE for a in cell.attractors):
             return 0
         if last:
@@ -165,7 +177,10 @@ class CoexistenceSearch:
     def _part(
         self, cell: CellAttractors, suspect: Attractor, number: Rows, search: MotionSearch, stay: Rows, last: bool
     ) -> None:
-        """Mark an attractor as a transient if some of its motions leave; the others may become undecided at last."""
+        """Mark an attractor as a transient if some of its motions leave it.
+
+        The others become undecided if this is the ``last`` watch, or if none of the motions stays.
+        """
         suspect.transient |= len(stay) < len(suspect.starts)
         suspect.starts, suspect.last = number[stay].tolist(), [search.last(r) for r in stay]
         if suspect.transient and (last or not len(stay)):
@@ -197,7 +212,7 @@ class CoexistenceSearch:
                 attractor.mirror = None
 
     def write(self, arrays: Results) -> None:
-        """Write the result arrays of these cells."""
+        """Write the results of these cells into ``arrays``."""
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)
             shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
@@ -224,13 +239,13 @@ class CoexistenceSearch:
 
 
 def _of_share(hits: int, tried: int) -> dict[str, Any]:
-    """The share of an attractor that this many of all initial states reach, with its error and its interval."""
+    """Return the share of an attractor that ``hits`` of ``tried`` initial states reach, its error and its interval."""
     (below, above), (low, high) = wilson(hits, tried, 1.0), wilson(hits, tried)
     return {"share": hits / tried, "share_error": 0.5 * (above - below), "share_low": low, "share_high": high}
 
 
 def _stacked(states: list[tuple[Array, int]]) -> tuple[Array, Rows]:
-    """Physical states (N, 2n) and contacts (N,) as arrays."""
+    """Return physical states (N, 2n) and numbers of modes (N,) as arrays."""
     return np.stack([state for state, _ in states]), np.array([mode for _, mode in states], dtype=np.int64)
 
 

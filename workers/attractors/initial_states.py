@@ -1,4 +1,4 @@
-"""The initial states of a search, their box, and the statistics of shares."""
+"""The initial states of a search for attractors, their box, and the statistics of shares."""
 
 import math
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from workers.settings import check_whole
 
 MAX_STARTS, MAX_KEPT = 10_000, 64
 INTEGER_BOUNDS = {"starts": (1, MAX_STARTS), "seed": (0, 2**31), "keep": (1, MAX_KEPT)}
-"""The least and the greatest values of whole numbers in a search."""
+"""Minimum and maximum of the integer settings of a search."""
 REACH = 2.0
-"""The default box, in amplitudes of the motion."""
+"""Half of the width of the default box, in amplitudes of the motion."""
 MAX_DRAWS_PER_STATE = 16
-"""Points of the sequence per initial state: points beyond a stop are skipped."""
+"""Maximum number of points of the sequence per initial state; points beyond a stop are skipped."""
 CONFIDENCE = 0.05
-"""Probability of missing an attractor of ``unseen_share``."""
+"""Probability of missing an attractor of the share ``unseen_share``."""
 NORMAL_95 = 1.959963984540054
 
 
@@ -29,12 +29,13 @@ NORMAL_95 = 1.959963984540054
 class AttractorSettings:
     """The initial states of a search in a cell: its own first, then points that fill a box evenly.
 
-    count    initial states, the cell's own among them, half of them if these all reach one attractor; 1 to 10,000
-    seed     seed of the points, a scrambled Halton sequence; 0 to 2^31
-    box      (name, low, high) of components of the physical state; the others have the default, see ``boxes``
-    keep     number of attractors kept for each cell, those with the largest shares; 1 to 64
+    count  number of initial states, with the cell's own; 1 to 10,000. Half of them suffice if these all reach one
+           attractor
+    seed   seed of the points, a scrambled Halton sequence; 0 to 2^31
+    box    (name, low, high) of components of the physical state; the others have the default, see ``boxes``
+    keep   number of attractors kept for each cell, those with the largest shares; 1 to 64
 
-    Raises ValueError, in one line that names the field, for anything else.
+    Raise ValueError, in one line that names the field, for any other value.
     """
 
     count: int = 32
@@ -51,20 +52,22 @@ class AttractorSettings:
 
     @property
     def enough(self) -> int:
-        """The number of initial states after which a cell is done if all reach one attractor."""
+        """Number of initial states after which a cell is finished if all of them reach one attractor."""
         return -(-self.count // 2)
 
     def waves(self) -> list[range]:
-        """The numbers of the initial states, in parts that are solved one after the other."""
+        """Return the numbers of the initial states in groups that are solved one after the other."""
         doublings = (2**k for k in range(self.enough.bit_length()))
         ends = {0, *(end for end in doublings if end < self.enough), self.enough, self.count}
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
 def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: System, own: Array) -> Array:
-    """The initial states (N, starts, 2n) of N cells, in order; NaN if too few points of the box lie between stops.
+    """Return the initial states (N, starts, 2n) of N cells, in order.
 
-    own     (N, 2n) the cells' own initial states, which come first
+    own  (N, 2n) the cells' own initial states, which come first
+
+    States are NaN if too few points of the box lie between the stops.
     """
     N, size = own.shape
     chosen = np.full((N, starts.count, size), np.nan)
@@ -85,17 +88,18 @@ def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: S
 
 
 def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) -> tuple[Array, Array]:
-    """Lowest and highest initial states (N, 2n) of N cells.
+    """Return the lowest and highest initial states (N, 2n) of N cells.
 
-    By default a displacement lies within REACH a of its rest position, a velocity within REACH v of 0. a and v are the
-    amplitudes of the impact-free response to the force; a is at least half of the gap, as far as the coordinate takes
-    part in it, and v at least omega times that. If the gap is one coordinate, it stays between the stops.
+    By default a displacement lies within REACH a of its rest position, and a velocity within REACH v of 0. Here a and v
+    are the amplitudes of the impact-free response to the force. The amplitude a is at least half of the gap, as far as
+    the coordinate takes part in the gap. The amplitude v is at least omega times that half. A gap that is one
+    coordinate stays between the stops.
     """
     N, n = oscillators.gap_row.shape
     moves = oscillators.to_physical
     forced = oscillators.gap.forced.reshape(N, 2 * n, -1, 2)
     amplitude = np.sum(np.hypot(*np.moveaxis(np.einsum("nij,njhp->nihp", moves, forced), -1, 0)), axis=-1)
-    if oscillators.has_modes:  # that of the mode with all contacts open, or a little more
+    if oscillators.has_modes:  # the amplitude of the mode with all contacts open, or a little more
         amplitude = np.einsum("nij,nj->ni", np.abs(moves), oscillators.gap.swing.reshape(N, 2 * n))
     middle = np.einsum("nij,nj->ni", moves, oscillators.gap.rest.reshape(N, 2 * n))
     row = np.abs(oscillators.gap_row)
@@ -118,15 +122,15 @@ def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) ->
 
 @lru_cache(maxsize=8)
 def _points(size: int, count: int, seed: int) -> Array:
-    """Points of the unit cube (count, size)."""
-    from scipy.stats import qmc  # takes a while to load
+    """Return ``count`` points of the unit cube (count, size)."""
+    from scipy.stats import qmc  # imported here, since it loads slowly
 
     points: Array = qmc.Halton(size, scramble=True, rng=seed).random(count)
     return points
 
 
 def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMAL_95) -> tuple[Array, Array]:
-    """The ends of Wilson's interval of a share, after ``hits`` in ``count`` trials, for z standard errors.
+    """Return the ends of Wilson's interval of a share, after ``hits`` in ``count`` trials, for z standard errors.
 
     (p + z^2/2n -+ z sqrt(p (1 - p)/n + z^2/4n^2)) / (1 + z^2/n), p = hits/n; 0 to 1 for a count of 0.
 
@@ -144,5 +148,8 @@ def wilson(hits: NDArray[Any] | int, count: NDArray[Any] | int, z: float = NORMA
 
 
 def unseen_share(count: NDArray[Any] | int) -> Array:
-    """The share of an attractor that n = ``count`` starts all miss with probability CONFIDENCE: 1 - 0.05^(1/n)."""
+    """Return the share of an attractor that n = ``count`` starts all miss with probability CONFIDENCE.
+
+    1 - 0.05^(1/n)
+    """
     return np.asarray(1.0 - CONFIDENCE ** (1.0 / np.asarray(count, dtype=np.float64)))

@@ -1,9 +1,10 @@
-"""The known attractor that a motion falls into: exactly for orbits, by statistics otherwise.
+"""Matching of motions to known attractors: exactly for orbits, by statistics otherwise.
 
-An orbit is given by its section state h*, its period p and the Jacobian J of p periods there. A motion falls into the
-orbit if one of its section states lies near h* and the part of its last turns that J does not explain is less than half
-of the contraction. This is the test by which an orbit itself is accepted, see ``orbit.attraction``, without a new
-proof. Two proved orbits are compared on the section of one of the proofs: at t = k T both may impact.
+An orbit is given by its section state h*, its period p, and the Jacobian J of p periods there. A motion is matched to
+the orbit if two conditions hold. One of its section states lies near h*, and the part of its last turns that J does not
+explain is less than half of the contraction. An orbit itself is accepted by the same test, see ``orbit.attraction``, so
+no new proof is needed. Two proved orbits are compared on the section of one of the proofs, since both may impact at t =
+k T.
 
 Chaos and tori are given by batches of BATCH section states: the means of the 2n block coordinates and of their squares.
 Two motions differ if one of these 4n means differs by more than DIFFERENT standard errors, of the pooled variance of
@@ -31,15 +32,15 @@ from workers.orbit.section import motion_after
 from workers.results import NO_IMPACT, NO_REASON
 
 NEAR_ORBIT = 1e-2
-"""Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for it."""
+"""Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for the orbit."""
 ALONG = 256
-"""States along a cycle without a force: for pictures, and for the distance of a motion from the cycle."""
+"""Number of states along a cycle without a force, for pictures and for the distance of a motion from the cycle."""
 SAME_ORBIT = 1e-6
 """Largest distance of section states of equal orbits, relative to the motion's scale."""
 BATCH = 64
-"""Section states of a batch."""
+"""Number of section states of a batch."""
 REFERENCE, FIRST_LOOK, SECOND_LOOK = 64, 16, 48
-"""Batches of an attractor; batches of a motion compared with it; further batches if the motion differs."""
+"""Number of batches of an attractor, of a motion compared with it, and of the same motion afterwards if it differs."""
 DIFFERENT = 5.0
 """Standard errors beyond which two motions are on different attractors."""
 LEAST_SPREAD = 1e-9
@@ -47,10 +48,14 @@ LEAST_SPREAD = 1e-9
 
 
 class KnownOrbits(NamedTuple):
-    """M orbits; cell c has first[c] to last[c] - 1.
+    """M known orbits, cell by cell.
 
-    h (M, n, 2), period (M,); jacobian (M, 2n, 2n) and contraction 1 - |mu| (M,) of a turn; norm (M, 2n, 2n) in which
-    the Jacobian shrinks deviations.
+    first, last  (N,) the orbits of cell c are first[c] to last[c] - 1
+    h            (M, n, 2) section states
+    period       (M,) periods
+    jacobian     (M, 2n, 2n) Jacobians of a turn
+    contraction  (M,) 1 - |mu| of a turn
+    norm         (M, 2n, 2n) norms in which the Jacobians shrink deviations
     """
 
     first: Rows
@@ -64,10 +69,16 @@ class KnownOrbits(NamedTuple):
 
 @kernel
 def orbits_reached(blocks, sections, kept, rows, owner, known):
-    """The known orbits, by number, into which these motions fall; -1 for none.
+    """Return the indices of the known orbits into which these motions fall; -1 if there is none.
 
-    sections (N, K, n, 2), of which the last ``kept`` (N,) are known; owner (N,) the motions' cells. A motion
-    needs three turns for that, or two on the orbit.
+    blocks    blocks of the oscillators
+    sections  (N, K, n, 2) section states
+    kept      (N,) number of the last sections that are known
+    rows      motions that are compared
+    owner     (N,) cells of the motions
+    known     KnownOrbits of the cells
+
+    A motion needs three turns to be matched, or two on the orbit.
     """
     numbers = np.full(len(rows), -1)
     last = sections.shape[1] - 1
@@ -102,14 +113,16 @@ def orbits_reached(blocks, sections, kept, rows, owner, known):
 
 
 def norms(blocks: Array, h: Array) -> Array:
-    """The energy norms (K,) of block states h (K, n, 2)."""
+    """Return the energy norms (K,) of block states h (K, n, 2)."""
     return np.asarray(np.sqrt((blocks[:, COLUMN.metric] * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
 
 
 def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
-    """Periods after which the sections of a motion stay within NEAR_ORBIT of the sections a turn later.
+    """Return the number of periods after which a motion stays within NEAR_ORBIT of the section state a turn later.
 
-    sections (K, n, 2): the last sections after ``flown`` periods; period: the period of the orbit.
+    sections  (K, n, 2) last section states
+    flown     periods simulated
+    period    period of the orbit
     """
     away = norms(blocks, sections[period:] - sections[:-period])
     far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
@@ -117,9 +130,11 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
 
 
 def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> int:
-    """``periods_to_settle`` of a motion on a cycle: periods until it stays within NEAR_ORBIT of the cycle.
+    """Return the number of periods after which a motion stays within NEAR_ORBIT of a cycle without a force.
 
-    along (K, n, 2): states on the cycle in order, connected by straight lines.
+    sections  (K, n, 2) last section states
+    flown     periods simulated
+    along     (K, n, 2) states on the cycle in order, connected by straight lines
     """
     weight = np.sqrt(np.stack([blocks[:, COLUMN.metric], np.ones(len(blocks))], axis=1))
     a, s = ((weight * states).reshape(len(states), -1) for states in (along, sections))
@@ -132,7 +147,7 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
 
 
 def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: int) -> Array:
-    """Block states (ALONG, n, 2) of a cycle without a force from a physical state on it, evenly in time."""
+    """Return block states (ALONG, n, 2) of a cycle without a force, evenly in time, from a physical state on it."""
     own = at_rows(oscillator, np.zeros(1, dtype=np.int64))
     set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
     motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))
@@ -143,7 +158,7 @@ def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: i
 
 
 def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[Oscillator, Motion]:
-    """An orbit on the section t = (k + shift) T: its oscillator as seen from there, and its motion."""
+    """Return the oscillator and the motion of an orbit on the section t = (k + shift) T."""
     osc = take_one(oscillator, 0)
     if shift == 0.0:
         return osc, motion_at(orbit.h, orbit.mode)
@@ -151,7 +166,7 @@ def seen_from(oscillator: Oscillator, orbit: Attractor, shift: float) -> tuple[O
 
 
 def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
-    """Block states (period, n, 2) of an orbit on the section where it was proved."""
+    """Return the block states (period, n, 2) of an orbit on the section where it was proved."""
     osc, motion = seen_from(oscillator, orbit, orbit.shift)
     batch = batch_of(many_of(osc), map_fields(motion, lambda field: field[None]), orbit.period)
     batch.periods[0] = orbit.period
@@ -160,10 +175,15 @@ def states_of_turn(oscillator: Oscillator, orbit: Attractor) -> Array:
 
 
 def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, mode: int) -> tuple[Array, int]:
-    """The mirror image of a motion at block state h (n, 2), with its contact; NaN if it cannot be followed.
+    """Return the mirror image of a motion at block state h (n, 2), and the number of its mode.
 
-    ``oscillator`` is machine r as seen from the section of this state.
-    With modes it is an image in the centre of the machine, with all contacts and slips on the other side.
+    oscillators  record of many
+    r            row of the machine
+    oscillator   machine r as seen from the section of h
+    h, mode      block state, and the number of its mode
+
+    The image is NaN if it cannot be simulated. A machine with modes is mirrored in its centre, with all contacts and
+    slips on the other side.
     """
     own = oscillators.table.machines
     later = oscillators.with_modes(lambda _: motion_after(oscillator, h, mode, 0.5), np.array([r]))
@@ -180,9 +200,10 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
 
 
 def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
-    """Whether an orbit, or with ``half`` its mirror image, equals a known one, on the section of the known proof.
+    """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
-    Cycles without a force are equal if they are the same set of states, in any phase.
+    Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
+    states, in any phase.
     """
     if (old.regime, old.period) != (new.regime, new.period):
         return False
@@ -201,7 +222,7 @@ def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: 
 
 
 def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:
-    """Physical states (N, 2n) on the mirror images of N motions through these states, with their contacts (N,)."""
+    """Return physical states (N, 2n) on the mirror images of N motions, with the numbers of their modes (N,)."""
     motions, _ = begin(oscillators, np.full(len(states), NO_REASON, dtype=np.int8), states, mode)
     for r in range(len(states)):
         motions.h[r], motions.mode[r] = image_of(oscillators, r, take_one(oscillators, r), motions.h[r], int(mode[r]))
@@ -209,15 +230,19 @@ def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[A
 
 
 def batch_moments(sections: Array, rows: Rows, count: int) -> Array:
-    """Means (len(rows), 4n) over the last ``count`` sections of each motion: of block coordinates, of their squares."""
+    """Return the mean block coordinates and mean squares (len(rows), 4n) over the last ``count`` sections of each
+    motion.
+    """
     states = sections[rows, -count:].reshape(len(rows), count, 2 * sections.shape[2])
     return np.concatenate([states, states * states], axis=2).mean(axis=1)
 
 
 def distance(one: Array, other: Array) -> float:
-    """The largest distance between means of two motions, in standard errors, from their batches (k, 4n).
+    """Return the largest distance between means of two motions, in standard errors.
 
-    |a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
+    one, other  (k, 4n) and (l, 4n) batches of the motions
+
+    a - b| / sqrt(s^2 (1/k + 1/l)), s^2 the pooled variance of the batches.
     """
     k, m = len(one), len(other)
     squares = ((one - one.mean(axis=0)) ** 2).sum(axis=0) + ((other - other.mean(axis=0)) ** 2).sum(axis=0)
@@ -230,7 +255,7 @@ def distance(one: Array, other: Array) -> float:
 
 
 def nearest(attractors: Sequence[Attractor], batches: Array) -> tuple[Attractor | None, float]:
-    """The chaos or torus nearest to batches (k, 4n), None if all differ; and the distance."""
+    """Return the chaos or torus nearest to batches (k, 4n), None if all differ; and the distance in standard errors."""
     apart = [np.inf if known.reference is None else distance(known.reference, batches) for known in attractors]
     away = min(apart, default=np.inf)
     return attractors[apart.index(away)] if away <= DIFFERENT else None, away

@@ -1,4 +1,4 @@
-"""Motions compared with known attractors, and solved in full if they reach none."""
+"""The search for attractors: motions are compared with known attractors, and solved in full if they reach none."""
 
 import math
 from collections.abc import Mapping
@@ -30,14 +30,14 @@ from workers.settings import Settings
 from workers.tile import MAX_SECTION_BYTES, result_arrays
 
 WATCH_INTERVAL = 1024
-"""Periods of a stretch of watching."""
+"""Maximum number of periods of an interval of watching."""
 
 MAX_MOTIONS, MIN_MOTIONS = 4096, 64
-"""Most and fewest motions searched together; the memory for section states decides between them."""
+"""Maximum and minimum number of motions searched together; the memory for section states decides between them."""
 
 
 def motions_at_once(settings: Settings, size: int) -> int:
-    """The number of motions of ``size`` state components that are searched together."""
+    """Return the number of motions of ``size`` state components that are searched together."""
     room = MAX_SECTION_BYTES // (8 * size * (settings.max_period + settings.section_samples + 1))
     return int(np.clip(room, MIN_MOTIONS, MAX_MOTIONS))
 
@@ -45,10 +45,11 @@ def motions_at_once(settings: Settings, size: int) -> int:
 class KnownAttractors:
     """The known attractors of many cells; a motion is compared with the attractors of its own cell.
 
-    attractors   all attractors, cell by cell; a label is a place in this list
-    places       labels of the compared orbits, in the order of ``orbits``
-    references   chaos and tori by cell
-    cycles       cycles of machines without a force by cell
+    attractors  all attractors, cell by cell; a label is an index into this list
+    places      labels of the compared orbits, in the order of ``orbits``
+    references  chaos and tori by cell
+    cycles      cycles of machines without a force by cell
+    orbits      orbits in the form for kernels
     """
 
     def __init__(self, oscillators: Oscillator, of_cells: list[list[Attractor]]) -> None:
@@ -71,19 +72,20 @@ class KnownAttractors:
 
 
 class MotionSearch:
-    """N motions compared with the known attractors of their cells, ``owner`` (N,), and their outcomes.
+    """N motions compared with the known attractors of their cells, and their outcomes.
 
-    The motions have parameters (N,). They begin at physical states (N, 2n), with contacts (N,) if they continue earlier
-    motions; motions with a reason have no oscillator. Their course ends when they fall into a known orbit. After its
-    transient a motion is compared with the known chaos and tori of its cell, if there are any.
+    cells      the motions, with the results of those solved in full
+    owner      (N,) cells of the motions
+    regime     (N,) regimes, PENDING for recognised motions
+    label      (N,) labels of the known attractors reached, -1 if there is none
+    arrival    (N,) periods until a motion is within a hundredth of its scale of a known orbit, -1 if it reached none
+    distance   (N,) distances in standard errors from the attractors assigned by statistics
+    reference  batches of motions on new chaos or tori, by row
+    compared   (N,) periods on the attractor after its class was known
 
-    cells        the motions, with the results of those solved in full
-    regime       regimes, PENDING for recognised motions
-    label        places of the known attractors reached, -1 for none
-    arrival      periods until a motion is within a hundredth of its scale of a known orbit, -1 if it reached none
-    distance     distances in standard errors from the attractors assigned by statistics
-    reference    batches of motions on new chaos or tori
-    compared     periods on the attractor after its class was known
+    The motions have parameters (N,) and begin at physical states (N, 2n). Motions that continue earlier ones also have
+    the numbers of their modes (N,). Motions with a reason have no oscillator. A motion ends when it falls into a known
+    orbit. After its transient it is compared with the known chaos and tori of its cell, if there are any.
     """
 
     def __init__(
@@ -111,21 +113,24 @@ class MotionSearch:
         self.to_compare = np.zeros(N, dtype=np.bool_)
 
     def result(self, r: int) -> dict[str, Any]:
-        """The results of one motion."""
+        """Return the results of motion r by name."""
         return {name: values[r].copy() for name, values in self.cells.results.items()}
 
     def recognised_attractor(self, r: int) -> Attractor | None:
-        """The known attractor that one motion has reached."""
+        """Return the known attractor that motion r has reached, None if there is none."""
         return self.known.attractors[self.label[r]] if self.label[r] >= 0 else None
 
     def last(self, r: int) -> tuple[Array, int]:
-        """The last physical state of one motion, and its contact."""
+        """Return the last physical state of motion r, and the number of its mode."""
         motions = self.cells.batch.motions
         return physical_states(self.cells.oscillators, motions, np.array([r]))[0], int(motions.mode[r, 0])
 
     @np.errstate(all="ignore")
     def solve(self, references: bool = True) -> None:
-        """Follow the motions to their attractors; ``references`` adds the statistics of new chaos and tori."""
+        """Simulate the motions until they reach their attractors.
+
+        ``references`` adds the statistics of new chaos and tori.
+        """
         self.course.run()
         self._compare()
         if references:
@@ -134,7 +139,7 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def watch(self, periods: Rows) -> None:
-        """Follow the motions for ``periods`` (N,): they are recognised, come to an orbit, or stay PENDING."""
+        """Simulate the motions for ``periods`` (N,); each is recognised, comes to an orbit, or stays PENDING."""
         rows, flown = self.cells.unfinished, self.cells.periods_flown
         while len(rows):
             rows = self._advance(rows, np.minimum(periods[rows] - flown[rows], WATCH_INTERVAL))
@@ -143,7 +148,7 @@ class MotionSearch:
 
     @np.errstate(all="ignore")
     def sample(self, rows: Rows, batches: int = matching.REFERENCE) -> tuple[Rows, Array]:
-        """The motions of ``rows`` that reach no orbit in this many batches, and their batches (rows, batches, 4n)."""
+        """Return the motions of ``rows`` that reach no orbit, and their batches (rows, batches, 4n)."""
         means = np.full((len(self.owner), batches, 2 * self.cells.directions), np.nan)
         for k in range(batches if len(rows) else 0):
             rows = self._advance(rows, matching.BATCH, look=not self.cells.unforced or k == batches - 1)
@@ -152,7 +157,7 @@ class MotionSearch:
         return rows, means[rows]
 
     def _is_known(self, rows: Rows) -> Mask:
-        """A mask of the motions that fall into a known orbit or are on a known cycle, and get its label."""
+        """Return the mask of motions that fall into a known orbit or are on a known cycle, and set their labels."""
         cells, orbits = self.cells, self.known.orbits
         blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.known_section_count()
         orbit = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
@@ -166,7 +171,10 @@ class MotionSearch:
         return np.asarray(reached)
 
     def _is_on_cycle(self, course: AutonomousSchedule, r: int) -> bool:
-        """Whether a motion passes, to ONCE_ROUND, an event of a known cycle of its cell within a turn."""
+        """Return True if a motion passes an event of a known cycle of its cell, to CLOSING_DISTANCE, within a turn.
+
+        The motion then gets the label of the cycle.
+        """
         cells, cycles = self.cells, self.known.cycles[self.owner[r]]
         longest = max((known.cycle.period for known in cycles if known.cycle), default=0.0)
         turn = math.ceil(longest / cells.oscillators.period[r]) + 1 if cycles else 0
@@ -183,14 +191,14 @@ class MotionSearch:
         return False
 
     def _leaves(self, rows: Rows) -> Mask:
-        """A mask of the motions in whose cells chaos or a torus is known."""
+        """Return the mask of motions in whose cells chaos or a torus is known."""
         self.to_compare[rows] = [len(self.known.references[c]) > 0 for c in self.owner[rows]]
         return self.to_compare[rows]
 
     def _advance(self, rows: Rows, periods: Rows | int, look: bool = True) -> Rows:
-        """Advance these motions by some periods; returns the motions that can continue.
+        """Advance these motions by some periods, and return the motions that can continue.
 
-        With ``look`` motions on an orbit end; without a force they are followed event by event for that, which takes
+        With ``look`` motions on an orbit end. Without a force, ``look`` simulates them event by event, which takes
         longer than their periods.
         """
         cells, least = self.cells, self.cells.settings.max_periods
@@ -221,7 +229,7 @@ class MotionSearch:
         self.course.run()
 
     def _measure(self) -> None:
-        """Write the machine's own results for motions of a known class; without a force all in units of time."""
+        """Write the machine's own results for motions of a known class; without a force all are in units of time."""
         explain(self.cells, self.record.definition, self.params)
         measure(self.cells, self.record.definition, self.params)
         observe(self.cells, self.record.definition, self.params)

@@ -1,7 +1,8 @@
-"""Blocks h'' + 2 eta h' + lam h of linear oscillators M x'' + C x' + K x: classical modes, or invariant planes.
+"""Decomposition of linear oscillators into blocks: undamped modes, or invariant planes.
 
-M is invertible, C and K are arbitrary. With classical damping of symmetric matrices the undamped modes stay modes and
-are the blocks. Otherwise the real Schur form splits the state space into planes, one for each pair of eigenvalues.
+An oscillator M x'' + C x' + K x becomes blocks h'' + 2 eta h' + lam h. M is invertible, C and K are arbitrary. With
+symmetric matrices and classical damping the undamped modes stay modes, and are the blocks. Otherwise the real Schur
+form splits the state space into planes, one for each pair of eigenvalues.
 """
 
 import math
@@ -17,37 +18,43 @@ from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import Array, Mask
 
 COUPLED = 1e-13
-"""Coupling of modes by the damping that exceeds rounding, relative to the largest damping."""
+"""Coupling of modes by the damping, relative to the largest damping, above which it exceeds rounding."""
 
 LIGHT = 1e-9
-"""Coupling up to which modes stay the blocks when planes nearly coincide: it changes less than their rounding does."""
+"""Coupling up to which modes stay the blocks if planes nearly coincide. Such a coupling changes less than the rounding
+of the planes does.
+"""
 
 GRADED = 1e3
-"""Ratio of squared frequencies from which on modes are refined: rounding of the largest shows in the least."""
+"""Ratio of squared frequencies above which modes are refined, since rounding of the largest shows in the smallest."""
 
 FREE = 8.0 * np.finfo(np.float64).eps
-"""Squared frequency per coordinate, relative to the largest, below which a mode is rigid, likewise damping below which
-it is undamped: rounding of zero."""
+"""Squared frequency per coordinate, relative to the largest, below which a mode counts as rigid: rounding of zero.
+Damping below it, likewise, counts as none.
+"""
 
 INSEPARABLE = 1e5
-"""Condition of the rows of planes from which on planes are inseparable, unless M, C and K are symmetric and C and K
-feed in no energy. Up to it the flow has a relative error of about 3e-16 times the condition, 1e-9 at 2e5; rounding
-holds the condition of equal planes near 1e8."""
+"""Condition of the rows of planes above which planes are inseparable. Machines are exempt if M, C and K are symmetric,
+and C and K feed in no energy. Below it the flow has a relative error of about 3e-16 times the condition, 1e-9 at 2e5.
+Rounding keeps the condition of equal planes near 1e8.
+"""
 
 REFINED = 100.0
-"""Condition of the rows of planes up to which refinement removes more error than its rounding, which grows as the
-square of the condition, adds."""
+"""Condition of the rows of planes up to which refinement pays. Refinement removes an error, but adds rounding that
+grows as the square of the condition.
+"""
 
 NEIGHBOUR = 1e-3
 """Mixing of two modes up to which refinement removes it."""
 
 
 class BlockDecomposition(NamedTuple):
-    """N oscillators of n coordinates as blocks.
+    """N oscillators of n coordinates as blocks; a block of eta < 0 or lam < 0 grows.
 
-    eta, lam (N, n); to_blocks and to_physical (N, 2n, 2n) between (x, x') and (h_1, h_1', h_2, ...).
-    rigid (N,): number of modes without stiffness. inseparable (N,): true if planes nearly coincide, so that there are
-    no such blocks. A block of eta < 0 or lam < 0 grows.
+    eta, lam                (N, n) damping and stiffness of each block h'' + 2 eta h' + lam h
+    to_blocks, to_physical  (N, 2n, 2n) transformations from (x, x') to (h_1, h_1', h_2, ...), and back
+    rigid                   (N,) number of modes without stiffness
+    inseparable             (N,) mask of oscillators whose planes nearly coincide, so that no such blocks exist
     """
 
     eta: Array
@@ -60,7 +67,10 @@ class BlockDecomposition(NamedTuple):
 
 @memoize_arrays
 def split(mass: Array, damping: Array, stiffness: Array) -> BlockDecomposition:
-    """The blocks of these oscillators (N, n, n); each depends only on its own matrices, to the bit."""
+    """Return the blocks of oscillators with these matrices (N, n, n).
+
+    The blocks of an oscillator depend on its own matrices only, to the bit.
+    """
     N, n = mass.shape[:2]
     matrices, modal = (mass, stiffness), symmetric(mass) & symmetric(stiffness)
     if not np.all(modal):  # placeholders, overwritten below
@@ -97,24 +107,36 @@ def split(mass: Array, damping: Array, stiffness: Array) -> BlockDecomposition:
 
 
 def symmetric(matrices: Array) -> Mask:
-    """Mask of symmetric matrices among matrices (N, n, n)."""
+    """Return the mask (N,) of symmetric matrices among matrices (N, n, n)."""
     return np.asarray(np.all(matrices == matrices.swapaxes(1, 2), axis=(1, 2)))
 
 
 def resists(damping: Array) -> Mask:
-    """Mask of matrices (N, n, n) that are symmetric and positive semidefinite to rounding."""
+    """Return the mask (N,) of matrices (N, n, n) that are symmetric and positive semidefinite to rounding."""
     values = apply_stacked(np.linalg.eigvalsh, damping.shape[:2], damping)
     least, largest = np.min(values, axis=1, initial=np.inf), np.max(np.abs(values), axis=1, initial=0.0)
     return np.asarray(symmetric(damping) & (least >= -FREE * damping.shape[1] * largest))
 
 
 def _rounding(n: int, damping: Any, stiffness: Any) -> Any:
-    """Rounding of a growth rate of zero, for n coordinates with damping and squared frequencies of these sizes."""
+    """Return the rounding of a growth rate of zero.
+
+    n          number of coordinates
+    damping    size of the damping
+    stiffness  size of the squared frequencies
+    """
     return FREE * n * np.maximum(damping, np.sqrt(stiffness))
 
 
 def apply_stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Array) -> Any:
-    """A function of numpy.linalg applied to many matrices; NaN (of this shape) for matrices that it refuses."""
+    """Apply a function of numpy.linalg to many matrices.
+
+    act       the function
+    shape     shape of the result
+    matrices  stacks of matrices
+
+    The result is NaN for matrices that the function rejects.
+    """
     with suppress(np.linalg.LinAlgError):
         return act(*matrices)
     results = np.full(shape, np.nan)
@@ -125,7 +147,7 @@ def apply_stacked(act: Callable[..., Any], shape: tuple[int, ...], *matrices: Ar
 
 
 def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Squared frequencies and mass-normalised modes: modes.T M modes = I, modes.T K modes = diag(lam)."""
+    """Return squared frequencies and mass-normalised modes: modes.T M modes = I, modes.T K modes = diag(lam)."""
     shape = mass.shape
     half = apply_stacked(np.linalg.cholesky, shape, mass)
     scaled = apply_stacked(np.linalg.solve, shape, half, stiffness).swapaxes(1, 2)
@@ -136,11 +158,11 @@ def undamped_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
 
 
 def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[Array, Array]:
-    """Modes whose squared frequencies have errors relative to themselves, not to the largest one.
+    """Return squared frequencies and modes whose errors are relative to each frequency, not to the largest.
 
-    modes (I + X), first order in R = I - modes.T M modes and S = modes.T K modes, with X_ij = (S_ij + lam_j R_ij) /
-    (lam_j - lam_i), or R_ij / 2 for nearly equal ones; applied twice, since neighbours make X larger than first order.
-    (Ogita & Aishima, Japan J. Indust. Appl. Math. 35 (2018) 1007)
+    The refined modes are modes (I + X), first order in R = I - modes.T M modes and S = modes.T K modes. X_ij = (S_ij +
+    lam_j R_ij) / (lam_j - lam_i), or R_ij / 2 for nearly equal frequencies. The step is applied twice, since neighbours
+    make X larger than first order. Source: Ogita & Aishima, Japan J. Indust. Appl. Math. 35 (2018) 1007.
     """
     n = lam.shape[1]
     largest = np.max(np.abs(lam), axis=1, initial=0.0)
@@ -160,13 +182,13 @@ def _refined(mass: Array, stiffness: Array, lam: Array, modes: Array) -> tuple[A
 
 
 def _values_and_vectors(matrix: Array) -> Array:
-    """Eigenvalues and, below them, eigenvectors of symmetric matrices."""
+    """Return the eigenvalues of symmetric matrices and, below them, the eigenvectors."""
     values, vectors = np.linalg.eigh(matrix)
     return np.concatenate([values[..., None, :], vectors], axis=-2)
 
 
 def interleaved(rows: Array) -> Array:
-    """Rows (N, n, n) applied to displacements and to velocities, as rows (h_1, h_1', ...) of (x, x')."""
+    """Return the rows of (h_1, h_1', ...) on (x, x') that apply rows (N, n, n) to displacements and to velocities."""
     N, n = rows.shape[:2]
     both = np.zeros((N, 2 * n, 2 * n))
     both[:, 0::2, :n] = both[:, 1::2, n:] = rows
@@ -178,8 +200,13 @@ def _split_planes(
 ) -> None:
     """Write the blocks of oscillator r, whose damping (n, n) couples its undamped modes.
 
-    An undamped rigid mode is split off first: its double eigenvalue zero has only one eigenvector. passive: the machine
-    feeds in energy, so no block grows.
+    lam       (n,) squared frequencies
+    damping   (n, n) damping between the modes
+    modes     (n, n) modes in columns
+    weighted  (n, n) modes.T M
+    passive   True if nothing feeds energy into the machine, so that no block grows
+
+    An undamped rigid mode is split off first, since its double eigenvalue zero has only one eigenvector.
     """
     n = len(lam)
     size = np.max(np.abs(damping))
@@ -224,10 +251,10 @@ def _split_planes(
 def _split_any(blocks: BlockDecomposition, r: int, mass: Array, damping: Array, stiffness: Array) -> None:
     """Write the blocks of oscillator r with any matrices (n, n), as invariant planes of z' = A z with z = (x, x').
 
-    Coordinates are first balanced by powers of two, and time is scaled by one. Blocks of free motions, K x = 0, have no
-    stiffness.
+    Coordinates are first balanced by powers of two, and time is scaled by a power of two. Blocks of free motions, K x =
+    0, have no stiffness.
     """
-    from scipy.linalg import matrix_balance  # see planes.planes_of
+    from scipy.linalg import matrix_balance  # see invariant_planes.planes_of
 
     n = len(mass)
     blocks.to_blocks[r] = blocks.to_physical[r] = np.nan

@@ -1,6 +1,6 @@
-"""Matrices of machines converted to the oscillators of the kernels.
+"""Conversion of machines with one rigid contact to the oscillators of the kernels.
 
-An oscillator does not depend on the others, to the bit.
+Each oscillator depends on its own machine only, to the bit.
 """
 
 from types import EllipsisType
@@ -51,20 +51,27 @@ from workers.model.oscillator import (
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 OF_KIND = (*OF_STRUCTURE, "upper", "lower")
-"""The fields that are equal in machines of a kind."""
+"""Fields that are equal in machines of a kind."""
 
 Kinds = Rows | EllipsisType
-"""The kind of each machine; an ellipsis for a machine by itself."""
+"""The kind of each machine; an ellipsis for a single machine."""
 
 
 @np.errstate(all="ignore")
 def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """The oscillators of many machines, and the reason against each, NO_REASON if there is none.
+    """Return the oscillators of many machines, and the reason against each, NO_REASON if there is none.
 
-    Reasons: a rigid mode invisible in the gap, or more than one; growing motion invisible in the gap; planes
-    inseparable in double precision; undamped resonance, without a periodic forced response; a forcing period of more
-    free oscillations than double precision can follow in phase; a gap that a push at the stop does not open, g.M^-1 g
-    <= 0; numbers beyond the range of doubles. ``faults`` alone reports its own reasons.
+    Each of the following is a reason:
+
+    RIGID_MODE       a rigid mode is invisible in the gap, or there is more than one
+    UNSTABLE         growing motion is invisible in the gap
+    COUPLED_DAMPING  planes are inseparable in double precision
+    RESONANCE        undamped resonance, without a periodic forced response
+    LONG_PERIOD      a forcing period has more free oscillations than double precision can resolve in phase
+    NO_OSCILLATOR    a push at the stop does not open the gap, g.M^-1 g <= 0
+    OUT_OF_DOUBLES   numbers exceed the range of doubles
+
+    ``faults`` reports further reasons, which are not repeated here.
     """
     few, kind = _kinds(machines)
     structure = structure_of(few)
@@ -110,9 +117,9 @@ def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]
 
 
 def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as its fields show it.
+    """Return the reason against each of N machines that its fields alone show, NO_REASON if there is none.
 
-    The lower stop must be below the upper one, and 0 <= R <= 1.
+    The lower stop must be below the upper one, 0 <= R <= 1, and all other fields must be finite.
     """
     reasons = np.full(machines.omega.size, NO_REASON, dtype=np.int8)
     reasons[~((machines.lower < machines.upper) & (machines.R >= 0.0) & (machines.R <= 1.0))] = OUT_OF_RANGE
@@ -123,10 +130,10 @@ def faults(machines: SingleContactMachines) -> NDArray[np.int8]:
 
 
 def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kinds]:
-    """The first machine of each kind, and the kind of each machine.
+    """Return the first machine of each kind, and the kind of each machine.
 
-    Machines of a kind differ at most in forcing frequency, phase and restitution. A plane has few kinds as a rule, and
-    everything made of matrices is made once per kind.
+    Machines of a kind differ at most in forcing frequency, phase and restitution. A plane usually has few kinds, and
+    all results that depend on matrices are computed once per kind.
     """
     if len(machines.omega) == 1:
         return machines, ...
@@ -137,7 +144,7 @@ def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kind
 
 
 def _of_kind(record: Any, kind: Kinds) -> Any:
-    """The record of each machine, from the records of kinds."""
+    """Return the record of each machine, from the records of kinds."""
     return record if isinstance(kind, EllipsisType) else at_rows(record, kind)
 
 
@@ -145,7 +152,7 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
 def _held_structure(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> ModeStructure:
-    """The structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
+    """Return the structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
     none = np.zeros(len(mass))
     machines = SingleContactMachines(
         mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none
@@ -159,10 +166,15 @@ def _held_structure(
 def _held(
     machines: SingleContactMachines, structure: FlightStructure, at_rest: RestState, kind: Kinds, omega: Array
 ) -> tuple[HybridModes, dict[int, Mask]]:
-    """Oscillator.held of machines of these kinds (N,) at forcing frequencies (N,), and the reasons against it.
+    """Return ``Oscillator.held`` of machines of these kinds, and the reasons against it.
 
-    States are counted from rest. A load that no rest balances drives a rigid mode: states between impacts are counted
-    from damped motion under it, with constant velocities, which ``rest`` of the blocks removes.
+    machines            the first machine of each kind
+    structure, at_rest  free flight of the kinds
+    kind                (N,) kind of each machine
+    omega               (N,) forcing frequencies
+
+    States are counted from rest. A load that no rest balances drives a rigid mode. States between impacts are then
+    counted from damped motion under that load, with constant velocities, which ``rest`` of the blocks removes.
     """
     n, moves = machines.gap_row.shape[1], np.any(at_rest.loading.load)
     load, velocities = unbalanced(structure, at_rest, machines) if moves else (np.zeros_like(machines.load), None)

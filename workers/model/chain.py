@@ -1,4 +1,4 @@
-"""Chains of 3 to 8 equal masses: the parts of their definition that depend on the number of masses."""
+"""Chains of 3 to 8 equal masses: the entries of their definition that depend on the number of masses."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 
 CHAINS = {f"chain-{n}": n for n in range(3, 9)}
-"""Number of masses by system name."""
+"""Number of masses by the name of the system."""
 
 
 def chain(common: Mapping[str, Any], n: int) -> dict[str, Any]:
-    """The definition of n masses on springs in a row, the first tied to the ground, from the common entries.
+    """Return the definition of n masses on springs in a row, the first tied to the ground.
 
-    M = I, K = [[2, -1], [-1, 2, -1], ..., [-1, 1]], C = 2 zeta K; the force on the first mass, the stop at the last.
+    M = I, K = [[2, -1], [-1, 2, -1], ..., [-1, 1]], C = 2 zeta K. The force acts on the first mass, and the stop on the
+    last. ``common`` has the entries that all chains share.
     """
     stiffness = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     stiffness[-1, -1] = 1.0

@@ -1,4 +1,4 @@
-"""The definition of a system as expressions of its parameters, and its machines at given values."""
+"""The definition of a system as expressions of its parameters, and its machines at given parameter values."""
 
 import dataclasses
 import math
@@ -31,11 +31,14 @@ class Definition:
 
         M x'' + C x' + K x = load + harmonics + contacts + friction
 
-    The force repeats after ``turns`` periods 2 pi / omega: its machines have the frequency omega / turns. A machine
-    without a force and phases has neither omega nor tau, see ``clock``.
-    ``let`` names expressions for use in others, in the order of their use. ``phases`` are parts of the forcing period
-    with entries of their own, ``drift`` is a coordinate that may drift, ``measures`` are reported by name. Tables have
-    the order of these fields, and digests of curves depend on it.
+    let       names for expressions that others use, in the order of their use
+    phases    parts of the forcing period with entries of their own
+    drift     the coordinate that may drift, empty if there is none
+    measures  outputs that are reported by name
+
+    The force repeats after ``turns`` periods 2 pi / omega, so its machines have the frequency omega / turns. A machine
+    without a force and phases has neither omega nor tau, see ``natural_period``. Tables have the order of these fields,
+    and digests of curves depend on it.
     """
 
     coordinates: tuple[str, ...]
@@ -61,29 +64,29 @@ class Definition:
 
     @property
     def unforced(self) -> bool:
-        """Whether it declares neither a force nor phases: its motions do not depend on their starting time."""
+        """True if it declares neither a force nor phases, so that its motions do not depend on their starting time."""
         return not self.harmonics and not self.phases
 
     @property
     def is_short_form(self) -> bool:
-        """Whether its contact is written as entries of the machine itself: a single rigid contact named STOP."""
+        """True if its contact is written as entries of the machine itself: a single rigid contact named STOP."""
         return len(self.contacts) == 1 and self.stop.rigid and self.stop.name == STOP
 
     @property
     def picture_row(self) -> Row:
-        """The row of the coordinate in pictures: the gap of the first contact, else the first coordinate."""
+        """Row of the coordinate in pictures: the gap of the first contact, else the first coordinate."""
         if self.contacts:
             return self.contacts[0].gap
         return tuple(Expression(repr(float(i == 0))) for i in range(len(self.coordinates)))
 
     @np.errstate(all="ignore")
     def picture_rows(self, values: Mapping[str, Array]) -> Array:
-        """``shown`` (N, n) at values (N,) of each parameter."""
+        """Return ``picture_row`` as numbers (N, n) at values (N,) of each parameter."""
         return np.ascontiguousarray(evaluate_entries(self.picture_row, self._named(values))[: _count(values)])
 
     @np.errstate(all="ignore")
     def machines(self, values: Mapping[str, Array]) -> SingleContactMachines:
-        """The machines at values (N,) of each parameter."""
+        """Return the machines with one rigid contact at values (N,) of each parameter."""
         named, count = self._named(values), _count(values)
         fields = {name: evaluate_entries(entries, named) for name, entries in self._entries.items()}
         fields |= {name: symmetrised(fields[name]) for name in MATRICES}
@@ -92,7 +95,7 @@ class Definition:
 
     @np.errstate(all="ignore")
     def hybrid(self, values: Mapping[str, Array]) -> HybridMachines:
-        """The machines at values (N,) of each parameter with all contacts, friction and phases."""
+        """Return the machines with all contacts, friction and phases at values (N,) of each parameter."""
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         contacts, friction, phases = self.contacts, self.friction, self.phases or ALWAYS
         forces = [
@@ -148,7 +151,7 @@ class Definition:
         return HybridMachines(*(np.ascontiguousarray(field[:count]) for field in machines))
 
     def laws(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Contact | Friction | Spring, Array]]:
-        """For each law its entry, its element, and its vertices (N, V, 2) at values (N,) of each parameter."""
+        """Yield for each law its entry, its element, and its vertices (N, V, 2) at values (N,) of each parameter."""
         named, count = self._named(values), _count(values)
         for kind in ("contacts", "friction", "springs"):
             for i, element in enumerate(getattr(self, kind)):
@@ -157,21 +160,27 @@ class Definition:
 
     @property
     def fitted(self) -> tuple[Contact | Friction | Spring, ...]:
-        """Its elements whose law is an expression, which segments replace."""
+        """Elements whose law is an expression; segments replace the expression."""
         every: tuple[Contact | Friction | Spring, ...] = (*self.contacts, *self.friction, *self.springs)
         return tuple(element for element in every if isinstance(element.law, Expression))
 
     def law_use(
         self, element: Contact | Friction | Spring, values: Mapping[str, Array], low: Array, high: Array
     ) -> tuple[Array, Array]:
-        """How far a law that is an expression was used, see ``laws.law_use``, at values (N,) of each parameter."""
+        """Return how far a law that is an expression was used, at values (N,) of each parameter: see ``laws.law_use``.
+
+        The motions had arguments between ``low`` and ``high`` (N,).
+        """
         named = {name: value[: len(low)] for name, value in self._named(values).items()}
         return laws.law_use(element, named, low, high)
 
     @np.errstate(all="ignore")
     def outputs(self, values: Mapping[str, Array]) -> tuple[Array, Array, Array]:
-        """Rows (N, M, n) of the measures for many values (N,) of each parameter, the derivatives (N, M) that these are
-        rows on, by their place in ORDERS, and weights (N, M), NaN where there are none."""
+        """Return the rows of M measures for values (N,) of each parameter, with their derivatives and weights.
+
+        The rows (N, M, n) act on the derivatives (N, M), given by their index in ORDERS. The weights (N, M) are NaN if
+        a measure has none.
+        """
         named, count, n = self._named(values), _count(values), len(self.coordinates)
         every = [measure for _, measure in self.measures]
         orders = np.tile([float(ORDERS.index(measure.kind)) for measure in every], (count, 1))
@@ -180,9 +189,9 @@ class Definition:
         return rows[:count], orders, weights.reshape(named[OMEGA].size, len(every))[:count]
 
     def _named(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """These values (N,) and the values of all names in ``let``; a single value is doubled.
+        """Return these values (N,) and the values of all names in ``let``; a single value is doubled.
 
-        numpy computes powers of a single number differently: its last bits would depend on the number of cells.
+        numpy computes powers of a single number differently, so its last bits would depend on the number of cells.
         """
         alone = _count(values) == 1
         named = {name: value.repeat(2) if alone else value for name, value in values.items()}
@@ -197,11 +206,14 @@ class Definition:
 
     @property
     def used(self) -> set[str]:
-        """The names used by its motion or by a measure; names in ``let`` included if they are used."""
+        """Names used by the motion or by a measure; names in ``let`` are included if they are used."""
         return self._used_outside("let")
 
     def _used_outside(self, *left_out: str) -> set[str]:
-        """The names used in all fields but these; names in ``let`` included if they are used, and what they use."""
+        """Return the names used in all fields except ``left_out``.
+
+        Names in ``let`` are included if they are used, with the names in their expressions.
+        """
         fields = (field.name for field in dataclasses.fields(self) if field.name not in left_out)
         names = set().union(*(_names(getattr(self, name)) for name in fields))
         for name, expression in reversed(self.let):
@@ -209,18 +221,18 @@ class Definition:
         return names
 
     def changes_with(self, names: Collection[str]) -> bool:
-        """Whether anything of its machines besides forcing frequency and phase depends on parameters of these names."""
+        """Return True if the machines, apart from forcing frequency and phase, depend on parameters of these names."""
         return not self._used_outside("let", "measures").isdisjoint(names)
 
     @np.errstate(all="ignore")
     def forcing(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Forcing frequency and phase (N,) of a period of the machines at values (N,) of each parameter."""
+        """Return forcing frequency and phase (N,) of a period of the machines at values (N,) of each parameter."""
         named, count = self._named(values), _count(values)
         return named[OMEGA][:count] / self.turns, named[TAU][:count] / self.turns
 
     @property
     def _entries(self) -> dict[str, Any]:
-        """The expressions or numbers of each field of machines, except the force."""
+        """Expressions or numbers of each field of machines, except the force."""
         lower, upper = stops(self.stop)
         return {
             **{name: getattr(self, name) for name in (*MATRICES, "load")},
@@ -230,21 +242,21 @@ class Definition:
 
     @cached_property
     def turns(self) -> int:
-        """Periods 2 pi / omega in one period of the machine."""
+        """Number of periods 2 pi / omega in one period of the machine."""
         return turns_of(harmonic.order for harmonic in self.harmonics)
 
     @cached_property
     def highest(self) -> int:
-        """The highest order of the force, as a multiple of the frequency omega / turns of the machine."""
+        """Highest order of the force, as a multiple of the frequency omega / turns of the machine."""
         first = not self.harmonics or any(phase.force or phase.cosine for phase in self.phases)
         return int(self.turns * max([Fraction(first), *(harmonic.order for harmonic in self.harmonics)]))
 
     def _force(self, named: Mapping[str, Array], harmonics: Collection[Harmonic]) -> tuple[Array, Array]:
-        """The force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
+        """Return the force (N, H, n) of harmonics as amplitudes of the sines and of the cosines."""
         return amplitudes(harmonics, self.turns, self.highest, named, len(self.coordinates))
 
     def table(self) -> dict[str, Any]:
-        """The definition as in a TOML file, in one normal form: equal definitions make equal tables."""
+        """Return the definition as in a TOML file, in a normal form: equal definitions make equal tables."""
         table: dict[str, Any] = {}
         for name, entries in _written(self).items():
             short = name == "contacts" and self.is_short_form
@@ -253,9 +265,9 @@ class Definition:
 
 
 def symmetrised(matrices: Array) -> Array:
-    """Matrices (N, n, n) in which entries [i][k] and [k][i] that differ only by rounding are made equal.
+    """Return matrices (N, n, n) in which entries [i][k] and [k][i] that differ only by rounding are equal.
 
-    The difference may be ULPS of the larger one, or of sqrt([i][i] [k][k]), a bound in positive matrices.
+    The difference may be ULPS of the larger entry, or of sqrt([i][i] [k][k]), a bound in positive matrices.
     """
     other = matrices.swapaxes(1, 2)
     if np.array_equal(matrices, other):
@@ -267,12 +279,12 @@ def symmetrised(matrices: Array) -> Array:
 
 
 def _count(values: Mapping[str, Array]) -> int:
-    """Number of machines at values (N,) of each parameter."""
+    """Return the number of machines at values (N,) of each parameter."""
     return next(iter(values.values())).size
 
 
 def _names(entries: Any) -> set[str]:
-    """The names used by these expressions."""
+    """Return the names used by these expressions."""
     if isinstance(entries, Expression):
         return entries.names
     if isinstance(entries, Mapping):
@@ -283,7 +295,10 @@ def _names(entries: Any) -> set[str]:
 
 
 def _written(entries: Any) -> Any:
-    """Entries as in a TOML file: records, and pairs of a name and an entry, become tables without empty entries."""
+    """Return entries as in a TOML file.
+
+    Records, and pairs of a name and an entry, become tables without empty entries.
+    """
     if isinstance(entries, Expression):
         return entries.text if entries.constant is None else entries.constant
     if isinstance(entries, Fraction):

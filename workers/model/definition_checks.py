@@ -1,4 +1,4 @@
-"""Checks of a definition at the defaults of its parameters: impossible machines are refused early."""
+"""Checks of a definition at the defaults of its parameters, so that impossible machines are rejected early."""
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
@@ -24,12 +24,12 @@ ROUNDING = 1e-12
 
 
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """DefinitionError in one line unless the defaults make a valid machine.
+    """Raise DefinitionError, in one line, unless the defaults make a valid machine.
 
-    M is invertible; phases begin in order within the period. Contacts: 0 <= R <= 1, no negative stiffness, damping or
-    preload, the lower stop below the upper one. Friction: 0 <= kinetic <= static. Rows are nonzero, independent if they
-    can be held together, and moved in the direction of a force along them. Contacts see every free motion, K x = 0,
-    except that of a coordinate that may drift, which nothing ties down.
+    M is invertible. Phases begin in order within the period. For contacts 0 <= R <= 1; stiffness, damping and preload
+    are not negative; the lower stop is below the upper one. For friction 0 <= kinetic <= static. Rows are nonzero. They
+    are independent if they can stick together, and a force along a row moves it that way. Contacts see every free
+    motion, K x = 0, except the motion of a coordinate that may drift, which nothing ties down.
     """
     defaults = {p.name: np.array([p.default]) for p in parameters}
     for where, element, tables in definition.laws(defaults):
@@ -70,13 +70,13 @@ def _contact(definition: Definition, c: int) -> str:
 
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
-    """The entry that counts in a phase: its own, or that of the whole machine."""
+    """Return the entry that counts in phase p: the phase's own, or that of the whole machine."""
     own = definition.phases and getattr(definition.phases[p], key) is not None
     return f"system.phases[{p}].{key}" if own else f"system.{key}"
 
 
 def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """Load and force of each phase, by their entries."""
+    """Yield load and force of each phase, by their entries."""
     for p, load in enumerate(machine.load):
         yield _entry_in(definition, p, "load"), load
         where = _entry_in(definition, p, "force")
@@ -86,7 +86,7 @@ def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[s
 
 
 def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
-    """The constants of contacts and friction by their entries, also in each phase."""
+    """Yield the constants of contacts and friction by their entries, also in each phase."""
     for c, contact in enumerate(definition.contacts):
         if contact.rigid:
             yield f"{_contact(definition, c)}.restitution", machine.R[c]
@@ -125,7 +125,7 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
 
 
 def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
-    """table (V, 2): the vertices of an element's law."""
+    """Raise DefinitionError unless the vertices ``table`` (V, 2) of an element's law are valid."""
     if not np.isfinite(table).all():
         given = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
         raise DefinitionError(
@@ -137,9 +137,7 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
         right = (
             "a larger within" if element.within.constant is None else f"within = {enough * element.within.constant:.2g}"
         )
-        raise DefinitionError(
-            f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; {right} would do"
-        )
+        raise DefinitionError(f"{where}: takes {n} segments at the defaults, must be at most {SEGMENTS}; give {right}")
     (x, F), argument = table.T, {Contact: "depth", Friction: "|v|", Spring: "y"}[type(element)]
     for i in range(len(x) - 1):
         if not x[i] < x[i + 1]:
@@ -148,18 +146,19 @@ def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -
             )
         if isinstance(element, Contact) and F[i + 1] < F[i]:
             raise DefinitionError(
-                f"{where}: falls from {F[i]:g} to {F[i + 1]:g} at the defaults where depth grows to {x[i + 1]:g}; a "
-                "contact's must not fall; a spring's may, [[system.springs]]"
+                f"{where}: found a fall from {F[i]:g} to {F[i + 1]:g} at the defaults, up to depth {x[i + 1]:g}; a "
+                "contact's law must not fall; that of a spring may, see [[system.springs]]"
             )
     if isinstance(element, Spring):
         return
     if x[0] != 0.0:
-        raise DefinitionError(f"{where}: begins at {argument} {x[0]:g} at the defaults, must begin at 0")
+        raise DefinitionError(f"{where}: found {argument} {x[0]:g} in the first row at the defaults, must be 0")
     if not np.all(F >= 0.0):
         raise DefinitionError(f"{where}: found force {np.min(F):g} at the defaults, must be 0 or more")
     if F[-1] < F[-2]:
         raise DefinitionError(
-            f"{where}: falls for ever from {argument} {x[-2]:g} on at the defaults; give a last row with the same force"
+            f"{where}: falls without end from {argument} {x[-2]:g} on at the defaults; "
+            "repeat the last force in one more row"
         )
 
 
@@ -173,11 +172,12 @@ def _check_measures(definition: Definition, outputs: tuple[Array, Array, Array])
                 )
         if definition.drift and measure.displacement and row[definition.coordinates.index(definition.drift)] != 0.0:
             raise DefinitionError(
-                f"system.measures.{name}.displacement: sees {definition.drift}, which drifts; its advance is progress"
+                f"system.measures.{name}.displacement: found {definition.drift}, which drifts; "
+                "its advance is drift_per_period"
             )
         if not row.any():
             raise DefinitionError(
-                f"system.measures.{name}.{measure.kind}: found zeros only; give the row that makes what is measured"
+                f"system.measures.{name}.{measure.kind}: found zeros only; give the row of the measured output"
             )
 
 
@@ -200,7 +200,11 @@ def _check_starts(starts: Array) -> None:
 
 
 def _check_independent(named: list[str], held: Array) -> None:
-    """held (1, R, n): rows of rigid contacts and friction, zeros for other elements."""
+    """Raise DefinitionError if rows that can stick together depend on each other.
+
+    named  entries of the rows
+    held   (1, R, n) rows of rigid contacts and friction, zeros for other elements
+    """
     for k, where in enumerate(named):
         if dependent(held[:, : k + 1])[0]:
             raise DefinitionError(
@@ -234,7 +238,10 @@ def _check_yields(rows: dict[str, Array], many: HybridMachines) -> None:
 
 
 def _check_free_motions(definition: Definition, machine: HybridMachines, where: str, stiffness: Array) -> None:
-    """Contacts and drift see each free motion: two motions seen by one gap combine to one that leaves y unchanged."""
+    """Raise DefinitionError unless contacts and drift see each free motion.
+
+    Two motions seen by one gap combine to a motion that leaves y unchanged.
+    """
     with np.errstate(all="ignore"):
         free, over_mass = _free_motions(machine.mass, stiffness)
     if not np.isfinite(over_mass).all():
@@ -248,7 +255,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
         for what, entries in ((where, stiffness[i]), ("the gap row of a contact", rows[:, i])):
             if entries.any():
                 raise DefinitionError(
-                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave it out"
+                    f"system.drift: {what} ties {definition.drift} down at the defaults; leave out this entry or drift"
                 )
         rows = np.concatenate([rows, np.eye(len(stiffness))[[i]]])
     rows = rows / np.abs(rows).max(axis=1, keepdims=True)  # whose squares might overflow
@@ -263,7 +270,7 @@ def _check_free_motions(definition: Definition, machine: HybridMachines, where: 
 
 
 def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Null space of K, in columns, and M^-1 K or, for symmetric matrices, the undamped modes."""
+    """Return the null space of K, in columns, and M^-1 K or, for symmetric matrices, the undamped modes."""
     even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
     squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
     if even and np.isfinite(modes).all():

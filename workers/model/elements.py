@@ -1,4 +1,4 @@
-"""Contacts, friction, springs and phases of a definition."""
+"""The elements of a definition: contacts, friction, springs and phases."""
 
 import math
 from dataclasses import dataclass
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from workers.model.expression import Expression, Matrix, Row
 
 STOP = "stop"
-"""The name of the contact written as entries of the machine itself."""
+"""Name of the contact that is written as entries of the machine itself."""
 
 NO_STOP = {"upper": math.inf, "lower": -math.inf}
 
 RELEASES = ("displacement", "force")
-"""Release of a soft contact: at its stop, or where its force would begin to pull."""
+"""Release of a soft contact: at its stop, or at the point where its force would begin to pull."""
 
 PAD = ("stiffness", "damping", "preload")
 """Constants of a soft contact that phases may change."""
@@ -31,12 +31,12 @@ Changes = tuple[tuple[str, tuple[tuple[str, Expression], ...]], ...]
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact with one or two stops on y = gap . x, lower <= y <= upper. A stop that is None does not exist.
+    """A contact with one or two stops on y = gap . x, lower <= y <= upper; a stop that is None does not exist.
 
-    A rigid one has a restitution R and turns y' into -R y'. A soft one has none: at depth delta >= 0 beyond its stop it
-    pushes back along the gap row with the force preload + stiffness delta + damping delta': while delta > 0 if released
-    by "displacement", and only while that force is positive if released by "force". A law replaces preload + stiffness
-    delta by law(delta): see laws.py.
+    A rigid contact has a restitution R and turns y' into -R y'. A soft contact has none. At depth delta >= 0 beyond its
+    stop it pushes back along the gap row with the force preload + stiffness delta + damping delta'. Released by
+    "displacement", it pushes while delta > 0; released by "force", only while this force is positive. A law replaces
+    preload + stiffness delta by law(delta), see laws.py.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Contact:
 
     @property
     def rigid(self) -> bool:
-        """Whether it has a restitution."""
+        """True if it has a restitution."""
         return self.restitution is not None
 
     @property
@@ -67,8 +67,8 @@ class Contact:
 class Friction:
     """Dry friction on the sliding velocity v = row . x' - belt.
 
-    While sliding it resists with the force kinetic + slope |v| along the row, or with law(|v|): see laws.py. It holds v
-    = 0 while the force needed is at most ``static``, by default kinetic or law(0).
+    While sliding, friction resists with the force kinetic + slope |v| along the row, or with law(|v|), see laws.py. It
+    sticks, v = 0, while the force needed is at most ``static``, by default kinetic or law(0).
     """
 
     name: str
@@ -84,7 +84,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring on y = row . x that pulls back along its row with the force law(y) at any y: see laws.py."""
+    """A spring on y = row . x that pulls back along its row with the force law(y) at any y, see laws.py."""
 
     name: str
     row: Row
@@ -95,10 +95,10 @@ class Spring:
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of each forcing period: from ``start``, a share of 2 pi / omega after the section, to the next phase.
+    """A part of each forcing period, from ``start`` to the start of the next phase.
 
-    Its entries replace those of the machine meanwhile; force and cosine replace those of the first harmonic of order 1,
-    with the same phase angles.
+    ``start`` is a share of 2 pi / omega, counted from the section. The entries of a phase replace those of the machine.
+    Its force and cosine replace those of the first harmonic of order 1, with the same phase angles.
     """
 
     start: Expression
@@ -116,23 +116,23 @@ ALWAYS = (Phase(Expression("0.0")),)
 
 
 def in_phase(element: Contact | Friction, changes: Changes, key: str) -> Expression | None:
-    """A constant of an element in a phase with these changes."""
+    """Return a constant of an element in a phase with these changes."""
     changed = dict(dict(changes).get(element.name, ()))
     return changed[key] if key in changed else getattr(element, key)
 
 
 def pad(contact: Contact, changes: Changes) -> tuple[Expression | float, ...]:
-    """Stiffness, damping and preload of a contact in a phase; zeros for a rigid contact."""
+    """Return stiffness, damping and preload of a contact in a phase; zeros for a rigid contact."""
     return tuple(in_phase(contact, changes, key) or 0.0 for key in PAD)
 
 
 def rub(friction: Friction, changes: Changes) -> tuple[Expression | float, ...]:
-    """Kinetic and static level and slope of friction in a phase; NaN for levels given by its law."""
+    """Return kinetic level, static level and slope of friction in a phase; NaN for levels given by its law."""
     kinetic, static, slope = (in_phase(friction, changes, key) for key in RUB)
     return kinetic or math.nan, static or kinetic or math.nan, slope or 0.0
 
 
 def stops(contact: Contact) -> tuple[Expression | float, Expression | float]:
-    """The lower and the upper stop of a contact, infinite if missing."""
+    """Return the lower and the upper stop of a contact, infinite if missing."""
     lower = NO_STOP["lower"] if contact.lower is None else contact.lower
     return lower, NO_STOP["upper"] if contact.upper is None else contact.upper

@@ -1,4 +1,4 @@
-"""Checks of the entries of a table: each error is one line with the entry, the value and the valid form."""
+"""Checks of the entries of a table; each error is one line with the entry, the value and the valid form."""
 
 import math
 import re
@@ -16,11 +16,17 @@ _short.maxstring = _short.maxlong = _short.maxother = 60
 
 
 class DefinitionError(ValueError):
-    """The fault of a definition, in one line: the entry, the value found, the valid form."""
+    """Error of a definition, in one line: the entry, the value found, the valid form."""
 
 
 def read_entries(where: str, value: object, known: Collection[str], *shape: int) -> Any:
-    """The expression given by a number or a text, or a row or matrix (shape) of them from lists."""
+    """Return the expression given by a number or a text, or a row or matrix of them from lists.
+
+    where  name of the entry in error messages
+    value  the entry
+    known  names that expressions may use
+    shape  number of rows and columns, empty for a single expression
+    """
     if shape:
         entries = read_list(where, value, shape[0], "rows" if len(shape) > 1 else "entries")
         return tuple(read_entries(f"{where}[{i}]", entry, known, *shape[1:]) for i, entry in enumerate(entries))
@@ -33,14 +39,14 @@ def read_entries(where: str, value: object, known: Collection[str], *shape: int)
 
 
 def read_text(where: str, value: object) -> str:
-    """A text; DefinitionError for anything else."""
+    """Return the value, a text; raise DefinitionError for any other value."""
     if not isinstance(value, str) or len(value) > 5000:
         raise fault(where, value, "must be text in quotes")
     return value
 
 
 def read_words(where: str, value: object) -> str:
-    """Printable words on one line, which can stand beside a formula."""
+    """Return the value, printable words on one line, which can stand beside a formula."""
     text = read_text(where, value)
     if not text.isprintable() or "$" in text or len(text) > 200:
         raise fault(where, value, "must be one line of at most 200 characters without a dollar")
@@ -48,14 +54,20 @@ def read_words(where: str, value: object) -> str:
 
 
 def read_flag(where: str, value: object) -> bool:
-    """True or false; DefinitionError for anything else."""
+    """Return the value, true or false; raise DefinitionError for any other value."""
     if not isinstance(value, bool):
         raise fault(where, value, "must be true or false")
     return value
 
 
 def read_number(where: str, value: object, valid_form: str = "must be a number", infinite: bool = False) -> float:
-    """The value as a float."""
+    """Return the value as a float.
+
+    where       name of the entry in error messages
+    value       the entry
+    valid_form  end of the error message
+    infinite    True if the number may be infinite
+    """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise fault(where, value, valid_form)
     try:
@@ -68,7 +80,10 @@ def read_number(where: str, value: object, valid_form: str = "must be a number",
 
 
 def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping[str, Any]:
-    """The value, a table with no other keys than these, or with any; DefinitionError for anything else."""
+    """Return the value, a table; raise DefinitionError for any other value, or for a key that is not among ``keys``.
+
+    An empty ``keys`` admits all keys.
+    """
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise fault(where, value, "must be a table")
     for key in value:
@@ -78,7 +93,7 @@ def read_table(where: str, value: object, keys: Collection[str] = ()) -> Mapping
 
 
 def read_tables(where: str, value: object) -> dict[str, object]:
-    """The tables [[where]] of a list, by their names in error messages."""
+    """Return the tables [[where]] of a list, by their names in error messages."""
     if not isinstance(value, list):
         raise fault(where, value, f"must be tables [[{where}]]")
     return {f"{where}[{i}]": one for i, one in enumerate(value)}
@@ -87,7 +102,7 @@ def read_tables(where: str, value: object) -> dict[str, object]:
 def read_list(
     where: str, value: object, length: int, what: str = "entries", ending: str = ", one per coordinate"
 ) -> list[Any]:
-    """The value, a list of this length; DefinitionError for anything else."""
+    """Return the value, a list of this length; raise DefinitionError for any other value."""
     if not isinstance(value, list | tuple):
         raise fault(where, value, f"must be a list of {length} {what}{ending}")
     if len(value) != length:
@@ -96,7 +111,7 @@ def read_list(
 
 
 def read_names(where: str, value: object) -> tuple[str, ...]:
-    """The value, a list of names."""
+    """Return the value, a list of names."""
     if not isinstance(value, list | tuple):
         raise fault(where, value, "must be a list of names")
     for i, name in enumerate(value):
@@ -105,7 +120,7 @@ def read_names(where: str, value: object) -> tuple[str, ...]:
 
 
 def check_name(where: str, name: object) -> None:
-    """DefinitionError for an invalid name, or one reserved by expressions."""
+    """Raise DefinitionError if a name is invalid, or reserved by expressions."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise fault(where, name, "must be a name of letters, digits and underscores, 40 at most")
     if name in RESERVED:
@@ -113,12 +128,12 @@ def check_name(where: str, name: object) -> None:
 
 
 def name_taken(where: str, name: str) -> DefinitionError:
-    """The error of a name that already has another meaning."""
+    """Return the error for a name that already has another meaning."""
     return DefinitionError(f"{where}: {name!r} has another meaning already; choose another name")
 
 
 def fault(where: str, value: object, valid_form: str) -> DefinitionError:
-    """The error of an entry, with the value found and the valid form."""
+    """Return the error for an entry, with the value found and the valid form."""
     try:
         shown = _short.repr(value)
     except ValueError:  # an integer with more digits than Python writes

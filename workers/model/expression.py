@@ -1,12 +1,12 @@
-"""Arithmetic expressions of named numbers: checked token by token, read by Python's parser, evaluated by numpy alone.
+"""Arithmetic expressions of named numbers: checked token by token, parsed by Python, evaluated by numpy alone.
 
     expression = term, then any of + term, - term
     term       = factor, then any of * factor, / factor
     factor     = - factor, + factor, or atom, atom ** factor
     atom       = a number, a name, pi, function(expression, ...), (expression)
 
-with Python's precedence: -x**2 is -(x**2), and 2**3**2 is 2**(3**2). The grammar admits nothing else, so the cost of an
-expression from a stranger's file is bounded by its length.
+The precedence is Python's: -x**2 is -(x**2), and 2**3**2 is 2**(3**2). The grammar admits nothing else, so the length
+of an expression from an untrusted file bounds its cost.
 """
 
 import ast
@@ -24,13 +24,13 @@ from workers.model.oscillator import Array
 from workers.model.parameter import OMEGA, near_name, unknown_name
 
 MAX_LENGTH = 500
-"""Longest expression, in characters."""
+"""Maximum length of an expression, in characters."""
 LONGEST_NORMAL = 20 * MAX_LENGTH
-"""No normal form is longer: a number of one character takes four with its blank, one such as 1e15 takes 19."""
+"""Maximum length of a normal form. A number of one character takes four with its blank, one such as 1e15 takes 19."""
 DEEPEST = 40
-"""Deepest nesting of parentheses, signs and powers."""
+"""Maximum depth of nested parentheses, signs and powers."""
 MAX_INTEGER_POWER = 16
-"""Largest integer exponent computed as a product, which is rounded alike on every machine."""
+"""Largest integer exponent computed as a product, which every computer rounds in the same way."""
 
 PI = "pi"
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
@@ -38,7 +38,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int]] = {
     "exp": (np.exp, 1, 1), "log": (np.log, 1, 1), "abs": (np.abs, 1, 1),
     "atan2": (np.arctan2, 2, 2), "min": (np.minimum, 2, 8), "max": (np.maximum, 2, 8),
 }  # fmt: skip
-"""Functions, with the least and the largest number of arguments."""
+"""Functions, with the minimum and maximum number of arguments."""
 RESERVED = (PI, *FUNCTIONS)
 """Names reserved for expressions."""
 _TIME = ("t", "time")
@@ -52,30 +52,30 @@ _TOKEN = re.compile(
 
 
 class ExpressionError(ValueError):
-    """The fault of an expression, in one line."""
+    """Error of an expression, in one line."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """An expression, as text in a normal form, for a number its repr: comparable, hashable, picklable."""
+    """An expression, as text in a normal form (for a number its repr): comparable, hashable, picklable."""
 
     text: str
 
     @property
     def names(self) -> set[str]:
-        """The names that it uses."""
+        """Names that the expression uses."""
         return {node.id[1:] for node in ast.walk(_tree(self.text)) if isinstance(node, ast.Name)}.difference(RESERVED)
 
     @cached_property
     def constant(self) -> float | None:
-        """Its value if it is a single number, without names or operations; else None."""
+        """Value of a single number, without names or operations; None for any other expression."""
         return _constant(_tree(self.text))
 
     def __call__(self, values: Mapping[str, Array]) -> Array:
-        """Its values (N,) at values (N,) of each name, ``omega`` included.
+        """Return the values (N,) at values (N,) of each name, ``omega`` included.
 
-        Infinite or NaN as in numpy: division by zero, a root of a negative number. Elements do not depend on each
-        other.
+        Division by zero or a root of a negative number gives infinity or NaN, as in numpy. Elements do not depend on
+        each other.
         """
         return np.asarray(_value(_tree(self.text), values), dtype=np.float64)
 
@@ -85,7 +85,7 @@ Matrix = tuple[Row, ...]
 
 
 def evaluate_entries(entries: Any, named: Mapping[str, Array]) -> Array:
-    """Values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers."""
+    """Return the values of an expression (N,), or of a row (N, n) or matrix (N, n, n) of expressions and numbers."""
     if isinstance(entries, Expression):
         return entries(named)
     numbers, others = (_kept if isinstance(entries, tuple) else _sorted)(entries)
@@ -97,7 +97,7 @@ def evaluate_entries(entries: Any, named: Mapping[str, Array]) -> Array:
 
 
 def _sorted(entries: Any) -> tuple[Array, list[tuple[Any, Expression]]]:
-    """The numbers among entries, zero elsewhere, and the expressions with names, each with its place."""
+    """Return the numbers among entries, zero elsewhere, and the expressions with names, each with its index."""
     grid = np.array(entries, dtype=object)
     numbers, others = np.zeros(grid.shape), []
     for index, entry in np.ndenumerate(grid):
@@ -113,9 +113,9 @@ _kept = lru_cache(maxsize=1024)(_sorted)
 
 
 def parse(text: str, known: Collection[str]) -> Expression:
-    """The expression of a text with known names; ExpressionError otherwise.
+    """Return the expression of a text with known names; raise ExpressionError if the text is no expression.
 
-    The normal form of an expression is one too, although it may be longer than LONGEST.
+    The normal form of an expression is an expression too, although it may be longer than MAX_LENGTH.
     """
     tokens = _tokens(text) if len(text) <= LONGEST_NORMAL else []
     normal = " ".join(repr(float(token)) if _is_number(token) else token for token in tokens)
@@ -129,7 +129,10 @@ def parse(text: str, known: Collection[str]) -> Expression:
 
 @lru_cache(maxsize=4096)
 def _tree(text: str) -> ast.expr:
-    """Python's tree of a normal form. No keyword begins with an underscore: a parameter may be called lambda."""
+    """Return Python's tree of a normal form.
+
+    Names get an underscore, since no keyword begins with one: a parameter may be called lambda.
+    """
     return ast.parse(re.sub(r"\b(?=[A-Za-z_])", "_", text), mode="eval").body
 
 
@@ -165,7 +168,10 @@ def _value(node: ast.expr, values: Mapping[str, Array]) -> Any:
 
 
 def _whole_power(base: Array, exponent: int) -> Array:
-    """base ** exponent by multiplication, from the highest binary digit of the exponent on; 1 / that if negative."""
+    """Return base ** exponent by multiplication, from the highest binary digit of the exponent on.
+
+    For a negative exponent it is the inverse of the positive power.
+    """
     if exponent == 0:
         return np.ones_like(base)
     result = base
@@ -189,9 +195,9 @@ def _is_number(token: str) -> bool:
 
 
 def _check_order(tokens: list[str]) -> None:
-    """ExpressionError at the first misplaced token, or at nesting that is too deep.
+    """Raise ExpressionError at the first misplaced token, or if the nesting is too deep.
 
-    Refuses Python syntax beyond the grammar, such as (a, b), f(*a), f(a,) and (f)(a).
+    Python syntax beyond the grammar is rejected, such as (a, b), f(*a), f(a,) and (f)(a).
     """
     groups = [""]  # open parentheses: the function of each, the whole expression first
     depths = [2]  # of each: its own depth, its present operand, and the signs and powers around that operand
@@ -223,7 +229,7 @@ def _check_order(tokens: list[str]) -> None:
 
 
 def _unknown(name: str, known: list[str]) -> str:
-    """One line for an unknown name: the nearest known name, or the valid forms of an entry."""
+    """Return one line for an unknown name: the nearest known name, or the valid forms of an entry."""
     if name not in _TIME and near_name(name, known):
         return unknown_name("name", name, known)
     force = "; a force is an amplitude, which sin(omega t + tau) multiplies by itself" if name in _TIME else ""
@@ -231,7 +237,7 @@ def _unknown(name: str, known: list[str]) -> str:
 
 
 def _check_names(tree: ast.expr, known: Collection[str]) -> None:
-    """ExpressionError at the first unknown name, or wrong number of arguments."""
+    """Raise ExpressionError at the first unknown name, or wrong number of arguments."""
     nodes = list(ast.walk(tree))
     arguments = {node.func: len(node.args) for node in nodes if isinstance(node, ast.Call)}
     names = [node for node in nodes if isinstance(node, ast.Name)]
@@ -246,4 +252,4 @@ def _check_names(tree: ast.expr, known: Collection[str]) -> None:
         _, least, most = FUNCTIONS[name]
         if not least <= count <= most:
             wanted = f"{most} argument" + "s" * (most > 1) if least == most else f"{least} to {most} arguments"
-            raise ExpressionError(f"found {name} of {count}, must be of {wanted}")
+            raise ExpressionError(f"found {name} with {count}, must have {wanted}")

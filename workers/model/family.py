@@ -18,19 +18,21 @@ from workers.results import OUT_OF_DOUBLES
 
 
 class NoOscillatorError(ValueError):
-    """There is no oscillator at these parameters."""
+    """Error for parameters at which no oscillator exists."""
 
 
 @dataclass
 class OrbitMachines:
     """N machines of n coordinates and their modes, each built at its first use.
 
-    omega, tau (N,)  forcing frequency, forcing phase at a section
-    elements         contacts and friction
-    rest (N, 2n)     physical state from which states and stops are counted
-    make             function that makes a mode of all N
-    describe         function for the machines as numbers, also counted from rest
-    build            function for their record for the kernels of cells
+    omega     (N,) forcing frequency
+    tau       (N,) forcing phase at a section
+    elements  contacts and friction
+    rest      (N, 2n) physical state from which states and stops are counted
+    make      function that builds a mode of all N machines
+    describe  function that returns the machines as numbers, also counted from rest
+    build     function that returns their record for the kernels of cells
+    known     modes built so far
     """
 
     omega: Array
@@ -43,7 +45,7 @@ class OrbitMachines:
     known: dict[ModeCode, HybridModes] = field(default_factory=dict)
 
     def mode(self, code: ModeCode) -> HybridModes:
-        """A mode of all machines. NoOscillatorError if it does not exist."""
+        """Return a mode of all machines; raise NoOscillatorError if it does not exist."""
         if code not in self.known:
             self.known[code] = self.make(code)
         return self.known[code]
@@ -59,7 +61,7 @@ class OrbitMachines:
         return self.build()
 
     def at_rows(self, rows: Rows) -> "OrbitMachines":
-        """These rows, in this order, sharing the modes of the whole."""
+        """Return these rows, in this order; they share the modes of the whole."""
         return OrbitMachines(
             self.omega[rows], self.tau[rows], at_rows(self.elements, rows), self.rest[rows],
             lambda code: at_rows(self.mode(code), rows), lambda: at_rows(self.machines, rows),
@@ -78,17 +80,20 @@ class OrbitMachines:
 
 
 def machines_over(system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> Callable[[Array], Any]:
-    """A function from rows of values (N, free) to machines and the reason against each; other parameters are fixed."""
+    """Return a function from rows of values (N, free) to machines and the reason against each.
+
+    The parameters besides ``free`` are fixed.
+    """
     return _MachineFactory(system, fixed, free)
 
 
 def with_modes(machines: HybridMachines) -> OrbitMachines:
-    """Machines of any law."""
+    """Return machines of any law with their modes."""
     return _MachineParts(machines, np.zeros((len(machines.omega), machines.dimension))).at(machines.omega, machines.tau)
 
 
 class _MachineParts:
-    """Parts of machines, counted from ``rest`` (N, 2n), that their forcing frequency and phase do not decide."""
+    """The properties of machines, counted from ``rest`` (N, 2n), that do not depend on forcing frequency and phase."""
 
     def __init__(self, machines: HybridMachines, rest: Array) -> None:
         self.machines, self.rest = machines, rest
@@ -96,22 +101,22 @@ class _MachineParts:
 
     @cached_property
     def reasons(self) -> NDArray[np.int8]:
-        """The reason against each machine, see hybrid_faults."""
+        """Reason against each machine, see hybrid_faults."""
         return hybrid_faults(self.machines)
 
     @cached_property
     def elements(self) -> ContactElements:
-        """Their contacts and friction."""
+        """Contacts and friction of the machines."""
         return elements_of(self.machines)
 
     def at(self, omega: Array, tau: Array) -> OrbitMachines:
-        """The machines at forcing frequencies and phases (N,)."""
+        """Return the machines at forcing frequencies and phases (N,)."""
         own = self.machines._replace(omega=omega, tau=tau)
 
         def make(code: ModeCode) -> HybridModes:
             pieces, wrong = build_modes_at(self.structures(code), omega)
             if np.any(wrong):
-                raise NoOscillatorError("a mode of this orbit has no bounded motion there")
+                raise NoOscillatorError("a mode of this orbit has no bounded motion at these parameters")
             return pieces
 
         return OrbitMachines(omega, tau, self.elements, self.rest, make, lambda: own, lambda: build_hybrid(own)[0])
@@ -128,7 +133,7 @@ class _MachineFactory:
 
     @np.errstate(all="ignore")
     def __call__(self, rows: Array) -> tuple[OrbitMachines, NDArray[np.int8]]:
-        """The machines of rows of values (N, free), and the reason against each."""
+        """Return the machines of rows of values (N, free), and the reason against each."""
         definition = self.system.definition
         values = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
         values |= {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
@@ -141,9 +146,10 @@ class _MachineFactory:
         return own, self.system.out_of_range(values, reasons)
 
     def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
-        """The machines at values (N,) of each parameter, counted from ``rest`` (N, 2n) if they have one rigid contact.
+        """Return the machines at values (N,) of each parameter, and ``rest`` (N, 2n), from which they are counted.
 
-        Rest far from the origin would cost digits, and hide that a motion is its own mirror image.
+        Only machines with one rigid contact have a rest. Counting from a rest far from the origin would cost digits,
+        and hide that a motion is its own mirror image.
         """
         definition = self.system.definition
         if self.system.has_modes:

@@ -25,14 +25,24 @@ class Harmonic(NamedTuple):
 
 
 def turns_of(orders: Iterable[Fraction]) -> int:
-    """Periods 2 pi / omega after which harmonics of these orders all repeat: the orders are multiples of 1 / turns."""
+    """Return the number of periods 2 pi / omega after which harmonics of these orders all repeat.
+
+    The orders are multiples of 1 / turns.
+    """
     return math.lcm(*(order.denominator for order in orders))
 
 
 def amplitudes(
     harmonics: Collection[Harmonic], turns: int, highest: int, named: Mapping[str, Array], n: int
 ) -> tuple[Array, Array]:
-    """The force (N, highest, n) of harmonics, [k - 1] of order k / turns, as amplitudes of the sines and cosines."""
+    """Return the force (N, highest, n) of harmonics, as amplitudes of the sines and of the cosines.
+
+    harmonics  the harmonics
+    turns      periods 2 pi / omega in a period of the force
+    highest    highest order, in multiples of 1 / turns; [k - 1] of the result has order k / turns
+    named      values (N,) by name
+    n          number of coordinates
+    """
     sines, cosines = np.zeros((2, named[OMEGA].size, highest, n))
     for order, force, phase, cosine in harmonics:
         k, size, angle = int(order * turns) - 1, evaluate_entries(force, named), evaluate_entries(phase, named)
@@ -48,7 +58,7 @@ def amplitudes(
 def replace_first_harmonic(
     harmonics: tuple[Harmonic, ...], force: Row | None, cosine: Row | None
 ) -> tuple[Harmonic, ...]:
-    """The harmonics, with these amplitudes for the first harmonic of order 1, if they are given."""
+    """Return the harmonics with the given amplitudes for the first harmonic of order 1; None leaves them unchanged."""
     if force is None and cosine is None:
         return harmonics
     none = (Expression("0.0"),) * len(force or cosine or ())

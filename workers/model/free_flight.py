@@ -1,6 +1,6 @@
-"""The motion between impacts: blocks, forced response, rest position, and the gap coordinate as their signal.
+"""The motion between impacts: blocks, forced response, rest position, and the gap coordinate as a signal of the blocks.
 
-An oscillator does not depend on the others, to the bit.
+Each oscillator depends on its own machine only, to the bit.
 """
 
 import math
@@ -25,24 +25,28 @@ from workers.model.oscillator import (
 from workers.results import COUPLED_DAMPING, LONG_PERIOD, RESONANCE, RIGID_MODE, UNSTABLE
 
 UNSEEN = 1e-9
-"""Share of a rigid mode or of a growing motion in the gap coordinate, relative to its largest possible one, below which
-the gap does not see it."""
+"""Share of a rigid mode or of a growing motion in the gap coordinate below which the gap does not see it. The share is
+relative to its largest possible value.
+"""
 
 OF_STRUCTURE = ("mass", "damping", "stiffness", "gap_row", "force_sin", "force_cos", "load")
 """Fields of machines that decide their structure and their loading."""
 
 RESONANT = 1e-8
-"""Share of its terms below which the dynamic stiffness of an oscillation at the forcing frequency counts as resonance:
-the forced response is so large that motion growing for thousands of periods seems to close beside it."""
+"""Share of its terms below which the dynamic stiffness at the forcing frequency counts as resonance. The forced
+response is then so large that motion growing for thousands of periods seems to close beside it.
+"""
 
 ULPS = 8.0
 """Relative errors of a machine's entries, in units in the last place: the rounding of a few operations."""
 
 
 class BlockFlow(NamedTuple):
-    """Flow of N machines, decided by mass, damping and stiffness, and the row of the guard.
+    """Flow of N machines, decided by mass, damping, stiffness, and the row of the guard.
 
-    modes; inverse_mass (N, n, n); blocks (N, n, columns), see Block, without a load, with the metric of elastic blocks.
+    modes         blocks of the matrices
+    inverse_mass  (N, n, n) M^-1
+    blocks        (N, n, columns) constants of the blocks, see Block, without a load, with the metric of elastic blocks
     """
 
     modes: BlockDecomposition
@@ -53,8 +57,8 @@ class BlockFlow(NamedTuple):
 class BlockLoading(NamedTuple):
     """Effect of force and load on the blocks of N machines, for any forcing frequency.
 
-    waves (N, H, n, 2): complex amplitudes of e^(i k phi) in (h, h')'; load (N, n), rest (N, n, 2), see
-    oscillator.Block.
+    waves       (N, H, n, 2) complex amplitudes of e^(i k phi) in (h, h')'
+    load, rest  (N, n), (N, n, 2) see oscillator.Block
     """
 
     waves: Any
@@ -65,7 +69,10 @@ class BlockLoading(NamedTuple):
 class FlightStructure(NamedTuple):
     """Free flight of N machines, as far as matrices, force and load decide it.
 
-    flow, loading; accelerance M^-1 g and inverse_gap_mass g.M^-1 g of the gap row g; unheld (N,): see grows_unseen.
+    flow, loading     flow of the blocks, and their loading
+    accelerance       (N, n) M^-1 g of the gap row g
+    inverse_gap_mass  (N,) g.M^-1 g
+    unheld            (N,) see grows_unseen
     """
 
     flow: BlockFlow
@@ -75,15 +82,16 @@ class FlightStructure(NamedTuple):
     unheld: Mask
 
     def gap(self, blocks: Array) -> Array:
-        """y (N,) at these coordinates of blocks (N, n, 2)."""
+        """Return y (N,) at these coordinates of blocks (N, n, 2)."""
         return np.asarray(np.sum(self.flow.blocks[..., COLUMN.c0 : COLUMN.c1 + 1] * blocks, axis=(1, 2)))
 
 
 class RestState(NamedTuple):
     """Rest of N machines.
 
-    The loading, with rest positions midway between the stops for balanced machines; the stops as seen from there; and
-    a mask of machines with a rigid mode that the gap does not see.
+    loading           loading with rest positions midway between the stops for balanced machines
+    b_upper, b_lower  (N,) the gaps to the stops at rest
+    unseen            (N,) mask of machines with a rigid mode that the gap does not see
     """
 
     loading: BlockLoading
@@ -93,7 +101,10 @@ class RestState(NamedTuple):
 
 
 def structure_of(machines: SingleContactMachines) -> FlightStructure:
-    """The structure of machines: the guard is the gap coordinate, the kick M^-1 g / (g.M^-1 g) on the velocities."""
+    """Return the structure of machines.
+
+    The guard is the gap coordinate. The kick on the velocities is M^-1 g / (g.M^-1 g).
+    """
     return _structure_of(*(getattr(machines, name) for name in OF_STRUCTURE))
 
 
@@ -101,7 +112,7 @@ def structure_of(machines: SingleContactMachines) -> FlightStructure:
 def _structure_of(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> FlightStructure:
-    """The structure of machines with these fields OF_STRUCTURE."""
+    """Return the structure of machines with these fields OF_STRUCTURE."""
     accelerance = apply_stacked(np.linalg.solve, (*gap_row.shape, 1), mass, gap_row[..., None])[..., 0]
     inverse_gap_mass = np.vecdot(gap_row, accelerance)
     none = np.zeros_like(gap_row)
@@ -114,9 +125,13 @@ def _structure_of(
 
 
 def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
-    """Machines (N,) in which the blocks (N, n, columns) have a growing motion invisible to rows (N, R, 2n) on (x, x').
+    """Return the mask (N,) of machines in which a growing motion is invisible to all rows on (x, x').
 
-    The motion is h = e^(r s), h' = r h in one block; a row sees it if the sum of its terms is not small beside the sum
+    blocks       (N, n, columns) see Block
+    to_physical  (N, 2n, 2n) (x, x') of block coordinates
+    rows         (N, R, 2n) rows on (x, x')
+
+    The motion is h = e^(r s), h' = r h in one block. A row sees it if the sum of its terms is not small beside the sum
     of their moduli.
     """
     N, n = blocks.shape[:2]
@@ -135,7 +150,11 @@ def grows_unseen(blocks: Array, to_physical: Array, rows: Array) -> Mask:
 
 
 def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Array) -> BlockFlow:
-    """The flow of matrices (N, n, n) with a guard's row and a kick (N, 2n) of displacements and velocities."""
+    """Return the flow of matrices (N, n, n).
+
+    row   (N, 2n) the guard's row on displacements and velocities
+    kick  (N, 2n) direction of a reset
+    """
     modes, shape = split(mass, damping, stiffness), (*mass.shape[:2], 2)
     c = times(row, modes.to_physical).reshape(shape)
     k = (modes.to_blocks @ kick[..., None])[..., 0].reshape(shape)
@@ -147,7 +166,7 @@ def flow_of(mass: Array, damping: Array, stiffness: Array, row: Array, kick: Arr
 
 
 def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
-    """Loading of blocks by force (N, H, n) and load (N, n).
+    """Return the loading of blocks by force (N, H, n) and load (N, n).
 
     Both enter a block as (h0, h1)' = A (h0, h1) + (l0, l1).
     """
@@ -163,9 +182,11 @@ def loading_of(flow: BlockFlow, force: Any, load: Array) -> BlockLoading:
 
 
 def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 0.0) -> tuple[GuardedFlow, Mask]:
-    """The modes of flows under a loading at forcing frequencies (N,); resonance (N,).
+    """Return the modes of flows under a loading at forcing frequencies (N,), and the mask (N,) of resonance.
 
-    The guard is c . blocks plus complex amplitudes of e^(i k phi), direct (N, H).
+    flow, loading  see BlockFlow and BlockLoading
+    omega          (N,) forcing frequencies
+    direct         (N, H) complex amplitudes of e^(i k phi) that the guard has besides c . blocks
     """
     N, H, n = loading.waves.shape[:3]
     w = omega[:, None] * np.arange(1.0, H + 1.0)
@@ -187,7 +208,11 @@ def mode_of(flow: BlockFlow, loading: BlockLoading, omega: Array, direct: Any = 
 
 
 def sizes_of(waves: Array, w: Array) -> Array:
-    """The columns of Numbers (..., 5) of forced parts (..., H, 2) at frequencies w (..., H), multiples of the first."""
+    """Return the columns of ForcedBounds (..., 5) of forced parts at some frequencies.
+
+    waves  (..., H, 2) sine and cosine parts
+    w      (..., H) frequencies, multiples of the first one
+    """
     sizes = np.hypot(waves[..., 0], waves[..., 1])
     numbers = np.empty((*sizes.shape[:-1], 5))
     numbers[..., 0] = w[..., 0]
@@ -196,7 +221,11 @@ def sizes_of(waves: Array, w: Array) -> Array:
 
 
 def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tuple[Array, Mask]:
-    """Forced response (N, n, 2, H, 2) of blocks to waves (N, H, n, 2) of frequencies (N, H); resonance (N,).
+    """Return the forced response (N, n, 2, H, 2) of blocks, and the mask (N,) of resonance.
+
+    modes        blocks
+    waves        (N, H, n, 2) complex amplitudes of the loading
+    frequencies  (N, H)
 
     Z = (l1 + (2 eta + i w) l0) / (lam - w^2 + 2 i eta w), and i w Z - l0 of the velocity.
     """
@@ -217,12 +246,17 @@ def _response(modes: BlockDecomposition, waves: Any, frequencies: Array) -> tupl
 
 
 def against(modes: BlockDecomposition, resonant: Mask, rigid: Mask) -> dict[int, Mask]:
-    """The reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines."""
+    """Return the reasons against motion in these modes, the weightiest last, each with a mask (N,) of machines.
+
+    modes     blocks
+    resonant  (N,) mask of undamped resonance
+    rigid     (N,) mask of machines with an invalid rigid mode
+    """
     return {RESONANCE: resonant, COUPLED_DAMPING: modes.inseparable, RIGID_MODE: rigid}
 
 
 def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) -> tuple[GuardedFlow, dict[int, Mask]]:
-    """The free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
+    """Return the free flight of machines at forcing frequencies (N,), and the reasons against it, see ``against``."""
     modes = structure.flow.modes
     gap, resonant = mode_of(structure.flow, at_rest.loading, omega)
     too_long = {LONG_PERIOD: turns_too_far(gap.d, gap.w, omega)}
@@ -231,19 +265,25 @@ def free_motion(structure: FlightStructure, at_rest: RestState, omega: Array) ->
 
 
 def turns_too_far(d: Array, w: Array, omega: Array) -> Mask:
-    """Machines (N,) with a block (N, n) that turns too far in a forcing period for doubles to keep its phase."""
+    """Return the mask (N,) of machines whose phase in a block is lost by rounding.
+
+    d, w   (N, n) see Block
+    omega  (N,) forcing frequencies
+
+    Such a block turns by more than LARGEST_ANGLE in a forcing period.
+    """
     turns = np.where(d > 0.0, w, 0.0) * (2.0 * np.pi / omega)[:, None]
     return np.asarray(np.max(turns, axis=1) > LARGEST_ANGLE)
 
 
 def phase_of(tau: Array) -> Array:
-    """The forcing phase at a section, between -pi and pi."""
+    """Return the forcing phase at a section, between -pi and pi."""
     phase = np.fmod(tau, 2.0 * np.pi)
     return np.where(np.abs(phase) > np.pi, phase - np.copysign(2.0 * np.pi, phase), phase)
 
 
 def centred(structure: FlightStructure, machines: SingleContactMachines) -> RestState:
-    """The loading of machines of this structure, with balanced machines at rest midway between their stops.
+    """Return the rest of machines of this structure; balanced machines rest midway between their stops.
 
     The position of a rigid mode is counted from midway between the stops, or from the only stop.
     """
@@ -273,9 +313,10 @@ def centred(structure: FlightStructure, machines: SingleContactMachines) -> Rest
 
 
 def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleContactMachines) -> tuple[Array, Array]:
-    """The load (N, n) of machines that no rest balances, as it drives a rigid mode.
+    """Return the load that no rest balances, and the velocities of the motion under it.
 
-    And the constant velocities (N, n) of the damped motion under it from which the blocks of flight are counted.
+    The load (N, n) drives a rigid mode. The constant velocities (N, n) belong to the damped motion from which the
+    blocks of flight are counted.
     """
     n, modes = machines.gap_row.shape[1], structure.flow.modes
     drift = (modes.to_physical[:, :, 1::2] @ at_rest.loading.load[..., None])[..., 0]
@@ -284,11 +325,15 @@ def unbalanced(structure: FlightStructure, at_rest: RestState, machines: SingleC
 
 
 def balanced(machines: SingleContactMachines) -> Mask:
-    """Whether y rests midway between both stops, or anywhere, to rounding: needed for symmetric motion.
+    """Return the mask (N,) of machines in which y rests midway between both stops, or anywhere, to rounding.
 
-    Then no force f is needed to hold y in the middle m, K x + f g = load and g . x = m: |f| is at most its change by
-    ULPS of each entry. With K v + s g = 0 and g . v = 1 that change is |v| . (|load| + |K| |x|) + |s| (|g| . |x| +
-    |upper| + |lower|).
+    Symmetric motion needs such a rest. No force f is then needed to hold y in the middle m:
+
+        K x + f g = load,  g . x = m
+
+    f| is then at most its change by ULPS of each entry. With K v + s g = 0 and g . v = 1 the change is
+
+        |v| . (|load| + |K| |x|) + |s| (|g| . |x| + |upper| + |lower|)
     """
     stiffness, row, load = machines.stiffness, machines.gap_row, machines.load
     middle = 0.5 * (machines.upper + machines.lower)
@@ -315,7 +360,7 @@ def balanced(machines: SingleContactMachines) -> Mask:
 
 
 def finite(record: Any) -> Mask:
-    """Mask of the records that hold finite numbers only."""
+    """Return the mask (N,) of the records that hold finite numbers only."""
     arrays = arrays_in(record)
     if np.isfinite(np.concatenate([array.ravel() for array in arrays])).all():  # nearly always
         return np.ones(len(arrays[0]), dtype=np.bool_)
@@ -323,13 +368,13 @@ def finite(record: Any) -> Mask:
 
 
 def numbers_of(record: Any) -> Array:
-    """All numbers of N records, one row (N, .) each."""
+    """Return all numbers of N records, one row (N, .) each."""
     rows = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays_in(record)]
     return np.concatenate(rows, axis=1)
 
 
 def arrays_in(record: Any) -> list[Array]:
-    """The arrays of a record and of the records in it."""
+    """Return the arrays of a record and of the records in it."""
     arrays = list[Array]()
     for field in record:
         if isinstance(field, tuple):
@@ -340,15 +385,15 @@ def arrays_in(record: Any) -> list[Array]:
 
 
 def derivative(row: Array, modes: BlockDecomposition) -> Array:
-    """derivative_of in these modes."""
+    """Return ``derivative_of`` a row in these modes."""
     return derivative_of(row, modes.eta, modes.lam)
 
 
 def derivative_of(row: Array, eta: Array, lam: Array) -> Array:
-    """row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
+    """Return row A, block by block: d/dt (r1 h + r2 h') = -lam r2 h + (r1 - 2 eta r2) h'."""
     return np.stack([-lam * row[..., 1], row[..., 0] - 2.0 * eta * row[..., 1]], axis=-1)
 
 
 def times(row: Array, matrix: Array) -> Array:
-    """row @ matrix, for N of each."""
+    """Return row @ matrix, for N of each."""
     return np.asarray((row[:, None, :] @ matrix)[:, 0])

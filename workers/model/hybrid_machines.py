@@ -13,39 +13,44 @@ from workers.model.oscillator import Array, Mask, Rows, SingleContactMachines, a
 from workers.results import NO_OSCILLATOR, NO_REASON, OUT_OF_DOUBLES, OUT_OF_RANGE
 
 INDEPENDENT = 1e-12
-"""Least singular value of independent rows of length 1."""
+"""Minimum singular value of independent rows of length 1."""
 
 PARALLEL = 1e-12
 """Relative deviation up to which a row counts as a multiple of another."""
 
 HALFWAY = 1e-12
-"""Deviation from half a forcing period, as a share of it, up to which two phases count as half a period apart."""
+"""Deviation from half a forcing period, as a share of a period, up to which two phases count as half a period apart."""
 
 MIDWAY = 1e-13
-"""Deviation, as a share of its terms, up to which a place counts as midway between stops and as balancing a load."""
+"""Deviation, as a share of its terms, up to which a position counts as midway between stops and as balancing a load."""
 
 
 class HybridMachines(NamedTuple):
     """N machines of n coordinates with P phases, C contacts, F frictions and H harmonics.
 
-    mass         (N, n, n)
-    damping, stiffness (N, P, n, n), load (N, P, n), force_sin and force_cos (N, P, H, n): of each phase
-    omega, tau   (N,)             forcing frequency, forcing phase at a section
-    starts       (N, P + 1)       of phases, shares of the forcing period; the last one is 1
-    row          (N, C, n)        of each contact, stops (N, C, 2) the lower one and the upper one, infinite for none
-    R            (N, C)           coefficient of restitution of rigid contacts, 1 of soft ones
-    soft         (N, C)           1 for soft contacts, by_force (N, C) 1 if released by force; equal in all N
-    pad          (N, P, C, 3)     stiffness, damping and preload of soft contacts, 0 of rigid ones
-    slide        (N, F, n)        row of each friction, belt (N, F) the velocity of what it rubs on
-    rub          (N, P, F, 3)     kinetic and static level, slope
-    law          (N, C, 2, S, 3)  further force of the lower and upper stop of a soft contact: start of
-                                  each segment in depth, slope, and force extrapolated to depth 0; see laws.py
-    grip         (N, F, S', 3)    further resistance of friction, likewise over |v|
-    counted      (N, C)           1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
-    drift        (N,)             the coordinate that may drift, -1 for none; equal in all N
+    mass                  (N, n, n) mass matrix
+    damping, stiffness    (N, P, n, n) matrices of each phase
+    load                  (N, P, n) load of each phase
+    force_sin, force_cos  (N, P, H, n) amplitudes of the force of each phase
+    omega, tau            (N,) forcing frequency, forcing phase at a section
+    starts                (N, P + 1) starts of the phases, shares of the forcing period; the last one is 1
+    row                   (N, C, n) row of each contact
+    stops                 (N, C, 2) lower and upper stop of each contact, infinite if missing
+    R                     (N, C) coefficient of restitution of rigid contacts, 1 for soft ones
+    soft                  (N, C) 1 for soft contacts, else 0; equal in all N
+    by_force              (N, C) 1 for contacts released by force, else 0; equal in all N
+    contact_constants     (N, P, C, 3) stiffness, damping and preload of soft contacts, 0 for rigid ones; in force per
+                          displacement, force per velocity and force along the row
+    friction_rows         (N, F, n) row of each friction
+    belt                  (N, F) velocity of the surface that each friction rubs on
+    friction_constants    (N, P, F, 3) kinetic level, static level and slope; in force, force, and force per velocity
+    contact_laws          (N, C, 2, S, 3) further force of the lower and upper stop of a soft contact: start of each
+                          segment in depth, slope, and force extrapolated to depth 0; see laws.py
+    friction_laws         (N, F, S', 3) further resistance of friction, likewise over |v|
+    counted               (N, C) 1 for contacts, 0 for springs, whose stops are the ends of the segment at rest
+    drift                 (N,) the coordinate that may drift, -1 if there is none; equal in all N
 
-    All are in the units of the definition: pad in force per displacement, force per velocity and force along the row,
-    rub in force, force, and force per velocity.
+    All fields are in the units of the definition.
     """
 
     mass: Array
@@ -78,7 +83,7 @@ class HybridMachines(NamedTuple):
 
     @property
     def mirrored(self) -> Mask:
-        """Mask (N,) of machines that are their own mirror images half a period later: see ``is_mirror_symmetric``."""
+        """Mask (N,) of machines that are their own mirror images half a period later, see ``is_mirror_symmetric``."""
         return is_mirror_symmetric(self) & (self.sizes[0] == 1)
 
     @property
@@ -88,12 +93,12 @@ class HybridMachines(NamedTuple):
 
     @property
     def segments(self) -> tuple[int, int]:
-        """Most segments in laws of contacts and in laws of friction."""
+        """Largest numbers of segments in laws of contacts and in laws of friction."""
         return self.contact_laws.shape[3], self.friction_laws.shape[2]
 
     @property
     def signals(self) -> Rows:
-        """Numbers (U,) of the signals that end a mode of any machine, see hybrid_modes.pieces_of; at least one."""
+        """Numbers (U,) of the signals that end a mode of any machine, see ``hybrid_modes.SIGNALS``; at least one."""
         F = self.sizes[2]
         ends = np.stack([np.isfinite(self.stops).any(axis=(0, 2)), self.by_force.any(axis=0)], axis=1)  # (C, 2)
         numbers = np.flatnonzero(np.concatenate([ends.ravel(), np.ones(F, dtype=np.bool_)]))
@@ -101,12 +106,12 @@ class HybridMachines(NamedTuple):
 
     @property
     def drifting(self) -> int:
-        """The coordinate that may drift, -1 for none."""
+        """The coordinate that may drift, -1 if there is none."""
         return int(self.drift[0]) if len(self.drift) else -1
 
 
 def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array) -> HybridMachines:
-    """Machines with a rigid contact as machines with modes, with this load (N, n) and these stops (N, 2)."""
+    """Return machines with one rigid contact as hybrid machines, with this load (N, n) and these stops (N, 2)."""
     (N, n), nothing, none = machines.gap_row.shape, np.zeros((len(load), 0)), np.zeros((len(load), 1))
     return HybridMachines(
         machines.mass, machines.damping[:, None], machines.stiffness[:, None], load[:, None],
@@ -122,12 +127,12 @@ def with_one_contact(machines: SingleContactMachines, load: Array, stops: Array)
 
 @np.errstate(all="ignore")
 def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
-    """The reason against each of N machines, or NO_REASON, as far as its numbers alone show it.
+    """Return the reason against each of N machines that its numbers alone show, NO_REASON if there is none.
 
-    Conditions: lower stops below upper ones, 0 <= R <= 1; no negative stiffness, damping or preload of a contact, nor
-    slope of its law; segments in order; 0 <= kinetic <= static; starts rising from 0 and below 1; rows that can be held
-    together independent, see ``held_rows``, and moved in the direction of a force along them, see ``yields``. Nothing
-    ties down a drifting coordinate.
+    Lower stops must be below upper ones, and 0 <= R <= 1. Stiffness, damping and preload of a contact, and the slope of
+    its law, must not be negative. Segments must be in order, 0 <= kinetic <= static, and starts must rise from 0 and
+    stay below 1. Rows that can stick together must be independent, see ``held_rows``. A force along a row must move it
+    that way, see ``yields``. Nothing may tie down a drifting coordinate.
     """
     own = machines
     lower, upper = own.stops[..., 0], own.stops[..., 1]
@@ -156,9 +161,9 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
 
 
 def is_mirror_symmetric(machines: HybridMachines) -> Mask:
-    """Mask of machines in which z(t) -> -z(t + T/2) takes motions to motions.
+    """Return the mask (N,) of machines in which z(t) -> -z(t + T/2) takes motions to motions.
 
-    Stops lie at equal distances from 0, belts rest, and half a period later the law is the same, with the load and the
+    Stops lie at equal distances from 0, and belts rest. Half a period later the law is the same, with the load and the
     even harmonics of the force negated.
     """
     own, phases = machines, machines.sizes[0]
@@ -176,7 +181,7 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
 
 
 def loses_nothing(machines: HybridMachines) -> Mask:
-    """Mask of machines without any loss: no damping, R = 1, no friction. M and K are symmetric."""
+    """Return the mask (N,) of machines without any loss: no damping, R = 1, no friction, M and K symmetric."""
     own = machines
     lossy = [
         _any(own.damping != -own.damping.swapaxes(-1, -2)),
@@ -187,7 +192,10 @@ def loses_nothing(machines: HybridMachines) -> Mask:
 
 
 def is_undriven(machines: HybridMachines) -> Mask:
-    """Mask of machines whose energy never rises: no force, phases or moving belts; nor does damping or K feed them."""
+    """Return the mask (N,) of machines whose energy never rises.
+
+    They have no force, phases or moving belts, and neither damping nor stiffness feeds in energy.
+    """
     own = machines
     driven = [_any(own.force_sin != 0.0), _any(own.force_cos != 0.0), _any(own.belt != 0.0)]
     fields = (own.damping, own.stiffness, own.load, own.contact_constants, own.friction_constants)
@@ -197,15 +205,16 @@ def is_undriven(machines: HybridMachines) -> Mask:
 
 
 def _has_energy(machines: HybridMachines) -> Mask:
-    """Mask of machines whose M and K are symmetric in all phases."""
+    """Return the mask (N,) of machines whose M and K are symmetric in all phases."""
     return definite(machines.mass) & np.all(machines.stiffness == machines.stiffness.swapaxes(-1, -2), axis=(1, 2, 3))
 
 
 @np.errstate(all="ignore")
 def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
-    """Machines counted from the centre of their mirror symmetry, see ``is_mirror_symmetric``, and the centres (N, n).
+    """Return machines counted from the centre of their mirror symmetry, and the centres (N, n).
 
-    The centre lies midway between all stops and balances the mean load. Others stay as they are, with a centre of 0.
+    The centre lies midway between all stops and balances the mean load, see ``is_mirror_symmetric``. Machines without
+    the symmetry stay as they are, with a centre of 0.
     """
     own, half, ends = machines, machines.sizes[0] // 2, np.isfinite(machines.stops)
     (N, P, n), between = own.load.shape, np.asarray(ends.all(axis=2))
@@ -234,9 +243,10 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
 
 
 def held_rows(machines: HybridMachines) -> Array:
-    """The rows (N, C + F, n) that rigid contacts and friction can hold, zeros for other elements.
+    """Return the rows (N, C + F, n) along which rigid contacts and friction can stick, zeros for other elements.
 
-    Friction on the row of a rigid contact, or a multiple of it, is left out: a held contact does not slide.
+    Friction on the row of a rigid contact, or on a multiple of this row, is left out, since a sticking contact does not
+    slide.
     """
     rigid = machines.row * (1.0 - machines.soft)[..., None]
     same = np.any((along_contacts(machines) != 0.0) & (machines.soft == 0.0)[:, None], axis=-1)  # (N, F)
@@ -244,7 +254,7 @@ def held_rows(machines: HybridMachines) -> Array:
 
 
 def along_contacts(machines: HybridMachines) -> Array:
-    """(N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
+    """Return (N, F, C): the factor a if the row of a friction is a times the row of a contact to rounding, else 0."""
     (slide, wide), (row, high) = _scaled(machines.friction_rows), _scaled(machines.row)
     share = np.vecdot(slide[:, :, None], row[:, None]) / np.vecdot(row, row)[:, None]
     apart = np.max(np.abs(slide[:, :, None] - share[..., None] * row[:, None]), axis=-1)
@@ -252,17 +262,17 @@ def along_contacts(machines: HybridMachines) -> Array:
 
 
 def _scaled(rows: Array) -> tuple[Array, Array]:
-    """Rows (N, R, n) scaled to largest entries +-1, and the scale factors (N, R)."""
+    """Return rows (N, R, n) scaled to largest entries +-1, and the scale factors (N, R)."""
     size = np.max(np.abs(rows), axis=-1)
     size = np.where(size > 0.0, size, 1.0)
     return rows / size[..., None], size
 
 
 def yields(machines: HybridMachines) -> Mask:
-    """Mask of machines in which a force along any row moves it that way, g.M^-1 g > 0, also while others are held.
+    """Return the mask (N,) of machines in which a force along any row moves the row that way, g.M^-1 g > 0.
 
-    All principal minors of G M^-1 G' are positive, with G the rows of contacts and all rows that can be held; true for
-    symmetric, positive definite M.
+    It must also hold while other rows stick. All principal minors of G M^-1 G' are then positive, with G the rows of
+    contacts and all rows that can stick. It holds for every symmetric, positive definite M.
     """
     all_yield = definite(machines.mass).copy()
     (others,) = np.nonzero(~all_yield)
@@ -273,12 +283,12 @@ def yields(machines: HybridMachines) -> Mask:
 
 @memoize_arrays
 def definite(mass: Array) -> Mask:
-    """Mask of symmetric, positive definite matrices (N, n, n)."""
+    """Return the mask (N,) of symmetric, positive definite matrices (N, n, n)."""
     return symmetric(mass) & (np.min(apply_stacked(np.linalg.eigvalsh, mass.shape[:2], mass), axis=1) > 0.0)
 
 
 def _yield_along(machines: HybridMachines) -> Mask:
-    """``yields`` computed by the principal minors."""
+    """Return ``yields``, computed by the principal minors."""
     own, held = machines, held_rows(machines)
     inverse = apply_stacked(np.linalg.inv, own.mass.shape, own.mass)
     singles = np.concatenate([own.row, own.friction_rows], axis=1)
@@ -295,7 +305,7 @@ def _yield_along(machines: HybridMachines) -> Mask:
 
 @memoize_arrays
 def dependent(rows: Array) -> Mask:
-    """Mask of machines (N,) in which the nonzero ones of rows (N, R, n) depend on each other."""
+    """Return the mask (N,) of machines in which the nonzero rows among rows (N, R, n) depend on each other."""
     largest = np.abs(rows).max(axis=-1, initial=0.0)
     scaled = rows / np.where(largest > 0.0, largest, 1.0)[..., None]  # keeps their squares in range
     length = np.sqrt(np.vecdot(scaled, scaled))
@@ -309,5 +319,5 @@ def _singular_values(rows: Array) -> Array:
 
 
 def _any(wrong: Mask) -> Mask:
-    """Machines with any true entry."""
+    """Return the mask (N,) of machines with any true entry."""
     return np.asarray(np.any(wrong, axis=tuple(range(1, wrong.ndim))))

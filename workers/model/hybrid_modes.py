@@ -2,14 +2,14 @@
 
     M x'' + C x' + K x = load + force(omega t + tau) + contacts + friction
 
-A contact is a stop, or two, on y = row . x. Beyond a soft one, at depth delta > 0, acts preload + stiffness delta +
-damping delta'; a rigid one turns y' into -R y'. Friction on v = row . x' - belt resists with kinetic + slope |v|, and
-holds v = 0 up to ``static``. Phases change matrices, force, load and the constants of elements from ``start`` on, a
-share of the forcing period.
+A contact is one stop, or two, on y = row . x. Beyond a soft stop, at depth delta > 0, the force preload + stiffness
+delta + damping delta' acts. A rigid stop turns y' into -R y'. Friction on v = row . x' - belt resists with kinetic +
+slope |v|, and sticks, v = 0, up to ``static``. Phases change matrices, force, load and the constants of elements from
+``start`` on, a share of the forcing period.
 
-A mode is an affine linear flow between events, for one phase and one state of each contact and friction. Held or
-sticking coordinates y = G x are eliminated: x = D y + N q, N spanning ker G; y has a constant rate. In blocks y is a
-rigid mode without load, so all modes of a machine have the same number of blocks.
+A mode is an affine linear flow between events, for one phase and one state of each contact and friction. Sticking
+coordinates y = G x are eliminated: x = D y + N q, N spanning ker G, and y has a constant rate. In blocks y is a rigid
+mode without load, so all modes of a machine have the same number of blocks.
 """
 
 from typing import Any, NamedTuple
@@ -25,23 +25,28 @@ from workers.model.memoize import memoize_arrays
 from workers.model.oscillator import COLUMN, OF_FLOW, OF_GUARD, Array, Mask, Rows, at_rows, make_blocks
 
 OPEN, ON, DETACHED = 0, 1, 2
-"""States of a contact, with the sign of its side: open; held by a rigid stop or engaged by a soft one; inside a soft
-stop that can only push and does not. In segment j of a law: ON + 2 j or DETACHED + 2 j, odd numbers push."""
+"""States of a contact, with the sign of its side.
+
+OPEN is open. ON is sticking on a rigid stop, or engaged with a soft one. DETACHED is inside a soft stop that can only
+push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 2 j; odd numbers push.
+"""
 
 ROUNDING = 1e-12
 """Rounding of zero, as a share of the terms of a sum or of the largest eigenvalue."""
 
 NO_FORM, RESONANT = 1, 2
-"""Faults of a mode: no motion in closed form; undamped resonance. 0 for none."""
+"""Faults of a mode: no motion in closed form; undamped resonance. A mode without a fault has 0."""
 
 SIGNALS = 2
-"""Signals of a contact: y, or its force while it holds; and the force of a soft contact released by it."""
+"""Number of signals of a contact. The first is y, or the contact force while it sticks; the second is the force of a
+soft contact that is released by force.
+"""
 
 
 class ModeCode(NamedTuple):
-    """A mode: the phase, the state of each contact and the sign of each slip, 0 while it sticks.
+    """A mode: the phase, the state of each contact, and the sign of each slip, 0 while the friction sticks.
 
-    Slip in segment j = 0, 1, ... of a law is +-(1 + j).
+    In segment j = 0, 1, ... of a law the slip is +-(1 + j).
     """
 
     phase: int
@@ -54,7 +59,7 @@ class ModeCode(NamedTuple):
         return self.number_of(1, 1)
 
     def number_of(self, segments: int, slip_segments: int) -> int:
-        """The code as one number, for a machine whose laws have room for these numbers of segments."""
+        """Return the code as one number, for a machine whose laws have room for these numbers of segments."""
         number = self.phase
         for state in self.contacts:
             number = (4 * segments + 1) * number + state + 2 * segments
@@ -68,7 +73,7 @@ FLYING = ModeCode(0, (OPEN,), ())
 
 
 def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segments: int = 1) -> ModeCode:
-    """The code of a number, for these numbers of contacts, frictions and segments of their laws."""
+    """Return the code of a number, for these numbers of contacts, frictions, and segments of their laws."""
     signs, states = [], []
     for _ in range(slips):
         number, digit = divmod(number, 2 * slip_segments + 1)
@@ -80,38 +85,49 @@ def code_of(number: int, contacts: int, slips: int, segments: int = 1, slip_segm
 
 
 def pushing(machines: HybridMachines, p: int, c: int, state: int) -> tuple[Array, Array, Array]:
-    """Stiffness, damping and preload (N,) of a soft contact in phase p and this state, in the segment of its law."""
+    """Return stiffness, damping and preload (N,) of a soft contact.
+
+    machines  the machines
+    p, c      phase and contact
+    state     state of the contact, which decides the segment of its law
+    """
     stiffness, damping, preload = machines.contact_constants[:, p, c].T
     _, slope, level = machines.contact_laws[:, c, 1 if state > 0 else 0, (abs(state) - 1) // 2].T
     return stiffness + slope, damping, preload + level
 
 
 def resisting(machines: HybridMachines, p: int, f: int, sign: int) -> tuple[Array, Array]:
-    """Kinetic level and slope (N,) of sliding friction in phase p, in the segment of its law."""
+    """Return kinetic level and slope (N,) of friction f while it slides in phase p.
+
+    ``sign`` decides the segment of its law.
+    """
     kinetic, _, slope = machines.friction_constants[:, p, f].T
     _, more, level = machines.friction_laws[:, f, abs(sign) - 1].T
     return kinetic + level, slope + more
 
 
 def _segment(starts: Array, i: int) -> tuple[Array, Array]:
-    """Start and end (N,) of segment i, for segments that begin at starts (N, S)."""
+    """Return start and end (N,) of segment i, for segments that begin at starts (N, S)."""
     return starts[:, i], starts[:, i + 1] if i + 1 < starts.shape[1] else np.full(len(starts), np.inf)
 
 
 class HybridModes(NamedTuple):
     """A mode of N machines with n blocks, G signals and H harmonics.
 
-    blocks       (N, G, n, columns)    flow of the blocks, and the row of each signal, see oscillator.Block
-    waves        (N, G, H, 2)          forced part of each signal, see oscillator.Mode
-    numbers      (N, G, NUMBER)        see oscillator.Numbers
-    forced       (N, n, 2, H, 2)       forced response of the blocks
-    rows         (N, G, 2n + 1)        each signal as a row on (x, v, 1)
-    direct       (N, G, H, 2)          and the share of the force in it
-    offset       (N, G)                its value with the blocks at rest
-    ends         (N, G, 2)             its range in this mode, infinite without an end
-    to_blocks    (N, 2n, 2n)           blocks of (x, v), counted from their rest; to_physical is the inverse
-    acceleration (N, n, 2n + 1)        x'' as rows on (x, v, 1), drive (N, n, H, 2) the share of the force in it
-    lost, trace  (N,)                  dimensions missing in the flow; trace of M^-1 C, its contraction of volume
+    blocks        (N, G, n, columns) flow of the blocks, and the row of each signal, see oscillator.Block
+    waves         (N, G, H, 2) forced part of each signal, see oscillator.GuardedFlow
+    numbers       (N, G, NUMBER) see oscillator.ForcedBounds
+    forced        (N, n, 2, H, 2) forced response of the blocks
+    rows          (N, G, 2n + 1) each signal as a row on (x, v, 1)
+    direct        (N, G, H, 2) share of the force in each signal
+    offset        (N, G) value of each signal with the blocks at rest
+    ends          (N, G, 2) range of each signal in this mode, infinite without an end
+    to_blocks     (N, 2n, 2n) blocks of (x, v), counted from their rest
+    to_physical   (N, 2n, 2n) its inverse
+    acceleration  (N, n, 2n + 1) x'' as rows on (x, v, 1)
+    drive         (N, n, H, 2) share of the force in x''
+    lost          (N,) number of dimensions missing in the flow
+    trace         (N,) trace of M^-1 C of the mode, its contraction of volume
     """
 
     blocks: Array
@@ -131,14 +147,17 @@ class HybridModes(NamedTuple):
 
 
 OF_PIECES = HybridModes._make([5, 5, 4, 6, 4, 5, 3, 4, 4, 4, 4, 5, 2, 2])
-"""Numbers of axes of the fields of many modes of many machines, one more than Pieces has."""
+"""Numbers of axes of the fields of many modes of many machines, one more than HybridModes has."""
 
 
 class ModeStructure(NamedTuple):
-    """A mode of N machines as far as all but the forcing frequency decides it; see Pieces for fields of these names.
+    """A mode of N machines as far as all but the forcing frequency decides it.
 
-    flow and loading of the coordinates that nothing holds; still (N, r, columns): blocks of held coordinates;
-    undriven (N,): a load or a belt drives a free motion.
+    flow, loading  of the coordinates that do not stick
+    still          (N, r, columns) blocks of sticking coordinates
+    undriven       (N,) mask of machines in which a load or a belt drives a free motion
+
+    All other fields are those of HybridModes.
     """
 
     flow: BlockFlow
@@ -157,20 +176,19 @@ class ModeStructure(NamedTuple):
 
 @np.errstate(all="ignore")
 def build_modes(machines: HybridMachines, code: ModeCode) -> tuple[HybridModes, NDArray[np.int64]]:
-    """A mode of machines, and its fault by machine, 0 for none.
+    """Return a mode of machines, and its fault (N,) by machine, 0 if there is none.
 
-    RESONANT: undamped resonance. NO_FORM: held rows depend on each other, planes cannot be separated, or a load drives
-    a free motion that the held coordinates leave.
+    RESONANT is undamped resonance. NO_FORM means that sticking rows depend on each other, planes cannot be separated,
+    or a load drives a free motion that the sticking coordinates leave.
     """
     return build_modes_at(structures_of(machines, code), machines.omega)
 
 
 @np.errstate(all="ignore")
 def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, ModeStructure]]:
-    """The structures of a mode of machines, with the rows of the machines that share one.
+    """Return the structures of a mode of machines, with the rows of the machines that share one.
 
-    Machines are treated in groups of equal friction that sticks on the row of a held contact, since the holding forces
-    differ.
+    Machines are grouped by the friction that sticks on the row of a sticking contact, since the contact forces differ.
     """
     along = along_contacts(machines)
     resting, kind = _resting(machines, code, along)
@@ -182,7 +200,7 @@ def structures_of(machines: HybridMachines, code: ModeCode) -> list[tuple[Rows, 
 
 @np.errstate(all="ignore")
 def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """``build_modes`` machines with these structures at forcing frequencies (N,)."""
+    """Return ``build_modes`` of machines with these structures, at forcing frequencies (N,)."""
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
     made = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
@@ -194,7 +212,12 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
 
 
 def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, resting: dict[int, int]) -> ModeStructure:
-    """The structure of a mode of machines with the same ``resting`` friction, see ``_resting`` and along_contacts."""
+    """Return the structure of a mode of machines with the same ``resting`` friction.
+
+    machines, code  the machines and the mode
+    along           (N, F, C) see along_contacts
+    resting         contacts by friction, see ``_resting``
+    """
     p, mass = code.phase, machines.mass
     N, n = machines.load.shape[0], machines.load.shape[2]
     damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
@@ -223,9 +246,9 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
     inverse_mass = apply_stacked(np.linalg.inv, mass.shape, mass)
     D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
-    free = inverse_mass - D @ G @ inverse_mass  # along held rows nothing accelerates
+    free = inverse_mass - D @ G @ inverse_mass  # along sticking rows nothing accelerates
     acceleration, drive = free @ forces, force @ np.ascontiguousarray(free.swapaxes(1, 2))
-    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of the held coordinates
+    multipliers, driven = -hold @ forces, -force @ np.ascontiguousarray(hold.swapaxes(1, 2))  # of sticking coordinates
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
     drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
@@ -237,7 +260,7 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
 
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
-    """A mode of this structure at forcing frequencies (N,), and its fault by machine, see pieces_of."""
+    """Return a mode of this structure at forcing frequencies (N,), and its fault (N,), see ``build_modes``."""
     own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
     (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, own.still.shape[1]
     moving, resonant = motion_in(own.flow, own.loading, omega)
@@ -266,9 +289,9 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
 
 
 def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[list[dict[int, int]], NDArray[np.int64]]:
-    """Groups of machines by the frictions that stick on the row of a held rigid contact, and the group of each machine.
+    """Return groups of machines by the friction that sticks on the row of a sticking rigid contact.
 
-    A group maps each such friction to its contact; see along_contacts.
+    The second result is the group of each machine. A group maps each such friction to its contact, see along_contacts.
     """
     held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
@@ -281,9 +304,9 @@ def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[li
 
 
 def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
-    """D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of held rows G (N, r, n).
+    """Return D (N, n, r) = M^-1 G' (G M^-1 G')^-1 and (G M^-1 G')^-1 G M^-1 (N, r, n) of sticking rows G (N, r, n).
 
-    For symmetric M one is the transpose of the other.
+    For symmetric M the two are transposes of each other. ``even`` is the mask (N,) of symmetric M.
     """
     turned = np.ascontiguousarray(G.swapaxes(1, 2))
     compliance = G @ inverse_mass @ turned
@@ -298,9 +321,12 @@ def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
 def _signals(
     machines: HybridMachines, code: ModeCode, resting: dict[int, int], along: Array, multipliers: Array, driven: Any
 ) -> tuple[Array, Array, Array]:
-    """Rows (N, G, 2n + 1), shares of the force (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
+    """Return rows (N, G, 2n + 1), shares of the force (N, G, H, 2) and ends (N, G, 2) of the signals of a mode.
 
-    multipliers (N, r, 2n + 1) and driven (N, H, r): holding forces, in the order of contacts and friction.
+    machines, code  the machines and the mode
+    resting, along  see ``_resting`` and along_contacts
+    multipliers     (N, r, 2n + 1) contact and friction forces on (x, v, 1) along sticking rows, contacts first
+    driven          (N, H, r) shares of the force in them
     """
     p, (_, C, F), (N, H) = code.phase, machines.sizes, driven.shape[:2]
     n, count = machines.load.shape[2], max(1, SIGNALS * C + F)  # the blocks of a single signal are those of the flow
@@ -317,7 +343,7 @@ def _signals(
         k, side, row = SIGNALS * c, np.sign(state), machines.row[:, c]
         inner, outer = (0, 1) if side > 0 else (1, 0)
         if abs(state) == ON and not machines.soft[:, c].any():
-            hold(k)  # the pressing force, or the pull up to that of friction that also holds
+            hold(k)  # the contact force; a pull is possible up to the level of friction that also sticks
             helping = [
                 machines.friction_constants[:, p, f, 1] * np.abs(along[:, f, c]) for f, at in resting.items() if at == c
             ]
@@ -361,11 +387,15 @@ def _reduced(
     D: Array,
     moves: Mask,
 ) -> tuple[BlockFlow, BlockLoading, Array, Array, Mask]:
-    """The flow while rows G (N, r, n) are held, its loading, transformations, and the mask of undriven machines.
+    """Return the flow while rows G stick, its loading, its transformations, and the mask of undriven machines.
+
+    G      (N, r, n) sticking rows
+    D      (N, n, r) see ``_holding``
+    moves  (N, r) mask of rows with a moving belt
 
     With y = G x and u = y' constant, q = h + rest + a y + b u: a = -(N'KN)^-1 N'K D, b = -(N'KN)^-1 N'C (D + N a).
     """
-    # Forces along the held rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
+    # Forces along the sticking rows, M x'' + C x' + K x = f + G'p, and y'' = G x'' = 0 give
     # p = -(G M^-1 G')^-1 G M^-1 (f - C x' - K x). With D = M^-1 G' (G M^-1 G')^-1 is G D = 1 and N'M D = N'G' ... = 0,
     # so that N' times the equation, x = D y + N q, has neither p nor y'':
     #     N'MN q'' + N'CN q' + N'KN q = N'f - N'K D y - N'C D u.
@@ -408,14 +438,17 @@ def _reduced(
 
 
 def _seen_along(matrix: Array, across: Array, null: Array) -> Array:
-    """N'A N of matrices A (N, n, n), zero if it is zero to rounding: a dashpot along a held row moves nothing else."""
+    """Return N'A N of matrices A (N, n, n), zero where it is zero to rounding.
+
+    A dashpot along a sticking row moves nothing else.
+    """
     seen = across @ matrix @ null
     terms = np.abs(across) @ np.abs(matrix) @ np.abs(null)
     return np.where(np.abs(seen) <= FREE * matrix.shape[1] * terms, 0.0, seen)
 
 
 def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
-    """X (N, m, r) of matrix X = right; for singular matrices the least X by least squares."""
+    """Return X (N, m, r) of matrix X = right; for singular matrices the least X by least squares."""
     safe = np.where(singular[:, None, None], np.eye(matrix.shape[1]), matrix)
     X = np.asarray(apply_stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
@@ -428,7 +461,7 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
 
 
 def null_space(G: Array) -> Array:
-    """Orthonormal bases (N, n, n - r) of the null space of rows (N, r, n)."""
+    """Return orthonormal bases (N, n, n - r) of the null space of rows (N, r, n)."""
     if not G.shape[1]:
         return np.repeat(np.eye(G.shape[2])[None], len(G), axis=0)
     return np.ascontiguousarray(

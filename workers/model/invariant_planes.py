@@ -9,21 +9,22 @@ import numpy as np
 from workers.model.oscillator import Array
 
 SINGULAR = 1e-10
-"""Relative determinant below which coordinates of a plane are no h and h'; its inverse bounds the entries of the
-transformation relative to those of its eigenvalues."""
+"""Relative determinant below which coordinates of a plane cannot be h and h'. Its inverse bounds the entries of the
+transformation relative to its eigenvalues.
+"""
 
 
 def condition_of(planes: Array) -> float:
-    """Condition of the matrix of rows scaled to length 1: how nearly planes with these rows coincide."""
+    """Return the condition of the rows, scaled to length 1: how nearly planes with these rows coincide."""
     unit = planes / np.linalg.norm(planes, axis=1, keepdims=True)
     return float(np.linalg.cond(unit)) if np.isfinite(unit).all() else math.inf
 
 
 def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
-    """eta and lam (n,) of the planes of z' = A z and the rows (2n, 2n) that take z to their coordinates (h, h').
+    """Return eta and lam (n,) of the planes of z' = A z, and the rows (2n, 2n) of their coordinates (h, h') on z.
 
-    The rows W of a plane, orthonormal, satisfy W A = B W. grows: motion may grow. Then the eigenvectors of a double
-    real eigenvalue with a plane of eigenvectors are each paired with one of another eigenvalue.
+    The rows W of a plane, orthonormal, satisfy W A = B W. With ``grows`` motion may grow. The eigenvectors of a double
+    real eigenvalue with a plane of eigenvectors are then each paired with an eigenvector of another eigenvalue.
     """
     from scipy.linalg import schur  # imported here: it takes longer than all other imports of most machines
     from scipy.linalg.lapack import dtrsen
@@ -40,10 +41,11 @@ def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
 
 
 def _coordinates(W: Array, B: Array, whole: bool) -> tuple[float, float, Array]:
-    """eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'; NaN if no h makes these independent.
+    """Return eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'.
 
-    h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent, scaled so that h' has a
-    velocity row of unit length; with ``whole`` the whole row, since its velocity part may be zero.
+    h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent. The rows are scaled so
+    that the velocity part of the row of h' has unit length. With ``whole`` the whole row has unit length, since its
+    velocity part may be zero. The rows are NaN if no alpha makes h and h' independent.
     """
     mixed = 0.5 * (B[1, 1] - B[0, 0])
     values, vectors = np.linalg.eigh(np.array([[B[0, 1], mixed], [mixed, -B[1, 0]]]))
@@ -58,7 +60,10 @@ def _coordinates(W: Array, B: Array, whole: bool) -> tuple[float, float, Array]:
 
 
 def _planes_of_vectors(A: Array) -> tuple[Array, Array, Array]:
-    """planes_of eigenvectors: real ones sorted by value, each paired with the one half of them further on."""
+    """Return ``planes_of`` from eigenvectors.
+
+    Real eigenvectors are sorted by eigenvalue, and each is paired with the one half of their number further on.
+    """
     values, vectors = np.linalg.eig(A.T)
     reals = sorted(np.flatnonzero(values.imag == 0.0).tolist(), key=lambda k: (values[k].real, k))
     half, n = len(reals) // 2, len(A) // 2
@@ -75,10 +80,10 @@ def _planes_of_vectors(A: Array) -> tuple[Array, Array, Array]:
 
 
 def refine_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Array, Array, Array]:
-    """Planes whose eta and lam have errors relative to themselves, not to the largest one: one Newton step.
+    """Return planes whose eta and lam have errors relative to themselves, not to the largest: one Newton step.
 
-    With P A P^-1 = B + E, B the blocks [[0, 1], [-lam, -2 eta]], the rows (I + X) P are first order in E where
-    X_ij B_j - B_i X_ij = E_ij for i != j; B_i + E_ii is then the matrix of the plane, and h' is b11 h + b12 h'.
+    P A P^-1 = B + E, with B the blocks [[0, 1], [-lam, -2 eta]]. The rows (I + X) P are first order in E if X_ij B_j -
+    B_i X_ij = E_ij for i != j. B_i + E_ii is then the matrix of the plane, and h' is b11 h + b12 h'.
     """
     n = len(eta)
     if not condition_of(planes) < 1.0 / SINGULAR:
@@ -92,7 +97,7 @@ def refine_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Arra
     for i, j in permutations(range(n), 2):
         with suppress(np.linalg.LinAlgError):  # of planes with equal motion
             X[i, j] = np.linalg.solve(np.kron(unit, B[j].T) - np.kron(B[i], unit), E[i, j].ravel()).reshape(2, 2)
-        X[i, j] = np.where(np.max(np.abs(X[i, j])) < 1.0, X[i, j], 0.0)  # nearly equal: no more than rounding
+        X[i, j] = np.where(np.max(np.abs(X[i, j])) < 1.0, X[i, j], 0.0)  # nearly equal planes: no more than rounding
     rows = planes + X.swapaxes(1, 2).reshape(2 * n, 2 * n) @ planes
     h = rows[0::2]
     rows[1::2] = B[:, 0, :1] * h + B[:, 0, 1:] * rows[1::2]
@@ -100,10 +105,10 @@ def refine_planes(A: Array, eta: Array, lam: Array, planes: Array) -> tuple[Arra
 
 
 def _pairs(T: Array) -> list[tuple[int, int]]:
-    """Diagonal positions in a real Schur form of the two eigenvalues of each plane.
+    """Return the diagonal positions, in a real Schur form, of the two eigenvalues of each plane.
 
-    Complex pairs; then real ones in order, neighbours with the smallest relative gap first, since nearly equal ones
-    must stay together.
+    Complex pairs come first. Real eigenvalues follow in order, neighbours with the smallest relative gap first, since
+    nearly equal ones must stay together.
     """
     pairs = [(i, i + 1) for i in np.flatnonzero(np.diagonal(T, -1)).tolist()]
     reals = sorted(set(range(len(T))).difference(*pairs), key=lambda position: (T[position, position], position))

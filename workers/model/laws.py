@@ -1,12 +1,13 @@
-"""Laws of springs, contacts and friction, piecewise linear in their argument: numbers of their segments.
+"""Piecewise linear laws of springs, contacts and friction, as numbers of their segments.
 
-    law = [[x_0, F_0], [x_1, F_1], ...]     the last segment has no end; for a spring the first one neither
+    law = [[x_0, F_0], [x_1, F_1], ...]
 
-The law of a contact is over its depth, that of friction over |v|, from 0 on. The value at 0 is the preload or the
-kinetic level; the law of HybridMachines is the increment. The law of a spring is over y. Its segment at y = 0 goes into
-the stiffness and load of the machine; the ends of that segment are stops of a contact that adds the rest.
+The last segment has no end; the first segment of a spring has none either. The law of a contact is a function of its
+depth, that of friction of |v|, from 0 on. The value at 0 is the preload or the kinetic level; the law in HybridMachines
+is the increment. The law of a spring is a function of y. Its segment at y = 0 goes into the stiffness and load of the
+machine. The ends of that segment are stops of a contact that adds the rest of the law.
 
-An expression becomes a table of the fewest segments, see chords.py. An invalid law has NaN for starts.
+An expression becomes a table of the fewest segments, see piecewise_fit.py. An invalid law has NaN for starts.
 """
 
 from collections.abc import Mapping
@@ -28,8 +29,9 @@ EVEN = 8.0 * float(np.finfo(np.float64).eps)
 class SpringTables(NamedTuple):
     """N springs of piecewise linear laws.
 
-    Stiffness and force at 0 of the segment at rest (N,), its ends (N, 2), and the rest (N, 2, S, 3) as in
-    HybridMachines.law.
+    stiffness, force  (N,) stiffness, and force at 0, of the segment at rest
+    stops             (N, 2) ends of the segment at rest
+    law               (N, 2, S, 3) the rest of the law, as in HybridMachines.contact_laws
     """
 
     stiffness: Array
@@ -39,10 +41,10 @@ class SpringTables(NamedTuple):
 
 
 SEGMENTS = 64
-"""Most segments of a law."""
+"""Maximum number of segments of a law."""
 
 SAMPLES = 256
-"""Intervals of an argument's range in which the greatest force of a law is looked for."""
+"""Number of intervals of an argument's range in which the greatest force of a law is searched for."""
 
 ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
 """Argument of a law in an expression: depth of a contact, coordinate of a spring, |v| of friction."""
@@ -50,9 +52,14 @@ ARGUMENTS: dict[type, str] = {Contact: "d", Spring: "y", Friction: "v"}
 
 @np.errstate(all="ignore")
 def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], limit: float = SEGMENTS) -> Array:
-    """Vertices (N, V, 2), argument and force, of an element's law; infinite arguments fill up machines with fewer.
+    """Return the vertices (N, V, 2), argument and force, of an element's law.
 
-    NaN if an expression takes more than ``limit`` segments, or has no value.
+    element  contact, friction or spring with a law
+    named    values (N,) by name
+    limit    maximum number of segments of an expression
+
+    Machines with fewer vertices have infinite arguments at the end. The vertices are NaN if an expression takes more
+    segments than ``limit``, or has no value.
     """
     if not isinstance(element.law, Expression):
         return evaluate_entries(element.law, named)
@@ -73,10 +80,10 @@ def vertices(element: Contact | Friction | Spring, named: Mapping[str, Array], l
 def law_use(
     element: Contact | Friction | Spring, named: Mapping[str, Array], low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """How far an expression was used by motions whose arguments lay between ``low`` and ``high`` (N,).
+    """Return how far an expression was used by motions whose arguments lay between ``low`` and ``high`` (N,).
 
-    The largest argument as a share of the range (N,), and the bound of the error as a share of the greatest force that
-    these arguments gave (N,), NaN for no force.
+    The first result (N,) is the largest argument as a share of the range. The second (N,) is the error bound as a share
+    of the greatest force at these arguments, NaN if there was no force.
     """
     law = element.law
     assert isinstance(law, Expression)
@@ -93,7 +100,7 @@ def law_use(
 
 
 def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) -> Array:
-    """The range (N, 2) of arguments in which an expression counts."""
+    """Return the range (N, 2) of arguments in which an expression counts."""
     if isinstance(element.range, tuple):
         return evaluate_entries(element.range, named)
     (reach,) = evaluate_entries((element.range,), named).T
@@ -103,7 +110,13 @@ def _ranges(element: Contact | Friction | Spring, named: Mapping[str, Array]) ->
 def _fitted(
     element: Contact | Friction | Spring, numbers: Mapping[str, float], within: float, low: float, high: float
 ) -> Array:
-    """The vertices (V, 2) of the fewest segments of an element's law, for these values of its names."""
+    """Return the vertices (V, 2) of the fewest segments of an element's law.
+
+    element    contact, friction or spring whose law is an expression
+    numbers    values by name
+    within     error bound, as a share of the largest force
+    low, high  range of the argument
+    """
     law, argument = element.law, ARGUMENTS[type(element)]
     assert isinstance(law, Expression)
 
@@ -128,7 +141,7 @@ def _fitted(
 
 @np.errstate(all="ignore")
 def segments_of(element: Contact | Friction | Spring, table: Array) -> int:
-    """Number of segments of a law with these vertices (V, 2)."""
+    """Return the number of segments of a law with these vertices (V, 2)."""
     if not isinstance(element, Spring):
         return len(table) - 1
     spring = two_sided(table[None])
@@ -136,10 +149,12 @@ def segments_of(element: Contact | Friction | Spring, table: Array) -> int:
 
 
 def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
-    """Force at 0 (N,) and segments (N, S, 3), as in HybridMachines.law, of vertices (N, V, 2) that begin at 0.
+    """Return the force at 0 (N,) and the segments (N, S, 3), as in HybridMachines.contact_laws, of a law from 0 on.
 
-    If it ``falls``, as friction may, no force may be negative and the last segment may not fall; otherwise no segment
-    may fall.
+    table  (N, V, 2) vertices
+    falls  True if the law may fall, as that of friction may
+
+    If the law may fall, no force may be negative and the last segment may not fall. Otherwise no segment may fall.
     """
     x, slope, rises = _chords(table)
     first = table[:, 0, 1]
@@ -154,7 +169,7 @@ def one_sided(table: Array, falls: bool) -> tuple[Array, Array]:
 
 
 def two_sided(table: Array) -> SpringTables:
-    """Springs with these vertices (N, V, 2)."""
+    """Return the springs with these vertices (N, V, 2)."""
     x, slope, rises = _chords(table)
     N, S = slope.shape
     count = np.sum(np.isfinite(x), axis=1)
@@ -186,7 +201,7 @@ def two_sided(table: Array) -> SpringTables:
 
 
 def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> HybridMachines:
-    """Machines with a further spring on y = row . x, rows (N, n)."""
+    """Return machines with a further spring on y = row . x, for rows (N, n)."""
     N, C = len(row), machines.sizes[1]
 
     def and_one(field: Array, value: Any, axis: int = 1) -> Array:
@@ -207,7 +222,10 @@ def sprung(machines: HybridMachines, row: Array, spring: SpringTables) -> Hybrid
 
 
 def widened(laws: list[Array], shape: tuple[int, ...]) -> Array:
-    """Laws (N, ..., S, 3) of several elements as one array (N, elements, ..., S, 3) with room for the longest."""
+    """Return laws (N, ..., S, 3) of several elements as one array (N, elements, ..., S, 3) with room for the longest.
+
+    ``shape`` is (N, ...).
+    """
     most = max([1, *(law.shape[-2] for law in laws)])
     wide = np.zeros((shape[0], len(laws), *shape[1:], most, 3))
     wide[..., 1:, 0] = np.inf
@@ -217,12 +235,12 @@ def widened(laws: list[Array], shape: tuple[int, ...]) -> Array:
 
 
 def none(*shape: int) -> Array:
-    """The law of elements without a law."""
+    """Return the law of elements without a law."""
     return np.zeros((*shape, 1, 3))
 
 
 def _chords(table: Array) -> tuple[Array, Array, Array]:
-    """Arguments (N, V), slopes (N, V - 1), 0 beyond the last vertex, and a mask of machines with rising arguments."""
+    """Return arguments (N, V), slopes (N, V - 1), 0 beyond the last vertex, and the mask (N,) of rising arguments."""
     x, F = table[..., 0], table[..., 1]
     there = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
     run = np.where(there, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
@@ -231,7 +249,10 @@ def _chords(table: Array) -> tuple[Array, Array, Array]:
 
 
 def _segments(starts: Array, slope: Array) -> Array:
-    """Segments (N, S, 3) with these starts and slopes, NaN for none, and zero force at the first start."""
+    """Return segments (N, S, 3) with these starts and slopes, and zero force at the first start.
+
+    A slope of NaN stands for no segment.
+    """
     there = np.isfinite(slope)
     slope = np.where(there, slope, 0.0)
     safe = np.where(there, starts, 0.0)

@@ -1,4 +1,4 @@
-"""Measures of a machine and results of its elements, in addition to the results of every machine."""
+"""Measures of a machine and results of its elements, in addition to the results that every machine has."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator
@@ -11,10 +11,10 @@ from workers.model.expression import Expression, Row
 from workers.results import PER_PERIOD, Variable, count_of_orbit
 
 MEASURES = 8
-"""Measures of a machine, by name."""
+"""Maximum number of measures of a machine."""
 
 ORDERS = ("displacement", "velocity", "acceleration")
-"""Keys of a measure by the derivative of the displacements that it acts on."""
+"""Keys of a measure, by the derivative of the displacements that its row acts on."""
 
 REPORTS = {
     "mean": "mean", "rms": "root mean square", "peak": "greatest modulus", "power": "mean power",
@@ -24,14 +24,17 @@ REPORTS = {
 KEYS = (*ORDERS, "weight", "report")
 
 RANGE_SHARE, LAW_ERROR = "_range_share", "_law_error"
-"""Endings of the names of results of a law that is an expression: see ``law_variables``."""
+"""Endings of the names of results of a law that is an expression, see ``law_variables``."""
 
 
 @dataclass(frozen=True)
 class OutputMeasure:
-    """An output row . x, row . x' or row . x'', with the reports wanted of it.
+    """An output row . x, row . x' or row . x'', with its reports.
 
-    Reports: mean, root mean square, peak (greatest modulus), and power, ``weight`` times the mean square.
+    displacement, velocity, acceleration  the row, on x, x' or x''; the other two are None
+    weight                                factor of the power, None without that report
+    report                                "mean", "rms" (root mean square), "peak" (greatest modulus) or "power"
+                                          (``weight`` times the mean square)
     """
 
     displacement: Row | None = None
@@ -42,12 +45,12 @@ class OutputMeasure:
 
     @property
     def kind(self) -> str:
-        """The derivative that its row acts on, one of ORDERS."""
+        """The derivative that the row acts on, one of ORDERS."""
         return next(key for key in ORDERS if getattr(self, key) is not None)
 
     @property
     def row(self) -> Row:
-        """Its row."""
+        """The row of the output."""
         row: Row = getattr(self, self.kind)
         return row
 
@@ -56,7 +59,7 @@ Measures = tuple[tuple[str, OutputMeasure], ...]
 
 
 def read_measures(value: object, known: Collection[str], n: int) -> Measures:
-    """The measures in a table [system] of n coordinates, by their names."""
+    """Return the measures in a table [system] of n coordinates, by their names."""
     tables = read_table("system.measures", value)
     if len(tables) > MEASURES:
         raise DefinitionError(f"system.measures: found {len(tables)}, must be at most {MEASURES}")
@@ -87,14 +90,14 @@ def _read_report(where: str, value: Any) -> tuple[str, ...]:
 
 
 def measure_variables(measures: Measures) -> Iterator[tuple[str, Variable]]:
-    """Reports of measures as variables NAME_mean, NAME_rms, NAME_peak and NAME_power, each with its entry."""
+    """Yield reports of measures as variables NAME_mean, NAME_rms, NAME_peak and NAME_power, each with its entry."""
     for name, measure in measures:
         for report in measure.report:
             yield f"system.measures.{name}", _number(f"{name}_{report}", f"{REPORTS[report]} of {measure.kind} {name}")
 
 
 def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]) -> Iterator[tuple[str, Variable]]:
-    """Results of contacts and friction as variables that begin with their names, each with its entry."""
+    """Yield results of contacts and friction as variables that begin with their names, each with its entry."""
     for k, contact in enumerate(contacts):
         where, name, of = f"system.contacts[{k}].name", contact.name, f"contact {contact.name}"
         for side in ("upper", "lower"):
@@ -114,7 +117,7 @@ def element_variables(contacts: Iterable[Contact], frictions: Iterable[Friction]
 
 
 def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[tuple[str, Variable]]:
-    """How far laws that are expressions were used, as variables that begin with the names of their elements.
+    """Yield how far laws that are expressions were used, as variables that begin with the names of their elements.
 
     The largest argument of a contact's law is its penetration.
     """
@@ -129,7 +132,7 @@ def law_variables(elements: Iterable[Contact | Friction | Spring]) -> Iterator[t
 
 
 def check_unambiguous(variables: Iterable[tuple[str, Variable]], known: Collection[str]) -> None:
-    """DefinitionError at the first variable named like one of the ``known`` or like an earlier one."""
+    """Raise DefinitionError at the first variable named like one of the ``known`` names or like an earlier variable."""
     taken_names = set(known)
     for where, variable in variables:
         if variable.name in taken_names:

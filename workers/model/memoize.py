@@ -1,6 +1,7 @@
-"""Results of functions of arrays, kept for further calls with the same bits.
+"""A cache for functions of arrays: results are kept for further calls with the same bits.
 
-Cells solved one by one, and the steps of Newton's method, ask for machines whose matrices are those of the last ones.
+Cells that are solved one by one, and steps of Newton's method, often need machines with the matrices of the previous
+call.
 """
 
 from collections.abc import Callable
@@ -11,16 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_RESULTS = 64
-"""Results kept of one function."""
+"""Maximum number of results kept of one function."""
 
 MAX_ARGUMENT_BYTES = 8192
-"""Most bytes of the arguments of a kept result: many machines seldom come again."""
+"""Maximum number of bytes of the arguments of a kept result, since batches of many machines seldom occur again."""
 
 Made = TypeVar("Made")
 
 
 def memoize_arrays(make: Callable[..., Made]) -> Callable[..., Made]:
-    """A function of arrays whose last results are kept, by the bits of the arrays: nothing changes them in place."""
+    """Return the function with a cache of its last results, by the bits of its array arguments.
+
+    The results are shared between calls and must not be changed in place.
+    """
 
     @lru_cache(MAX_RESULTS)
     def made_of_bits(shapes: tuple[Any, ...], bits: tuple[bytes, ...]) -> Made:

@@ -1,4 +1,4 @@
-"""Machines with modes in the form for kernels: their elements, and a table of the modes built.
+"""Machines with modes in the form for kernels: their elements, and a table of the modes built so far.
 
 A mode, see hybrid_modes.py, is built when a motion first reaches it.
 """
@@ -41,12 +41,15 @@ from workers.results import LONG_PERIOD, NO_REASON, OUT_OF_DOUBLES, UNSTABLE
 
 
 class ContactElements(NamedTuple):
-    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived ones.
+    """Contacts and friction of N machines as kernels need them: fields of HybridMachines, and derived fields.
 
-    kick (N, C, n) M^-1 g / (g M^-1 g) and weight (N, C) 1 / (g M^-1 g) of each contact's row g; brake (N, F, n) as
-    kick, of each friction's row; even (N, P, F): 1 if static = kinetic; along (N, F, C): the factor a if a friction's
-    row is a times a contact's, else 0. depths (N, C, 2, S) and speeds (N, F, S'): starts of the segments of laws,
-    infinite for none.
+    kick               (N, C, n) M^-1 g / (g M^-1 g) of each contact's row g
+    weight             (N, C) 1 / (g M^-1 g) of each contact
+    friction_kick      (N, F, n) as kick, of each friction's row
+    static_is_kinetic  (N, P, F) 1 if static = kinetic, else 0
+    along              (N, F, C) the factor a if a friction's row is a times a contact's row, else 0
+    depths             (N, C, 2, S) starts of the segments of contact laws, infinite if missing
+    speeds             (N, F, S') starts of the segments of friction laws, infinite if missing
     """
 
     row: Array
@@ -67,7 +70,7 @@ class ContactElements(NamedTuple):
 
 
 def elements_of(machines: HybridMachines) -> ContactElements:
-    """The elements of machines."""
+    """Return the elements of machines."""
     inverse_mass = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
 
     def along(rows: Array) -> Array:
@@ -87,11 +90,17 @@ def elements_of(machines: HybridMachines) -> ContactElements:
 
 
 class ModeTable(NamedTuple):
-    """The modes of N machines built so far, at most K of each.
+    """The modes of N machines built so far, at most K for each machine.
 
-    codes (N, K): numbers of the modes, see Code, -1 for free slots; wrong (N, K): fault of the mode, see pieces_of;
-    missing (N, 1): the mode that a motion needs next, -1 for none; pieces: with an axis (K) after the first. tau: phase
-    at a section, see free.phase_of. drifts (N,): 1 if a coordinate may drift, else 0. Kernels do not see machines.
+    codes     (N, K) numbers of the modes, see ModeCode, -1 for free slots
+    wrong     (N, K) faults of the modes, see ``hybrid_modes.build_modes``
+    missing   (N, 1) number of the mode that a motion needs next, -1 if there is none
+    pieces    the modes, with an axis (K) after the first
+    elements  contacts and friction
+    omega     (N,) forcing frequency
+    tau       (N,) phase at a section, see free_flight.phase_of
+    drifts    (N,) 1 if a coordinate may drift, else 0
+    machines  the machines; kernels do not see them
     """
 
     codes: NDArray[np.int64]
@@ -105,13 +114,13 @@ class ModeTable(NamedTuple):
     machines: HybridMachines
 
     def without_modes(self, N: int) -> "ModeTable":
-        """The table of N machines with one rigid contact."""
+        """Return the table of N machines with one rigid contact."""
         return no_table(N)
 
     def build_missing(self, rows: Rows) -> Rows:
-        """Build the missing mode of each of these machines; returns the rows for which it has been built.
+        """Build the missing mode of each of these machines, and return the rows for which it has been built.
 
-        Machines with a full table stay without it.
+        Machines with a full table stay without the mode.
         """
         rows = rows[self.missing[rows, 0] >= 0]
         if not len(rows):
@@ -135,19 +144,22 @@ _AXES = ModeTable._make([2, 2, 2, OF_PIECES, _OF_ELEMENTS, 1, 1, 1, None])
 
 @lru_cache(maxsize=64)
 def no_table(N: int) -> ModeTable:
-    """The table of N machines with one rigid contact: no mode. Nothing is written to it."""
+    """Return the table of N machines with one rigid contact, without modes; it must not be written to."""
     table: ModeTable = empty(_AXES, N)
     codes = np.zeros((N, 0), dtype=np.int64)
     return table._replace(codes=codes, wrong=codes.copy(), missing=np.full((N, 1), -1))
 
 
 MODE_TABLE_SIZE = 64
-"""Most modes in the table of a machine, plus two for each segment of its laws."""
+"""Maximum number of modes in the table of a machine; each segment of its laws adds two."""
 
 
 @np.errstate(all="ignore")
 def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]]:
-    """Machines with modes in the form for kernels, no mode built yet, and the reason against each, or NO_REASON."""
+    """Return machines with modes in the form for kernels, and the reason against each, NO_REASON if there is none.
+
+    No mode is built yet.
+    """
     (N, n), (P, C, F), H = machines.load[:, 0].shape, machines.sizes, machines.force_sin.shape[2]
     mass, stiffness = _measuring(machines.mass), _measuring(machines.stiffness[:, 0])
     mass = np.where(definite(mass)[:, None, None], mass, np.eye(n))
@@ -217,28 +229,32 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     if P == 1:
         reasons[(reasons == NO_REASON) & (wrong == 0) & _unheld(machines, still)] = UNSTABLE
     fit = finite((to_blocks, to_physical, blocks, *table.elements._replace(stops=none, depths=none, speeds=none)))
-    fit &= np.all(elements.weight > 0.0, axis=1)  # else its inverse is infinite, and no contact would move anything
+    fit &= np.all(elements.weight > 0.0, axis=1)  # else the inverse is infinite: no contact moves anything
     return oscillators, np.where((reasons == NO_REASON) & ~fit, np.int8(OUT_OF_DOUBLES), reasons)
 
 
 def is_symmetric(oscillators: Oscillator) -> Mask:
-    """Mask (N,) of machines that are their own mirror images half a period later."""
+    """Return the mask (N,) of machines that are their own mirror images half a period later."""
     if oscillators.has_modes:
         return is_mirror_symmetric(about_centre(oscillators.table.machines)[0])
     return np.asarray(oscillators.symmetric > 0.0)
 
 
 def _measuring(matrices: Array) -> Array:
-    """Symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
+    """Return symmetric matrices (N, n, n) that measure states of machines: the symmetric parts of ``matrices``."""
     even = symmetric(matrices)[:, None, None]
     return matrices if np.all(even) else np.where(even, matrices, 0.5 * matrices + 0.5 * matrices.swapaxes(1, 2))
 
 
 def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
-    """The decay rate (N,) of the slowest mode in blocks (N, n, columns), 0 where one has no damping.
+    """Return the decay rate (N,) of the slowest mode in blocks, 0 if a mode has no damping.
 
-    The place of what drifts does not decay and is left out. In machines that grow, ``growth`` (N,) > 0, it is the least
-    rate of growth or decay; 0 if there is none.
+    flow      (N, n, columns) blocks
+    growth    (N,) largest growth rate
+    drifting  the coordinate that may drift, -1 if there is none
+
+    A drifting position does not decay and is left out. In machines that grow, ``growth`` > 0, the rate is the least
+    rate of growth or decay, 0 if there is none.
     """
     rates = -rates_of(flow).real.reshape(len(flow), -1)
     least = np.min(np.where(rates != 0.0, np.abs(rates), np.inf), axis=1, initial=np.inf)
@@ -247,7 +263,10 @@ def _slowest(flow: Array, growth: Array, drifting: int) -> Array:
 
 
 def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
-    """Machines with a growing motion, while nothing holds it, invisible to contacts and friction."""
+    """Return the mask (N,) of machines with growing motion that is invisible to contacts and friction.
+
+    The motion is that with all contacts open and nothing sticking.
+    """
     row, slide = machines.row, machines.friction_rows
     rows = np.concatenate([np.pad(row, ((0, 0), (0, 0), (0, row.shape[2]))),
                            np.pad(slide, ((0, 0), (0, 0), (slide.shape[2], 0)))], axis=1)  # fmt: skip
@@ -255,10 +274,14 @@ def _unheld(machines: HybridMachines, open_pieces: HybridModes) -> Mask:
 
 
 def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: Array) -> Array:
-    """Sizes (N, n, 2) of block states of machines without a force, for these undamped modes (N, n, n) in columns.
+    """Return sizes (N, n, 2) of block states of machines without a force.
 
-    Displacement by loads and friction in a radian of the mode, or of the section if that is faster; without either,
-    displacement that takes a contact of this ``weight`` (N, C), see Elements, to its nearest stop.
+    lam     (N, n) squared frequencies of the undamped modes
+    modes   (N, n, n) the modes in columns
+    weight  (N, C) see ContactElements
+
+    The size is the displacement by loads and friction in a radian of the mode, or of the section if that is faster.
+    Without loads and friction it is the displacement that takes a contact to its nearest stop.
     """
     rate = np.sqrt(np.maximum(lam, machines.omega[:, None] ** 2))
     loads = np.max(np.abs(machines.load @ modes), axis=1)
@@ -275,7 +298,7 @@ def _unforced_swing(machines: HybridMachines, lam: Array, modes: Array, weight: 
 
 
 def _section_modes(mass: Array, stiffness: Array, drifting: int) -> tuple[Array, Array]:
-    """undamped_modes; the free motion of a drifting coordinate is the last one, orthogonal to all others."""
+    """Return ``undamped_modes``, with the free motion of a drifting coordinate last, orthogonal to all other modes."""
     if drifting < 0:
         return undamped_modes(mass, stiffness)
     momentum = mass[:, drifting]  # of the velocities

@@ -1,7 +1,7 @@
-"""The clock of a machine without a force: its period is unknown before its cycle is found.
+"""The period of a machine without a force, which is unknown before its cycle is found.
 
-Kernels follow motions over periods of omega. For these machines omega is the slowest natural frequency, and after the
-proof of a cycle 2 pi / its length: then a period is one turn of the cycle.
+Kernels simulate motions over periods of omega. For these machines omega is the lowest natural frequency. After the
+proof of a cycle omega is 2 pi / its length, so that a period is one turn of the cycle.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from workers.model.oscillator import HEAD, NUMBER, Array, Oscillator, Rows
 
 
 def natural_frequency(mass: Array, stiffness: Array) -> Array:
-    """The least sqrt |lambda| (N,) above 0 of K x = lambda M x, of matrices (N, n, n); 2 pi if there is none."""
+    """Return the least sqrt |lambda| (N,) above 0 of K x = lambda M x, of matrices (N, n, n); 2 pi if there is none."""
     stiff = apply_stacked(np.linalg.solve, mass.shape, mass, stiffness)
     known = np.isfinite(stiff).all(axis=(1, 2))[:, None, None]
     moduli = np.abs(np.linalg.eigvals(np.where(known, stiff, 0.0)))
@@ -21,7 +21,7 @@ def natural_frequency(mass: Array, stiffness: Array) -> Array:
 
 
 def set_period(oscillators: Oscillator, rows: Rows, period: Array) -> None:
-    """Set the length of one period of these machines (N,) without a force; their motions stay the same."""
+    """Set the length ``period`` (N,) of one period of these machines without a force; their motions stay the same."""
     omega, table = 2.0 * np.pi / period, oscillators.table
     oscillators.head[rows, HEAD.period] = period
     oscillators.gap.numbers[rows, NUMBER.omega] = omega

@@ -1,6 +1,7 @@
-"""Observables: numbers such as the phase of each impact, plotted in diagrams in place of states.
+"""Observables: numbers such as the phase of each impact, which diagrams show in place of states.
 
-An observable is written KIND, KIND:OF or, for impacts, KIND:CONTACT:SIDE: ``impact_phase:stop``, ``maximum:gap``.
+An observable is written KIND, KIND:OF or, for impacts, KIND:CONTACT:SIDE, such as ``impact_phase:stop`` or
+``maximum:gap``.
 """
 
 import math
@@ -23,7 +24,7 @@ SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS = KINDS = (
 OF_IMPACTS, OF_OUTPUTS = (IMPACT_PHASE, IMPACT_SPEED), (SECTION, MAXIMUM, MINIMUM)
 SIDES = {"upper": 1, "lower": -1}
 GAP = "gap"
-"""The output that is the coordinate in pictures."""
+"""Name of the output that is the coordinate in pictures."""
 
 WORDS = {
     SECTION: "{} at the section", MAXIMUM: "local maxima of {}", MINIMUM: "local minima of {}",
@@ -36,22 +37,28 @@ FORMS = "impact_phase[:CONTACT][:SIDE], impact_speed[:CONTACT][:SIDE], maximum:O
 """All kinds of observables, in one line."""
 
 VALUE = "value"
-"""The dimension along the values of an observable, in the order of time."""
+"""Dimension along the values of an observable, in the order of time."""
 
 
 @dataclass(frozen=True)
 class Observable:
     """An observable of a motion, with one value per event.
 
+    kind     one of KINDS, see below
+    of       name of the output, see ``outputs_of``, or of the contact; empty if there is none
+    contact  index of the contact, -1 for all contacts
+    side     +1 for the upper and -1 for the lower stop, 0 for both
+
+    The kinds are:
+
     section       an output at each section t = k T
-    impact_phase  omega t + tau modulo 2 pi, the phase of the force, when a contact is reached, in [0, 2 pi)
+    impact_phase  omega t + tau modulo 2 pi, the phase of the force when a contact is reached, in [0, 2 pi)
     impact_speed  speed |y'| along the contact's row at that time, before the impact
-    maximum, minimum  an output when it ceases to rise, or to fall: at a turning point, or at an impact
+    maximum       an output when it ceases to rise, at a turning point or at an impact
+    minimum       an output when it ceases to fall, at a turning point or at an impact
     energy_loss   energy taken by contacts, friction and dampers in each forcing period
 
-    contact   index of the contact, -1 for all; ``side`` +1 or -1, 0 for both. A soft contact is reached at touch, at
-              its stop
-    of        name of the output, one that ``outputs_of`` lists
+    A soft contact is reached at its stop.
     """
 
     kind: str
@@ -61,7 +68,10 @@ class Observable:
 
     @classmethod
     def parse(cls, text: str, definition: "Definition") -> Self:
-        """The observable named by a text, for a machine; ValueError in one line, with the valid ones."""
+        """Return the observable named by a text, for a machine with this definition.
+
+        Raise ValueError, in one line with the valid observables, if the machine has no such observable.
+        """
         kind, *rest = text.split(":")
         if kind not in KINDS:
             raise ValueError(f"unknown observable {text!r}; possible: {FORMS}")
@@ -69,7 +79,7 @@ class Observable:
             return cls._of_impacts(kind, rest, text, definition)
         if kind == ENERGY_LOSS:
             if rest:
-                raise ValueError(f"{text}: {ENERGY_LOSS} is of the whole machine, write {ENERGY_LOSS}")
+                raise ValueError(f"{text}: {ENERGY_LOSS} belongs to the whole machine, must be written {ENERGY_LOSS}")
             return cls(kind)
         known = outputs_of(definition)
         if len(rest) != 1 or rest[0] not in known:
@@ -96,7 +106,7 @@ class Observable:
 
     @property
     def name(self) -> str:
-        """Its text form."""
+        """Text form of the observable."""
         return ":".join(part for part in (self.kind, self.of, self._side) if part)
 
     @property
@@ -105,17 +115,17 @@ class Observable:
 
     @property
     def unit(self) -> str:
-        """The CF unit of its values."""
+        """CF unit of the values."""
         return "rad" if self.kind == IMPACT_PHASE else "1"
 
     @property
     def modulus(self) -> float:
-        """Modulus of its values, infinity if they have none."""
+        """Modulus of the values, infinity if they have none."""
         return 2.0 * math.pi if self.kind == IMPACT_PHASE else math.inf
 
     @property
     def words(self) -> str:
-        """Its meaning, in words for tables, axes and pages."""
+        """Meaning of the observable, in words for tables, axes and pages."""
         if self.kind in OF_IMPACTS:
             contact, stop = f" on {self.of}" if self.of else "", f" at the {self._side} stop" if self._side else ""
             return WORDS[self.kind].format(contact + stop)
@@ -123,17 +133,17 @@ class Observable:
 
     @property
     def variable(self) -> str:
-        """The name of the result that holds its values."""
+        """Name of the result that holds the values."""
         return self.name.replace(":", "_")
 
     @property
     def number(self) -> str:
-        """The name of the result that counts them."""
+        """Name of the result that counts the values."""
         return f"{self.variable}_number"
 
     @property
     def variables(self) -> tuple[Variable, Variable]:
-        """The results that hold its values, and that count them."""
+        """The results that hold the values, and that count them."""
         counted = f"how many values of {self.name} there are, also where fewer are kept; -1 where infinitely many"
         return (
             Variable(self.variable, "float64", float("nan"), self.words, self.unit, (VALUE,)),
@@ -141,9 +151,9 @@ class Observable:
         )
 
     def row(self, definition: "Definition", values: "Mapping[str, Array]") -> "tuple[Array, float]":
-        """The row (N, n) of its output on a derivative of the displacements, and the index of it in ORDERS.
+        """Return the row (N, n) of the output, and the index in ORDERS of the derivative that the row acts on.
 
-        For N machines with these parameters (N,); zeros if it is no output.
+        The row is for N machines with these parameters (N,), and zero if the observable is no output.
         """
         n = len(definition.coordinates)
         shown = definition.picture_rows(values)
@@ -160,16 +170,16 @@ class Observable:
 
 
 def outputs_of(definition: "Definition") -> tuple[str, ...]:
-    """The outputs of a machine by name: the gap coordinate, coordinates, velocities, and measures.
+    """Return the names of a machine's outputs: the gap coordinate, coordinates, velocities, and measures.
 
-    A drifting coordinate is left out: its position has no effect.
+    A drifting coordinate is left out, since its position has no effect.
     """
     coordinates = [name for name in definition.coordinates if name != definition.drift]
     return tuple(dict.fromkeys((GAP, *coordinates, *definition.velocities, *(name for name, _ in definition.measures))))
 
 
 def observables_of(asked: str, definition: "Definition") -> tuple[Observable, ...]:
-    """The observables of a text, separated by commas; ValueError for an unknown or repeated one."""
+    """Return the observables of a text, separated by commas; raise ValueError if one is unknown or repeated."""
     observables = tuple(Observable.parse(text, definition) for text in asked.split(",") if asked)
     if len(set(observables)) < len(observables):
         raise ValueError(f"found {asked!r}, must name each observable once")

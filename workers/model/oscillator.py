@@ -1,7 +1,7 @@
 """Records for kernels: blocks, rows and columns of a linear oscillator.
 
-Array shapes give the numbers of masses and harmonics. Many oscillators are one record with one more leading axis per
-field.
+Array shapes give the numbers of masses and harmonics. Many oscillators are one record with one more leading axis in
+each field.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,26 +15,28 @@ Mask = NDArray[np.bool_]
 Given = TypeVar("Given")
 Reasons = NDArray[np.int8]
 Rows = NDArray[np.int64]
-"""A mask of rows, or their numbers."""
+"""Indices of rows, or a mask of rows."""
 
 LARGEST_ANGLE = 3e7
 """Largest rotation, in radians of free oscillation per forcing period, for which elementary.sin_cos is exact."""
 
 
 class Block(NamedTuple):
-    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard: columns of Mode.blocks.
+    """One block h'' + 2 eta h' + lam h = load, with constants of its flow, bounds and guard.
 
-    d, w, inv_w      d = lam - eta^2, w = sqrt|d| and its inverse, 0 for w = 0
-    slow, fast       decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
-    tilt ... grow4   see signal.amplitude_bounds
-    metric           weight of h^2 beside h'^2 in the energy norm: lam, which undamped flight keeps, or omega^2 for a
-                     rigid mode, lam = 0; in a block that grows the larger one of |lam| and eta^2
-    load             of a rigid mode; a load on any other mode moves its rest position instead
-    c, cA, cAA       rows of the guard and of its first two derivatives on (h, h')
-    k, Ak            direction of a reset, and its derivative
-    swing            bounds of the forced response of h and h'; without a force, the size of other displacements: by a
-                     load, friction, or the room between stops
-    rest             shares of a constant load in h and h'
+    d, w, inv_w     d = lam - eta^2, w = sqrt|d|, and the inverse of w, 0 for w = 0
+    slow, fast      decay rates, both eta unless the eigenvalues are real; slow < 0 in a block that grows
+    tilt ... grow4  see signal.amplitude_bounds
+    metric          weight of h^2 beside h'^2 in the energy norm: lam, which undamped flight keeps, or omega^2 for a
+                    rigid mode, lam = 0. In a block that grows it is the larger one of |lam| and eta^2
+    load            load of a rigid mode; a load on any other mode moves its rest position instead
+    c, cA, cAA      rows of the guard and of its first two derivatives on (h, h')
+    k, Ak           direction of a reset, and its derivative
+    swing           bounds of the forced response of h and h'; without a force, the size of displacements by a load,
+                    friction, or the room between stops
+    rest            shares of a constant load in h and h'
+
+    The fields are the columns of GuardedFlow.blocks.
     """
 
     eta: Any
@@ -68,23 +70,24 @@ class Block(NamedTuple):
 
 
 COLUMN = Block(*range(len(Block._fields)))
-"""Columns of Mode.blocks by name."""
+"""Columns of GuardedFlow.blocks by name."""
 
 PAIRS = {
     "row": COLUMN.c0, "row1": COLUMN.cA0, "row2": COLUMN.cAA0, "kick": COLUMN.k0, "kick1": COLUMN.Ak0,
     "swing": COLUMN.swing0, "rest": COLUMN.rest0,
 }  # fmt: skip
-"""The first column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
+"""First column of c, cA, cA^2, k, A k, swing and rest, each (n, 2)."""
 
 OF_FLOW, OF_GUARD = COLUMN.c0, COLUMN.swing0
-"""End of the columns that the flow alone decides, and of the following ones of guard and kick."""
+"""End of the columns that the flow alone decides, and of the following columns of guard and kick."""
 
 
 def make_blocks(eta: Array, lam: Array) -> Array:
-    """Blocks (..., columns) with this damping and stiffness (...), and their metric except for rigid modes; else zero.
+    """Return blocks (..., columns) with this damping and stiffness (...), zero in all other columns.
 
-    The k-th derivative of an oscillation is at most sqrt(lam)^k times its amplitude; near critical damping this is
-    large, and its energy and q'' = -2 eta q' - lam q give better bounds. Both hold for blocks that do not grow.
+    The metric is set except for rigid modes. The k-th derivative of an oscillation is at most sqrt(lam)^k times its
+    amplitude. Near critical damping this bound is large, and the energy and q'' = -2 eta q' - lam q give better bounds.
+    Both bounds hold for blocks that do not grow.
     """
     d = lam - eta * eta
     w = np.sqrt(np.abs(d))
@@ -110,21 +113,26 @@ def make_blocks(eta: Array, lam: Array) -> Array:
 
 
 def rates_of(blocks: Array) -> Any:
-    """The complex rates (..., n, 2) of blocks (..., n, columns): each motion in a block is a sum of e^(rate s)."""
+    """Return the complex rates (..., n, 2) of blocks (..., n, columns).
+
+    Each motion in a block is a sum of e^(rate s).
+    """
     eta, w, slow, fast = (blocks[..., k] for k in (COLUMN.eta, COLUMN.w, COLUMN.slow, COLUMN.fast))
     real = blocks[..., COLUMN.d] < 0.0
     return np.stack([np.where(real, -slow, -eta + 1j * w), np.where(real, -fast, -eta - 1j * w)], axis=-1)
 
 
 def growth_of(blocks: Array) -> Array:
-    """The largest growth rate (...) in blocks (..., n, columns), 0 for none."""
+    """Return the largest growth rate (...) in blocks (..., n, columns), 0 if none grows."""
     return np.asarray(np.max(-blocks[..., COLUMN.slow], axis=-1, initial=0.0))
 
 
 class ForcedBounds(NamedTuple):
-    """Sizes of the forced part of a guard: omega, and bounds of its modulus and of its second to fourth derivative.
+    """Sizes of the forced part of a guard: columns of GuardedFlow.numbers.
 
-    Columns of Mode.numbers.
+    omega                   forcing frequency
+    amplitude               bound of the modulus
+    swing2, swing3, swing4  bounds of the second to fourth derivative
     """
 
     omega: Any
@@ -135,19 +143,19 @@ class ForcedBounds(NamedTuple):
 
 
 NUMBER = ForcedBounds(*range(len(ForcedBounds._fields)))
-"""Columns of Mode.numbers by name."""
+"""Columns of GuardedFlow.numbers by name."""
 
 
 class GuardedFlow(NamedTuple):
     """An affine linear flow in blocks, and the guard that ends it: a signal that is linear in the state.
 
-    Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t), its forced
-    part Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
+    Block j carries u_j = (h, h') with h'' + 2 eta h' + lam h = load. The guard is sum_j c_j . u_j(t) + Y(t). Its forced
+    part is Y = sum_k sin_part_k sin(k phi) + cos_part_k cos(k phi), k = 1...H, at the phase phi = omega t + tau.
 
-    blocks   (n, columns)    constants of each block, see Block, and PAIRS
-    waves    (H, 2)          sin_part and cos_part
-    numbers  (NUMBER,)       see Numbers; the amplitude is reached if H = 1
-    forced   (n, 2, H, 2)    forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
+    blocks   (n, columns) constants of each block, see Block and PAIRS
+    waves    (H, 2) sin_part and cos_part
+    numbers  (NUMBER,) see ForcedBounds; the amplitude is reached if H = 1
+    forced   (n, 2, H, 2) forced response of the blocks, [block, (h, h'), harmonic, (sin, cos)]
     """
 
     blocks: Array
@@ -156,7 +164,7 @@ class GuardedFlow(NamedTuple):
     forced: Array
 
     def __getattr__(self, name: str) -> Any:
-        """A column or a pair of columns of the blocks, see Block and PAIRS, or one of the numbers, by name."""
+        """Return a column or a pair of columns of the blocks, see Block and PAIRS, or one of the numbers, by name."""
         return _named(name, (self.blocks, _OF_BLOCK), (self.numbers, _OF_NUMBERS), (self.waves, _OF_WAVES))
 
 
@@ -165,7 +173,7 @@ _OF_NUMBERS, _OF_WAVES = NUMBER._asdict(), {"sin_part": 0, "cos_part": 1}
 
 
 def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
-    """The columns of this name in the first of the tables that has it."""
+    """Return the columns of this name in the first of the tables that has them."""
     for table, columns in tables:
         if name in columns:
             return _plain(table[..., columns[name]])
@@ -173,22 +181,23 @@ def _named(name: str, *tables: tuple[Array, Mapping[str, Any]]) -> Any:
 
 
 def _plain(field: Array) -> Any:
-    """An array, or the number in an array without axes."""
+    """Return an array, or the number in an array without axes."""
     return field if field.ndim else float(field)
 
 
 class OscillatorScalars(NamedTuple):
     """Numbers of an oscillator: columns of Oscillator.head. Numbers in a lane come first.
 
-    top, bottom     the stops as the gap signal sees them, upper - y0 and lower - y0
-    cA2k            cA^2.k, minus the damping rate of the gap coordinate
-    period          forcing period 2 pi / omega
-    time_unit       1 / sqrt(least metric)
-    upper, lower    positions of the stops, infinite if missing
-    symmetric       1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
-    gap_mass        1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
-    trace           trace of M^-1 C, the rate at which a flight contracts volume; with modes its mean over the phases
-    growth          largest growth rate while no rigid stop holds and nothing sticks, 0 for none
+    top, bottom   the stops as the gap signal sees them, upper - y0 and lower - y0
+    R             coefficient of restitution
+    cA2k          cA^2.k, minus the damping rate of the gap coordinate
+    period        forcing period 2 pi / omega
+    time_unit     1 / sqrt(least metric)
+    upper, lower  positions of the stops, infinite if missing
+    symmetric     1 if z(t) -> -z(t + T/2) takes motions to motions: equal gaps and odd harmonics; else 0
+    gap_mass      1 / (g M^-1 g^T), g the gap row: an impact at speed v loses the energy (1 - R^2) gap_mass v^2 / 2
+    trace         trace of M^-1 C, the rate at which a flight contracts volume; with modes its mean over the phases
+    growth        largest growth rate while nothing sticks, 0 if nothing grows
     """
 
     top: Any
@@ -211,30 +220,34 @@ HEAD = OscillatorScalars(*range(len(OscillatorScalars._fields)))
 _OF_HEAD = HEAD._asdict()
 
 OF_LANE = HEAD.upper
-"""Numbers of an oscillator held in a lane: the first ones."""
+"""Count of the numbers of an oscillator that a lane has: the first ones of the head."""
 
 
 class Oscillator(NamedTuple):
-    """A machine with one rigid contact, whose gap coordinate y moves between two stops, or one; or one with modes.
+    """A machine for kernels: with one rigid contact, or with modes.
 
-    gap             free flight; its guard is y(t) - y0, seen from rest_y = y0, and its column k the direction of an
-                    impact, cA.k = 1, c.k = 0
-    to_physical     (2n, 2n): (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
-    to_blocks       (2n, 2n): its inverse
-    gap_row         (n,): y = gap_row . displacements
-    head            (HEAD,): numbers, see Head; each is an attribute too
-    tau             forcing phase at a section
-    held            of a machine with one rigid contact: the mode in which the upper stop holds, hybrid_modes.Pieces of
-                    one mode and one signal, the force by which the stop holds y; empty of any other. States are counted
-                    from rest; the lower stop holds in the same mode while the signal is positive
-    table           of a machine with modes: see hybrid.Table; empty of any other
+    gap          free flight. Its guard is y(t) - y0, seen from rest_y = y0. Its column k is the direction of an impact,
+                 cA.k = 1, c.k = 0
+    to_physical  (2n, 2n) (displacements, velocities) of block coordinates (h_1, h_1', h_2, ...)
+    to_blocks    (2n, 2n) its inverse
+    gap_row      (n,) y = gap_row . displacements
+    head         (HEAD,) numbers, see OscillatorScalars; each is an attribute too
+    tau          forcing phase at a section
+    held         the mode in which the upper stop of one rigid contact holds, a HybridModes of one mode and one signal,
+                 the force by which the stop holds y. States are counted from rest. The lower stop holds in the same
+                 mode while the signal is positive. Empty for machines with modes
+    table        the ModeTable of a machine with modes; empty for machines with one rigid contact
 
-    For a machine with modes, states between periods are in blocks of the undamped modes of the first phase with all
-    contacts open, no force and no load, in any mode: gap has these blocks and no guard. Their eta is the decay rate of
-    the slowest mode of the flow with contacts open. gap_row, upper and lower belong to the first contact.
+    The gap coordinate y of a machine with one rigid contact moves between two stops, or one.
+
+    In a machine with modes, states between periods are in the blocks of ``gap`` in any mode. They are the blocks of the
+    undamped modes of the first phase with all contacts open, no force and no load, without a guard. Their eta is the
+    decay rate of the slowest mode of the flow with contacts open. ``gap_row``, ``upper`` and ``lower`` belong to the
+    first contact.
 
     A drifting coordinate times omega is the last number of the state, and the velocity of its free motion the last but
-    one. Nothing depends on it: it is reset to 0 at each section, so a motion closes when all other numbers do.
+    one. Nothing depends on the drifting coordinate. It is reset to 0 at each section, so a motion closes when all other
+    numbers do.
     """
 
     gap: GuardedFlow
@@ -247,12 +260,12 @@ class Oscillator(NamedTuple):
     table: Any
 
     def __getattr__(self, name: str) -> Any:
-        """A number of ``head``, see Head, by its name."""
+        """Return a number of ``head``, see OscillatorScalars, by its name."""
         return _named(name, (self.head, _OF_HEAD))
 
     @property
     def has_modes(self) -> bool:
-        """Whether the law changes by more than one rigid contact."""
+        """True if the law changes by more than one rigid contact."""
         return bool(self.table.codes.shape[-1] > 0)
 
     @property
@@ -276,9 +289,9 @@ class Oscillator(NamedTuple):
         return [(np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)) for a, b, c in fields]
 
     def with_modes(self, act: Callable[[Rows], Any], rows: Rows) -> Any:
-        """Do ``act`` for these rows of many machines, and again for rows that missed a mode, after building it.
+        """Call ``act`` for these rows of many machines, and again for rows that missed a mode, after building the mode.
 
-        A kernel leaves a motion unchanged if a mode is missing. Returns the result of the last call. ``act`` is called
+        A kernel leaves a motion unchanged if a mode is missing. Return the result of the last call. ``act`` is called
         even without rows, which compiles its kernels.
         """
         result = act(rows)
@@ -300,9 +313,14 @@ class Oscillator(NamedTuple):
 class SingleContactMachines(NamedTuple):
     """N machines M x'' + C x' + K x = force + load with stops on y = gap_row . x, lower <= y <= upper.
 
+    mass, damping, stiffness  (N, n, n) matrices
+    gap_row, load             (N, n) row of the gap coordinate, and constant load
+    force_sin, force_cos      (N, H, n) amplitudes of the force
+    omega, tau                (N,) forcing frequency, and forcing phase at a section
+    upper, lower              (N,) stops; a stop at infinity does not exist
+    R                         (N,) coefficient of restitution
+
     The force is sum_k force_sin_k sin(k phi) + force_cos_k cos(k phi), k = 1...H, with phi = omega t + tau.
-    mass, damping, stiffness (N, n, n), gap_row and load (N, n), force_sin and force_cos (N, H, n), all else (N,).
-    A stop at infinity does not exist.
     """
 
     mass: Array
@@ -325,19 +343,19 @@ class SingleContactMachines(NamedTuple):
 
 
 def empty(axes: Any, N: int) -> Any:
-    """A record of N without numbers, with this many axes in each field; None stays None."""
+    """Return a record of N without numbers, with this number of axes in each field; None stays None."""
     return map_fields(axes, lambda count: np.zeros((N, *(0,) * (count - 1))))
 
 
 def map_fields(record: Any, act: Callable[[Any], Any]) -> Any:
-    """The same record with ``act`` applied to every field, also in nested records; None stays None."""
+    """Return the same record with ``act`` applied to every field, also in nested records; None stays None."""
     if isinstance(record, tuple):
         return type(record)(*(map_fields(field, act) for field in record))
     return None if record is None else act(record)
 
 
 def at_rows(record: Any, rows: Rows) -> Any:
-    """These rows of a record of many, in this order."""
+    """Return these rows of a record of many, in this order."""
 
     def take(record: Any) -> Any:
         return map_fields(record, lambda field: field.take(rows, axis=0))
@@ -348,12 +366,15 @@ def at_rows(record: Any, rows: Rows) -> Any:
 
 
 def take_one(oscillators: Any, k: int) -> Any:
-    """Oscillator k of many. Its arrays are views: a mode that it misses is missing in the table of all."""
+    """Return oscillator k of many.
+
+    The arrays are views, so a mode that the oscillator misses is missing in the table of all.
+    """
     one: Any = map_fields(oscillators, lambda field: field[k] if field.ndim > 1 else float(field[k]))
     return one
 
 
 def many_of(record: Given) -> Given:
-    """One record as a record of many, of the same arrays."""
+    """Return one record as a record of many, with views of the same arrays."""
     many: Given = map_fields(record, lambda field: np.asarray(field)[None])
     return many

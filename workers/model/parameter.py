@@ -9,14 +9,22 @@ from functools import cached_property
 from typing import Any
 
 OMEGA, TAU = "omega", "tau"
-"""The forcing frequency and the phase of the force at t = 0: every system has these two parameters."""
+"""Names of the forcing frequency and of the phase of the force at t = 0, parameters of every system with a force."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that a system takes: name, symbol (mathtext), unit, meaning, default and valid range.
+    """A parameter of a system.
 
-    The range is low <= value <= high; an open end excludes its bound.
+    name       name in files, commands and data
+    symbol     symbol in pictures, as mathtext
+    unit       unit as text, "1" if there is none
+    meaning    meaning in words
+    default    value if none is given
+    low        lower bound of the valid range low <= value <= high
+    high       upper bound of the valid range
+    low_open   True if the lower bound itself is invalid
+    high_open  True if the upper bound itself is invalid
     """
 
     name: str
@@ -31,7 +39,7 @@ class Parameter:
 
     @property
     def range(self) -> str:
-        """The valid range in words, such as ``0 < b`` or ``0 <= R <= 1``."""
+        """Valid range in words, such as ``0 < b`` or ``0 <= R <= 1``."""
         below = f"{self.low:g} {'<' if self.low_open else '<='} " if math.isfinite(self.low) else ""
         above = f" {'<' if self.high_open else '<='} {self.high:g}" if math.isfinite(self.high) else ""
         return f"{below}{self.name}{above}" if below or above else "any finite number"
@@ -44,12 +52,12 @@ class Parameter:
         return max(low, -sys.float_info.max), min(high, sys.float_info.max)
 
     def admits(self, value: Any) -> Any:
-        """Whether a value, or each of many, is finite and inside the valid range."""
+        """Return True if a value is finite and inside the valid range; a mask for an array of values."""
         low, high = self.ends
         return (value >= low) & (value <= high)
 
     def table(self) -> dict[str, Any]:
-        """All of it except its name, as in a TOML file."""
+        """Return all fields except the name, as in a TOML file."""
         entries = {"default": self.default, "symbol": self.symbol, "unit": self.unit, "meaning": self.meaning}
         for key, end, is_open in (("low", self.low, self.low_open), ("high", self.high, self.high_open)):
             if math.isfinite(end):
@@ -58,12 +66,12 @@ class Parameter:
 
 
 def near_name(name: str, valid: list[str]) -> str:
-    """The known name nearest to an unknown one; empty if none is near."""
+    """Return the known name nearest to an unknown one; empty if none is near."""
     return next(iter(difflib.get_close_matches(name, valid, n=1, cutoff=0.5)), "")
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
-    """One line for an unknown name: the nearest known name, or all of them."""
+    """Return one line for an unknown name: the nearest known name, or all of them."""
     names = list(valid)
     near = near_name(name, names)
     hint = f"did you mean {near!r}?" if near else f"known: {', '.join(names)}"

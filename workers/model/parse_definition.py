@@ -1,4 +1,4 @@
-"""A TOML table converted to a definition and its parameters, with every fault in one line."""
+"""Conversion of a TOML table to a definition and its parameters, with every error in one line."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -30,9 +30,9 @@ from workers.model.parse_force import is_unforced, read_force, with_means
 from workers.model.reserved_names import is_taken
 
 MAX_COORDINATES = 8
-"""Most coordinates of a system."""
+"""Maximum number of coordinates of a system."""
 MANY = 64
-"""Most parameters and names in ``let`` of a system."""
+"""Maximum number of parameters, and of names in ``let``, of a system."""
 
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi", "rho",
@@ -49,17 +49,15 @@ PARAMETER_KEYS: dict[str, Any] = {
 def read_parameters(
     machine: Mapping[str, Any], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> tuple[Parameter, ...]:
-    """All parameters of a table [system]: omega, its own, tau, then the initial values of coordinates and velocities.
+    """Return all parameters of a table [system]: omega, its own, tau, then the initial values.
 
-    Omega and tau of a force, and the initial values, need no entry: the table may change their default, range and
-    words. A single number is a default.
+    The initial values are those of coordinates and velocities. Omega and tau of a force, and the initial values, need
+    no entry: the table may change their default, range and words. A single number is a default.
     """
     entries, unforced = read_table("system.parameters", machine.get("parameters", {})), is_unforced(machine)
     for name in (OMEGA, TAU) if unforced else ():
         if name in entries:
-            raise DefinitionError(
-                f"system.parameters.{name}: the machine has no force that it could be of; give force too"
-            )
+            raise DefinitionError(f"system.parameters.{name}: found in a machine without a force; give force too")
     if len(entries) > MANY:
         raise DefinitionError(f"system.parameters: found {len(entries)}, must be at most {MANY}")
     of_force = [
@@ -78,7 +76,7 @@ def read_parameters(
         for key in ("low", "high"):
             if isinstance(entries.get(name), Mapping) and key in entries[name]:
                 where = f"system.parameters.{name}.{key}"
-                raise DefinitionError(f"{where}: an initial value has no range; the stops alone bound it")
+                raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
     own = [name for name in entries if name not in known]
     parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
@@ -95,7 +93,9 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
     read = {key: PARAMETER_KEYS[key](f"{where}.{key}", value) for key, value in table.items()}
     parameter = replace(base or Parameter(name, symbol_of(name), "1", name, 0.0), **read)
     if not parameter.low <= parameter.high:
-        raise DefinitionError(f"{where}: low {parameter.low:g} must not be above high {parameter.high:g}")
+        raise DefinitionError(
+            f"{where}: found low {parameter.low:g} above high {parameter.high:g}, must be low <= high"
+        )
     if name == OMEGA and not (parameter.low > 0.0 or (parameter.low == 0.0 and parameter.low_open)):
         raise DefinitionError(f"{where}.low: found {parameter.low:g}, must be 0 with low_open = true, or more")
     if not parameter.admits(parameter.default):
@@ -104,7 +104,7 @@ def _read_parameter(name: str, value: object, base: Parameter | None) -> Paramet
 
 
 def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the coordinates and velocities.
+    """Return the names of the coordinates and velocities.
 
     The default name of a velocity is v with the number at the end of its coordinate's name: v1 for x1, v for y.
     """
@@ -122,7 +122,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
         if name in (OMEGA, TAU):
             raise DefinitionError(f"system.coordinates: {name} is a parameter of the force; choose another name")
         if names.count(name) > 1:
-            twice = f"{name} is there twice in {', '.join(names)}"
+            twice = f"found {name} twice in {', '.join(names)}"
             raise DefinitionError(f"system.coordinates: {twice}; give velocities = [...] too")
     return coordinates, velocities
 
@@ -130,7 +130,7 @@ def read_coordinates(table: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[s
 def read_definition(
     table: Mapping[str, Any], parameters: Collection[str], coordinates: tuple[str, ...], velocities: tuple[str, ...]
 ) -> Definition:
-    """The definition of a table [system] with these parameters, coordinates and velocities."""
+    """Return the definition of a table [system] with these parameters, coordinates and velocities."""
     n = len(coordinates)
     # The initial state is not part of the machine.
     known = [name for name in parameters if name not in (*coordinates, *velocities)]
@@ -168,7 +168,7 @@ def read_definition(
 
 
 def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> str:
-    """The coordinate that may drift; an empty name for none."""
+    """Return the coordinate that may drift; empty if there is none."""
     if value is None:
         return ""
     name = read_text("system.drift", value)
@@ -176,13 +176,13 @@ def _read_drift(value: object, coordinates: Collection[str], unforced: bool) -> 
         raise DefinitionError(unknown_name("coordinate in system.drift", name, coordinates))
     if unforced:
         raise DefinitionError(
-            "system.drift: what drifts is followed from one forcing period to the next; give force too"
+            "system.drift: found in a machine without a force; a drift is per forcing period: give force too"
         )
     return name
 
 
 def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tuple[tuple[str, Expression], ...]:
-    """Names for expressions, in the order of their use."""
+    """Return the names of ``let`` with their expressions, in the order of their use."""
     table = read_table("system.let", value)
     if len(table) > MANY:
         raise DefinitionError(f"system.let: found {len(table)} names, must be at most {MANY}")
@@ -199,13 +199,15 @@ def _read_let(value: object, known: list[str], reserved: Collection[str]) -> tup
             while chain.count(chain[-1]) < 2:
                 chain.append(min(waiting[chain[-1]].names & waiting.keys()))
             circle = " uses ".join(chain[chain.index(chain[-1]) :])
-            raise DefinitionError(f"system.let: {circle}, a circle; define one of them without the others")
+            raise DefinitionError(
+                f"system.let: found the circle {circle}; define one of these names without the others"
+            )
         ready.append((free, waiting.pop(free)))
     return tuple(ready)
 
 
 def symbol_of(name: str) -> str:
-    r"""A name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
+    r"""Return a name as mathtext: ``\mu_{m}`` for mu_m, ``x_{1}`` for x1, words in italics."""
     base, underscore, rest = name.partition("_")
     stem = base.rstrip("0123456789")
     below = base[len(stem) :] + ("," if base != stem and underscore else "") + rest.replace("_", ",")
@@ -214,7 +216,7 @@ def symbol_of(name: str) -> str:
 
 
 def check_not_reserved(definition: Definition, parameters: Iterable[Parameter]) -> None:
-    """DefinitionError at the first name that an atlas reserves."""
+    """Raise DefinitionError at the first name that an atlas reserves."""
     names = {f"system.coordinates[{i}]": name for i, name in enumerate(definition.coordinates)}
     names |= {f"system.velocities[{i}]": name for i, name in enumerate(definition.velocities)}
     for where, name in (names | {f"system.parameters.{p.name}": p.name for p in parameters}).items():

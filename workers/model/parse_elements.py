@@ -1,4 +1,4 @@
-"""Tables of contacts, friction and phases converted to elements, with every fault in one line."""
+"""Conversion of tables of contacts, friction, springs and phases to elements, with every error in one line."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -11,15 +11,17 @@ from workers.model.parameter import unknown_name
 from workers.model.parse_laws import read_law, read_spring
 
 STOPS = 4
-"""Most stops of all contacts, counting sides."""
+"""Maximum number of stops of all contacts together, counting sides."""
 FRICTION = 4
-"""Most friction elements."""
+"""Maximum number of friction elements."""
 PHASES = 16
-"""Most phases of a forcing period."""
+"""Maximum number of phases of a forcing period."""
 SPRINGS = 4
-"""Most springs with a law."""
+"""Maximum number of springs with a law."""
 LAWFUL = 6
-"""Most contacts, springs and friction elements of a machine with a law: its mode numbers must fit a double."""
+"""Maximum number of contacts, springs and friction elements of a machine with a law: its mode numbers must fit a
+double.
+"""
 
 _SHORT = ("gap", "upper", "lower", "restitution")  # keys of [system] that make a contact without a table
 _SOFT = (*PAD, "release", *LAW)
@@ -31,7 +33,10 @@ _LAWS = "a rigid contact has a restitution, a soft one a stiffness or law, dampi
 
 
 def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Contact, ...]:
-    """The contacts in a table [system] of n coordinates; its own gap, stops and restitution make a rigid one."""
+    """Return the contacts in a table [system] of n coordinates.
+
+    Gap, stops and restitution in the table itself make a rigid contact.
+    """
     short = {key: table[key] for key in _SHORT if key in table}
     if "contacts" not in table:
         if not short and (table.get("friction") or table.get("phases") or table.get("springs")):
@@ -39,7 +44,7 @@ def read_contacts(table: Mapping[str, Any], known: Collection[str], n: int) -> t
         return (_read_contact("system", {"name": STOP, **short}, known, n),)
     if short:
         first = next(iter(short))
-        raise DefinitionError(f"system.{first}: stands beside [[system.contacts]]; write it into one of these")
+        raise DefinitionError(f"system.{first}: found beside [[system.contacts]], must stand in one of these tables")
     parts = read_tables("system.contacts", table["contacts"])
     if not parts:
         raise DefinitionError("system.contacts: found none; give one, or leave the key out")
@@ -88,7 +93,7 @@ def _read_stop(where: str, table: Mapping[str, Any], key: str, known: Collection
 
 
 def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Friction, ...]:
-    """The friction elements in a table [system] of n coordinates."""
+    """Return the friction elements in a table [system] of n coordinates."""
     parts = read_tables("system.friction", table.get("friction", []))
     if len(parts) > FRICTION:
         raise DefinitionError(f"system.friction: found {len(parts)}, must be at most {FRICTION}")
@@ -112,7 +117,7 @@ def read_friction(table: Mapping[str, Any], known: Collection[str], n: int) -> t
 
 
 def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[Spring, ...]:
-    """The springs in a table [system] of n coordinates."""
+    """Return the springs in a table [system] of n coordinates."""
     parts = read_tables("system.springs", table.get("springs", []))
     if len(parts) > SPRINGS:
         raise DefinitionError(f"system.springs: found {len(parts)}, must be at most {SPRINGS}")
@@ -122,11 +127,11 @@ def read_springs(table: Mapping[str, Any], known: Collection[str], n: int) -> tu
 
 
 def check_element_count(*elements: Collection[Contact] | Collection[Friction] | Collection[Spring]) -> None:
-    """DefinitionError if a machine with a law has too many elements for its modes to be numbered."""
+    """Raise DefinitionError if a machine with a law has too many elements for its modes to be numbered."""
     laws = [element.law for kind in elements for element in kind]
     if any(law is not None for law in laws) and len(laws) > LAWFUL:
         raise DefinitionError(
-            f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} where one "
+            f"system: found {len(laws)} contacts, springs and friction elements, must be at most {LAWFUL} if one "
             f"has a law; with segments up to {SEGMENTS} each the modes would be too many to number"
         )
 
@@ -134,13 +139,13 @@ def check_element_count(*elements: Collection[Contact] | Collection[Friction] | 
 def _read_law(
     where: str, table: Mapping[str, Any], known: Collection[str], kind: type, instead: Collection[str]
 ) -> dict[str, Any]:
-    """The law of a contact or friction, in place of the keys ``instead``; an empty table for none."""
+    """Return the law of a contact or friction, which replaces the keys ``instead``; empty if there is none."""
     if "law" not in table:
         for key in (key for key in LAW if key in table):
-            raise DefinitionError(f"{where}.{key}: there is no law that it could be of; give law too")
+            raise DefinitionError(f"{where}.{key}: found without a law; give law too, or leave this key out")
         return {}
     for key in (key for key in instead if key in table):
-        raise DefinitionError(f"{where}: found law and {key}; the law at 0 and beyond takes the place of {key}")
+        raise DefinitionError(f"{where}: found law and {key}; the law replaces {key}")
     return read_law(where, table, known, kind)
 
 
@@ -148,7 +153,7 @@ def read_phases(
     table: Mapping[str, Any], known: Collection[str], n: int,
     contacts: Collection[Contact], friction: Collection[Friction],
 ) -> tuple[Phase, ...]:  # fmt: skip
-    """The phases in a table [system] of n coordinates with these elements."""
+    """Return the phases in a table [system] of n coordinates with these elements."""
     parts = read_tables("system.phases", table.get("phases", []))
     if len(parts) > PHASES:
         raise DefinitionError(f"system.phases: found {len(parts)}, must be at most {PHASES}")
@@ -174,7 +179,7 @@ def read_phases(
 def _read_changes(
     where: str, value: object, elements: Collection[Contact] | Collection[Friction], known: Collection[str]
 ) -> Changes:
-    """Changes of elements by a phase, in the order of the elements and of their constants."""
+    """Return the changes of elements by a phase, in the order of the elements and of their constants."""
     table = read_table(where, value)
     names = [element.name for element in elements]
     for name in table:
@@ -198,10 +203,10 @@ def _read_changes(
 
 
 def _refuse_same(where: str, value: object) -> None:
-    """DefinitionError for entries that no phase can change."""
+    """Raise DefinitionError for entries that no phase can change."""
     for key in _SAME:
         if isinstance(value, Mapping) and key in value:
-            raise DefinitionError(f"{where}.{key}: phases leave mass, rows and positions of stops as they are")
+            raise DefinitionError(f"{where}.{key}: phases cannot change mass, rows or positions of stops")
 
 
 def _read_name(where: str, table: Mapping[str, Any]) -> str:
@@ -212,7 +217,7 @@ def _read_name(where: str, table: Mapping[str, Any]) -> str:
 
 
 def _refuse_twice(kind: str, parts: Collection[str], names: list[str]) -> None:
-    """DefinitionError at the first repeated name of an element."""
+    """Raise DefinitionError at the first repeated name of an element."""
     for i, (where, name) in enumerate(zip(parts, names, strict=True)):
         if name in names[:i]:
             raise DefinitionError(f"{where}.name: there is a {kind} {name!r} already; choose another name")

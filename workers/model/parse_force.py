@@ -1,4 +1,4 @@
-"""The force in a table [system] converted to harmonics, waveforms included, with every fault in one line."""
+"""Conversion of the force in a table [system] to harmonics, waveforms included, with every error in one line."""
 
 import math
 import re
@@ -12,11 +12,11 @@ from workers.model.force import Harmonic, turns_of
 from workers.model.waveform import WAVEFORMS, Waveform
 
 HARMONICS = 8
-"""Most orders of a force."""
+"""Maximum number of orders of a force."""
 HIGHEST = 32
-"""The highest order, as a multiple of the frequency at which the whole force repeats."""
+"""Maximum order, as a multiple of the frequency at which the whole force repeats."""
 POINTS = 1000
-"""Most points of a waveform."""
+"""Maximum number of points of a waveform."""
 
 FORCE_KEYS = ("force", "phase", "cosine")
 HARMONIC_KEYS = ("order", *FORCE_KEYS)
@@ -29,12 +29,12 @@ _JUMPS = (
 
 
 def is_unforced(table: Mapping[str, Any]) -> bool:
-    """Whether a table [system] declares neither a force nor phases."""
+    """Return True if a table [system] declares neither a force nor phases."""
     return not any(key in table for key in FORCE_KEYS) and not table.get("harmonics") and not table.get("phases")
 
 
 def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tuple[tuple[Harmonic, ...], list[Row]]:
-    """The harmonics of the force in a table [system] of n coordinates, and the means of its waveforms, as loads.
+    """Return the harmonics of the force in a table [system] of n coordinates, and the means of its waveforms, as loads.
 
     Parts of the same order add up.
     """
@@ -42,7 +42,7 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
     if "force" in table or "cosine" in table:
         parts = {"system": {key: table[key] for key in FORCE_KEYS if key in table}} | parts
     elif "phase" in table:
-        raise DefinitionError("system.phase: there is no force that it could be of; give force too")
+        raise DefinitionError("system.phase: found without a force; give force too")
     tables = {
         where: read_table(where, one, WAVEFORM_KEYS if _is_waveform(one) else HARMONIC_KEYS)
         for where, one in parts.items()
@@ -80,7 +80,7 @@ def read_force(table: Mapping[str, Any], known: Collection[str], n: int) -> tupl
 
 
 def with_means(where: str, load: Row, means: list[Row], known: Collection[str]) -> Row:
-    """A load plus these means."""
+    """Return a load plus these means."""
     for mean in means:
         load = tuple(_sum(where, one, other, known) for one, other in zip(load, mean, strict=True))
     return load
@@ -97,7 +97,7 @@ def _is_waveform(one: object) -> bool:
 
 
 def _refuse_phases_of_force(table: Mapping[str, Any]) -> None:
-    """DefinitionError for a phase that changes a force of order 1 if only waveforms have that order."""
+    """Raise DefinitionError for a phase that changes a force of order 1 if only waveforms have that order."""
     for where, one in read_tables("system.phases", table.get("phases", [])).items():
         for key in ("force", "cosine"):
             if isinstance(one, Mapping) and key in one:
@@ -105,7 +105,10 @@ def _refuse_phases_of_force(table: Mapping[str, Any]) -> None:
 
 
 def _read_order(where: str, one: Mapping[str, Any]) -> Fraction:
-    """A whole number, or a ratio in quotes; 1 for a force in [system] itself and for waveforms without an order."""
+    """Return the order, a whole number or a ratio in quotes.
+
+    A force in [system] itself, and a waveform without an order, have order 1.
+    """
     order = one.get("order", 1 if where == "system" or _is_waveform(one) else None)
     if isinstance(order, int) and not isinstance(order, bool) and order > 0:
         return Fraction(order)
@@ -115,7 +118,7 @@ def _read_order(where: str, one: Mapping[str, Any]) -> Fraction:
 
 
 def _read_waveform(where: str, one: Mapping[str, Any]) -> Waveform:
-    """The waveform of this name, or of a table of points (share of its period, value)."""
+    """Return the waveform of this name, or of a table of points (share of its period, value)."""
     where, value = f"{where}.waveform", one.get("waveform")
     if isinstance(value, str) and value in WAVEFORMS:
         return Waveform(WAVEFORMS[value])
@@ -142,7 +145,7 @@ def _read_waveform(where: str, one: Mapping[str, Any]) -> Waveform:
 def _harmonics_of(
     where: str, one: Mapping[str, Any], wave: Waveform, part: Harmonic, turns: int, limit: int, known: Collection[str]
 ) -> list[Harmonic]:
-    """The harmonics of a waveform, at most ``limit``, within the error bound of its table."""
+    """Return the harmonics of a waveform, at most ``limit``, within the error bound of its table."""
     if "within" not in one:
         raise DefinitionError(
             f"{where}: within missing; give the largest error of the waveform over its largest value, such as 0.05"
@@ -155,7 +158,7 @@ def _harmonics_of(
     if error > within:
         digits = 10.0 ** (1 - math.floor(math.log10(error)))
         raise DefinitionError(
-            f"{where}.within: found {within:g}; the {limit} harmonics that there is room for, up to {reach} times its "
+            f"{where}.within: found {within:g}; the {limit} harmonics that are allowed, up to {reach} times its "
             f"frequency, come within {math.ceil(error * digits) / digits:g}; give that or more"
         )
     return [
@@ -170,7 +173,7 @@ def _harmonics_of(
 
 
 def _times(where: str, number: float, row: Row, known: Collection[str]) -> Row:
-    """A number times a row of expressions."""
+    """Return a number times a row of expressions."""
     return tuple(_product(where, number, entry, known) for entry in row)
 
 
@@ -187,4 +190,4 @@ def _parsed(where: str, text: str, known: Collection[str]) -> Expression:
     try:
         return parse(text, known)
     except ExpressionError as error:
-        raise DefinitionError(f"{where}: as part of a waveform {error}; give its force a name of let") from None
+        raise DefinitionError(f"{where}: as part of a waveform {error}; give its force a name in let") from None

@@ -1,4 +1,4 @@
-"""Laws of springs, contacts and friction in a table, with every fault in one line: see laws.py."""
+"""Conversion of tables to laws of springs, contacts and friction, see laws.py, with every error in one line."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -11,17 +11,19 @@ SPRING_KEYS = ("name", "row", *LAW)
 
 
 def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind: type) -> dict[str, Any]:
-    """The entries LAW of an element of this kind."""
+    """Return the entries LAW of an element of this kind."""
     law, argument = table["law"], ARGUMENTS[kind]
     if isinstance(law, str):
         if argument in known:
-            raise DefinitionError(f"{where}.law: {argument} is its argument, and a parameter; give that another name")
+            raise DefinitionError(
+                f"{where}.law: {argument} is the argument of the law and a parameter; rename the parameter"
+            )
         for key, meaning in (
             ("within", "largest error, as a share of the largest force"),
             ("range", "largest argument"),
         ):
             if key not in table:
-                raise DefinitionError(f"{where}: {key} missing; a law as an expression has its {meaning}")
+                raise DefinitionError(f"{where}: {key} missing; a law that is an expression needs its {meaning}")
         ends = (2,) if kind is Spring and isinstance(table["range"], list | tuple) else ()
         return {
             "law": read_entries(f"{where}.law", law, [*known, argument]),
@@ -29,7 +31,7 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
             "range": read_entries(f"{where}.range", table["range"], known, *ends),
         }
     for key in (key for key in LAW[1:] if key in table):
-        raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; it is of an expression")
+        raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; only an expression takes this key")
     if not isinstance(law, list | tuple) or not 2 <= len(law) <= SEGMENTS + 1:
         given = f"{len(law)} rows" if isinstance(law, list | tuple) else law
         raise fault(
@@ -43,7 +45,7 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
 
 
 def read_spring(where: str, value: object, known: Collection[str], n: int) -> Spring:
-    """A spring of a machine of n coordinates."""
+    """Return a spring of a machine of n coordinates."""
     one = read_table(where, value, SPRING_KEYS)
     for key in ("name", "row", "law"):
         if key not in one:

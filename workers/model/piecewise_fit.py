@@ -1,11 +1,11 @@
-"""The fewest segments of a piecewise linear law within a bound of a smooth one.
+"""Piecewise linear fits: the fewest segments within an error bound of a smooth law.
 
 The error may be eps to both sides. For a law f of one curvature the longest segment begins on one side of that band,
-touches the other and ends on the first: chords of a sag of 2 eps, moved by eps, so that
+touches the other side, and ends on the first. Such segments are chords of a sag of 2 eps, moved by eps, so that
 
     n = integral of sqrt|f''| / (4 sqrt(eps)),
 
-half as many as with vertices on the law, to leading order. The first vertex is on the law: nothing jumps there.
+half of the number with vertices on the law, to leading order. The first vertex is on the law, so nothing jumps there.
 Source: Imai & Iri, J. Inf. Process. 9 (1986) 159, with a window of slopes in place of a visible window.
 """
 
@@ -16,22 +16,30 @@ import numpy as np
 from workers.model.oscillator import Array
 
 POINTS = 2**15
-"""Intervals of the range within which the law counts as straight."""
+"""Number of intervals of the range; within an interval the law counts as straight."""
 
 SPARE = 1e-3
-"""Share of the error bound left for that."""
+"""Share of the error bound reserved for the curvature of the law within an interval."""
 
 FIRST_LOOK = 64
-"""Points ahead among which the end of a segment is sought first; the number grows fourfold until it is found."""
+"""Number of points ahead among which the end of a segment is searched for first. The number grows fourfold until the
+end is found.
+"""
 
 
 def fewest(
     law: Callable[[Array], Array], end: float, bound: float, minimum: float = -np.inf, reach: float = 0.0
 ) -> Array:
-    """Vertices (V, 2) from 0 to ``end``, of either sign, of a law within ``bound`` of the given one.
+    """Return vertices (V, 2) from 0 to ``end`` of the law with the fewest segments within ``bound`` of the given law.
 
-    No slope, with the sign of ``end``, is below ``minimum``. The law is sampled at every POINTS-th part of ``reach``,
-    or of |end| if larger, so that both sides of an odd law agree where both exist. Not finite if the law is not.
+    law      function of arguments
+    end      end of the range, of either sign
+    bound    largest error
+    minimum  lower bound of the slopes, with the sign of ``end``
+    reach    length of the range that the samples divide; |end| if that is larger
+
+    The law is sampled at every POINTS-th part of ``reach``, so that both sides of an odd law agree where both exist.
+    The vertices are not finite if the law is not.
     """
     run: Array = max(abs(end), reach) / POINTS * np.arange(POINTS, dtype=np.float64)
     run = np.append(run[run < abs(end)], abs(end))
@@ -50,7 +58,10 @@ def fewest(
 def _segment(
     run: Array, f: Array, bound: float, i: int, at: float, y: float, minimum: float
 ) -> tuple[int, float, float]:
-    """End of the longest segment from (at, y), at or after point i: the last point before it, and the end itself."""
+    """Return the end of the longest segment from (at, y), at or after point i.
+
+    The end is given by the last point before it, its argument and its value.
+    """
     look = FIRST_LOOK
     while True:
         ahead = slice(i + 1, min(i + 1 + look, len(run)))

@@ -10,7 +10,7 @@ NAMES = frozenset((
     *(name for variable in _RESULTS for name in (variable.name, f"{variable.name}_count", *variable.extra_dims)),
     # groups of a store
     "attractors", "curves", "hosts", "labels", "overviews", "parts", "stability", "tally", "tiles", "zoom",
-    # arrays and dimensions beside the results: of cells, of overviews, of tables, of curves
+    # arrays and dimensions of cells, of overviews, of tables and of curves, besides the results
     "budget", "survival", "component", "point",
     "cells", "largest_positive", "regime_share", "regime_shown", "class", "bound",
     "points", "total_share", "branch", "column", "axis", "corner", "curve", "position", "row_size", "first_end",
@@ -18,7 +18,7 @@ NAMES = frozenset((
     # stability measures of cells
     "return_time", "reactivity", "amplification", "amplified_after", "unmeasured", "fatal_shock", "shock_reaches",
     "shock_tried", "margin", "margin_error", "margin_kind", "margin_curve",
-    # columns and entries that stand beside parameters in tables and answers
+    # columns and entries of tables and answers, besides parameters
     "coexisting", "difference", "distance", "event", "extreme", "impacts", "kappa", "kind", "leaving", "multiplier",
     "unstable", "value",
     # arguments of calls and of addresses that take parameters by name as well
@@ -29,5 +29,5 @@ NAMES = frozenset((
 
 
 def is_taken(name: str) -> bool:
-    """Whether an atlas reserves the name, also for coarse cells along an axis and their bounds."""
+    """Return True if an atlas reserves the name, also for coarse cells along an axis or their bounds."""
     return name in NAMES or name.endswith(("_bounds", "_coarse"))

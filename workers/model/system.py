@@ -49,7 +49,7 @@ KEYS = (
     "springs", "measures", "let", "parameters",
 )  # fmt: skip
 LATEST = 1_000_000
-"""The highest version of a definition."""
+"""Maximum version of a definition."""
 _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all values and needs no default
 
 
@@ -57,11 +57,19 @@ _PARAMETER_PROSE = ("symbol", "unit", "meaning", "default")  # a spec holds all 
 class System:
     """A vibro-impact system: its parameters, the names of its physical state, and its definition.
 
-    states      components of the physical section state in order, displacements, then velocities; each is also a
-                parameter, the initial value at t = 0
-    version     of the definition: raised when a packaged one changes a number
-    packaged    true if its name alone identifies it
-    source      its reference; ``equation`` and ``picture`` as text; ``axes``: the usual axes, (name, low, high)
+    name        name of the system
+    parameters  its parameters, initial values included
+    definition  its entries as expressions
+    version     version of the definition, raised when a packaged definition changes a number
+    packaged    True if the name alone identifies it
+    axes        usual axes, (name, low, high)
+    title       title, for pictures and lists
+    source      reference of the system
+    equation    equation of motion, as text
+    picture     drawing of the machine, as text
+
+    ``states`` has the components of the physical section state in order, displacements, then velocities. Each is also a
+    parameter, the initial value at t = 0.
     """
 
     name: str
@@ -77,7 +85,7 @@ class System:
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> "System":
-        """The system of a table [system]; DefinitionError, a ValueError in one line, for any fault."""
+        """Return the system of a table [system]; raise DefinitionError, a ValueError in one line, for any fault."""
         system = _read(table, packaged=False)
         check_not_reserved(system.definition, system.parameters)
         check_unambiguous(system._own, NAMES.union(parameter.name for parameter in system.parameters))
@@ -85,9 +93,10 @@ class System:
 
     @classmethod
     def from_toml(cls, source: str | Path) -> "System":
-        """The system of a TOML file with one table [system], from the file's path or text.
+        """Return the system of a TOML file with one table [system], from the file's path or text.
 
-        One line that ends in .toml is a path. Raises ValueError in one line that names the file and the entry.
+        A text of one line that ends in .toml is a path. Raise ValueError, in one line that names the file and the
+        entry, for any fault.
         """
         if isinstance(source, str) and ("\n" in source or ("=" in source and not source.endswith(".toml"))):
             return cls.from_mapping(_only_system(parse_toml(source)))
@@ -103,7 +112,7 @@ class System:
 
     @property
     def exponents(self) -> int:
-        """Number of exponents of a motion: one per component of the state, without a displacement that may drift."""
+        """Number of exponents of a motion: one per component of the state, except a displacement that may drift."""
         return len(self.states) - bool(self.definition.drift)
 
     @property
@@ -114,7 +123,7 @@ class System:
 
     @property
     def has_modes(self) -> bool:
-        """Whether its law changes by more than one contact with a restitution: see model/hybrid.py."""
+        """True if its law changes by more than one contact with a restitution, see model/hybrid_modes.py."""
         own = self.definition
         elements = own.friction or own.phases or own.springs
         return bool(elements) or own.unforced or [contact.rigid for contact in own.contacts] != [True]
@@ -130,7 +139,7 @@ class System:
 
     @property
     def regime(self) -> Variable:
-        """The regime of its motions, whose codes have the words for them."""
+        """Variable of the regime of its motions, whose codes have the words for them."""
         return in_time(REGIME) if self.definition.unforced else REGIME
 
     @property
@@ -140,7 +149,7 @@ class System:
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def variables(self, settings: Settings, attractors: bool = False, basins: bool = False) -> tuple[Variable, ...]:
-        """The results of a cell, see ``results.result_variables``, with the results of this system alone."""
+        """Return the results of a cell, see ``results.result_variables``, with the results of this system alone."""
         observed = tuple(variable for observable in self.observables(settings) for variable in observable.variables)
         variables = result_variables(settings, attractors, basins, self.own_variables + observed)
         if self.definition.friction:
@@ -149,56 +158,62 @@ class System:
         return tuple(map(in_time, variables)) if self.definition.unforced else variables
 
     def observables(self, settings: Settings) -> tuple[Observable, ...]:
-        """The observables named in the settings; ValueError in one line for one that its machines do not have.
+        """Return the observables named in the settings.
 
-        Also ValueError for an observable whose results would take the name of another result.
+        Raise ValueError, in one line, for an observable that its machines do not have, or whose results would take the
+        name of another result.
         """
         try:
             observables = observables_of(settings.observe, self.definition)
         except ValueError as error:
             raise DefinitionError(f"observe: {error}") from None
         if self.definition.unforced and settings.method == "fixed":
-            raise DefinitionError(
-                'method: found "fixed", which counts forcing periods, and there is no force; take "adaptive"'
-            )
+            raise DefinitionError('method: found "fixed", must be "adaptive" for a machine without a force')
         names = NAMES.union(variable.name for variable in self.own_variables)
         results = (variable for observable in observables for variable in observable.variables)
         check_unambiguous((("observe", variable) for variable in results), names)
         return observables
 
     def must_offer(self, what: str, unforced: bool = False) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist where a coordinate drifts, or without a force;
-        ``unforced``: whether it exists without one."""
+        """Raise DefinitionError, in one line, if ``what`` does not exist for this system.
+
+        what      noun in the plural
+        unforced  True if ``what`` exists without a force
+
+        It never exists if a coordinate drifts, and without a force only if ``unforced``.
+        """
         if not unforced:
             self.must_have_force(what)
         if self.definition.drift:
-            raise DefinitionError(f"system {self.name!r}: {what} are not there where a coordinate drifts")
+            raise DefinitionError(f"system {self.name!r}: {what} do not exist if a coordinate drifts")
 
     def must_have_force(self, what: str) -> None:
-        """DefinitionError, in one line, that ``what`` does not exist where there is no force."""
+        """Raise DefinitionError, in one line, if there is no force, without which ``what`` does not exist."""
         if self.definition.unforced:
-            raise DefinitionError(f"system {self.name!r}: {what} are not there for a machine without a force")
+            raise DefinitionError(f"system {self.name!r}: {what} do not exist for a machine without a force")
 
     def with_cycle(self, values: Mapping[str, Array], cycle: float | None) -> dict[str, Array]:
-        """Values (N,) of each parameter of machines without a force, followed over cycles of this length.
+        """Return values (N,) of each parameter of machines without a force, simulated over cycles of this length.
 
-        Unchanged for None. ValueError for a length if there is a force.
+        They are unchanged if ``cycle`` is None. Raise ValueError for a length if there is a force.
         """
         if cycle is None:
             return dict(values)
         if not self.definition.unforced:
-            raise ValueError(f"cycle: found {cycle:g}, but system {self.name!r} has the period of its force")
+            raise ValueError(
+                f"cycle: found {cycle:g}, must be left out: system {self.name!r} has the period of its force"
+            )
         return dict(values) | {OMEGA: np.full_like(next(iter(values.values())), 2.0 * np.pi / cycle)}
 
     def build(self, values: Mapping[str, float]) -> Any:
-        """The oscillator at one value of each parameter; InvalidError, a ValueError, if there is none."""
+        """Return the oscillator at one value of each parameter; raise InvalidError, a ValueError, if there is none."""
         oscillators, reasons = self.build_many({k: np.array([v], dtype=np.float64) for k, v in values.items()})
         if reasons[0] != NO_REASON:
             raise InvalidError(int(reasons[0]))
         return take_one(oscillators, 0)
 
     def build_many(self, values: Mapping[str, Array]) -> tuple[Any, NDArray[np.int8]]:
-        """The oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
+        """Return the oscillators at values (N,) of each parameter, and the reason against each, or NO_REASON."""
         if self.has_modes:
             hybrids, reasons = build_hybrid(self.definition.hybrid(values))
             return hybrids, self.out_of_range(values, reasons)
@@ -208,26 +223,26 @@ class System:
         return oscillators, self.out_of_range(values, np.where(wrong != NO_REASON, wrong, reasons))
 
     def out_of_range(self, values: Mapping[str, Array], reasons: NDArray[np.int8]) -> NDArray[np.int8]:
-        """These reasons (N,), replaced if values (N,) of parameters are out of their ranges."""
+        """Return these reasons (N,), replaced if values (N,) of parameters are out of their ranges."""
         admitted = [p.admits(values[p.name]) for p in self.parameters if p.name in values]
         reasons[~np.logical_and.reduce(admitted)] = OUT_OF_RANGE
         return reasons
 
     def parameter(self, name: str) -> Parameter:
-        """The parameter of this name; KeyError with the nearest known name otherwise."""
+        """Return the parameter of this name; raise KeyError, with the nearest known name, if there is none."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         raise KeyError(self.unknown_name_message(name))
 
     def unknown_name_message(self, name: str, kind: str = "parameter") -> str:
-        """One line for an unknown parameter name."""
+        """Return one line for an unknown parameter name."""
         if self.definition.unforced and name in (OMEGA, TAU):
-            return f"{kind} {name!r}: system {self.name!r} has no force that it could be of; leave it out"
+            return f"{kind} {name!r}: system {self.name!r} has no force; leave this name out"
         return unknown_name(kind, name, [parameter.name for parameter in self.parameters])
 
     def table(self) -> dict[str, Any]:
-        """The whole system as plain JSON in a normal form: ``from_mapping`` makes an equal system of it."""
+        """Return the whole system as plain JSON in a normal form, of which ``from_mapping`` makes an equal system."""
         table: dict[str, Any] = {"name": self.name, "version": self.version}
         table |= {key: text for key in TEXTS if (text := getattr(self, key))} | self.definition.table()
         if self.axes:
@@ -235,9 +250,10 @@ class System:
         return table | {"parameters": {p.name: p.table() for p in self.parameters}}
 
     def to_resolved(self) -> dict[str, Any]:
-        """The entry in a store, enough for ``from_resolved``: the name of a packaged system, else the whole definition.
+        """Return the entry in a store, enough for ``from_resolved``.
 
-        The version of a packaged system is included from the second on.
+        It is the name of a packaged system, with its version from the second on, or the whole definition of any other
+        system.
         """
         if not self.packaged:
             return {"system": self.table()}
@@ -245,18 +261,26 @@ class System:
 
     @classmethod
     def from_resolved(cls, resolved: Mapping[str, Any]) -> "System":
-        """The system of ``resolved``; DefinitionError or KeyError if this program does not have it."""
+        """Return the system of an entry made by ``to_resolved``.
+
+        Raise DefinitionError or KeyError if this program does not have the system.
+        """
         system = resolved["system"]
         # Names that an atlas has reserved since the store was made are accepted: the store can be read.
         record = packaged_system(system) if isinstance(system, str) else _read(system, packaged=False)
         version = resolved.get("system_version", 1)
         if record.packaged and record.version != version:
-            raise DefinitionError(f"system {record.name} is of version {version} there, of {record.version} here")
+            raise DefinitionError(
+                f"system: found {record.name} of version {version}, installed is version {record.version}"
+            )
         return record
 
 
 def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of ``System.resolved`` that decides numbers, for a digest: a name, or a definition without its words."""
+    """Return the part of ``System.to_resolved`` that decides numbers, for a digest.
+
+    It is the name of a packaged system, or a definition without its words.
+    """
     system = resolved["system"]
     if isinstance(system, str):
         return {key: resolved[key] for key in ("system", "system_version") if key in resolved}
@@ -269,9 +293,9 @@ def identity(resolved: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_system(system: object) -> System:
-    """The system of this name, path of a .toml file, or table; a System is returned as it is.
+    """Return the system of this name, path of a .toml file, or table; a System is returned unchanged.
 
-    KeyError with the nearest known name for an unknown name, ValueError for a wrong definition.
+    Raise KeyError, with the nearest known name, for an unknown name, and ValueError for a wrong definition.
     """
     if isinstance(system, System):
         return system
@@ -286,7 +310,7 @@ def find_system(system: object) -> System:
 
 @cache
 def packaged_system(name: str) -> System:
-    """The system of this name; KeyError with the nearest known name otherwise."""
+    """Return the packaged system of this name; raise KeyError, with the nearest known name, if there is none."""
     if name not in system_names():
         raise KeyError(unknown_name("system", name, system_names()))
     file = SYSTEMS / f"{'chain' if name in CHAINS else name}.toml"
@@ -296,7 +320,7 @@ def packaged_system(name: str) -> System:
 
 @cache
 def system_names() -> tuple[str, ...]:
-    """Names of the packaged systems, with the default first."""
+    """Return the names of the packaged systems, with the default first."""
     files = {item.name.removesuffix(".toml") for item in SYSTEMS.iterdir() if item.name.endswith(".toml")}
     return (DEFAULT, *sorted(files.union(CHAINS) - {DEFAULT, "chain"}))
 
@@ -332,7 +356,7 @@ def _read(value: Mapping[str, Any], packaged: bool) -> System:
 
 
 def _read_axes(value: object, names: list[str]) -> tuple[tuple[str, float, float], ...]:
-    """Usual axes, ``{ omega = [1.0, 4.0] }``."""
+    """Return the usual axes of an entry such as ``{ omega = [1.0, 4.0] }``."""
     axes = []
     for name, ends in read_table("system.axes", value).items():
         where = f"system.axes.{name}"

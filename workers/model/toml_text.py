@@ -1,4 +1,4 @@
-"""TOML from any source: bounded in size and depth, its faults in one line."""
+"""TOML files and texts from any source, bounded in size and depth, with errors in one line."""
 
 import re
 import tomllib
@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Any
 
 MAX_FILE = 1_000_000
-"""Largest file, in bytes: far more than a spec or a system needs, and small beside the memory."""
+"""Maximum size of a file, in bytes: far more than a spec or a system needs, and small beside the memory."""
 
 _DEEP_KEY = re.compile(r"""^[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){100}""", re.MULTILINE)
-"""Most parts of a dotted key: the time of tomllib grows as the square of their number."""
+"""Pattern of a dotted key with too many parts, since the time of tomllib grows as the square of their number."""
 
 
 class TomlError(ValueError):
-    """The fault of a TOML file, in one line without its name."""
+    """Error of a TOML file, in one line without the file's name."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; TomlError if it cannot be read or is not TOML."""
+    """Return the tables of a TOML file; raise TomlError if it cannot be read or is not TOML."""
     try:
         if path.is_dir():
             raise TomlError("cannot be read: is a folder")
@@ -38,7 +38,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a text; TomlError if it is not TOML."""
+    """Return the tables of a text; raise TomlError if the text is not TOML."""
     if text.startswith("%%"):
         raise TomlError("not a TOML file: it begins with a line of a notebook; leave out the line with %%")
     try:

@@ -1,4 +1,4 @@
-"""Waveforms, linear from point to point over a period, as sums of harmonics with a bound of the error."""
+"""Waveforms, linear from point to point over a period, as sums of harmonics with an error bound."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -13,13 +13,15 @@ WAVEFORMS = {"triangle": ((0.0, 0.0), (0.25, 1.0), (0.75, -1.0))}
 """Waveforms by name, as points (share of the period, value)."""
 
 LOOKED_AT = 2**14
-"""Shares of the period at which the error is computed; between them it is bounded."""
+"""Number of shares of the period at which the error is computed; between them the error is bounded."""
 
 ROUNDING = 1e-14
-"""Share of the largest value up to which a part of a harmonic, or the mean, is rounding."""
+"""Share of the largest value up to which an amplitude of a harmonic, or the mean, is rounding."""
 
 DIGITS = 12
-"""Digits of a part: the last digits of a sine depend on the machine, and the digest of a store includes all digits."""
+"""Number of digits of an amplitude. The last digits of a sine depend on the computer, and the digest of a store
+includes all digits.
+"""
 
 
 class HarmonicAmplitudes(NamedTuple):
@@ -32,8 +34,8 @@ class HarmonicAmplitudes(NamedTuple):
 class Waveform:
     """A function of period 1, linear between points (share, value), the shares in [0, 1) and rising.
 
-    largest     its largest modulus
-    mean        its mean
+    largest  its largest modulus
+    mean     its mean
     """
 
     def __init__(self, points: ArrayLike) -> None:
@@ -49,11 +51,11 @@ class Waveform:
         return float(f"{number:.{DIGITS}g}") if abs(number) > ROUNDING * self.largest else 0.0
 
     def evaluate(self, shares: Array) -> Array:
-        """Its values at these shares of the period."""
+        """Return the values at these shares of the period."""
         return np.interp(shares, self._shares, self._values, period=1.0)
 
     def harmonic(self, k: int) -> HarmonicAmplitudes:
-        """Its Fourier coefficients of order k, from the bends J of its slope at shares x:
+        """Return the Fourier coefficients of order k, from the bends J of the slope at shares x.
 
         -(2 pi k)^2 (sine, cosine) = 2 sum J (sin 2 pi k x, cos 2 pi k x)
         """
@@ -62,10 +64,10 @@ class Waveform:
         return HarmonicAmplitudes(*(self._kept(unit * math.fsum(self._bends * of(angles))) for of in (np.sin, np.cos)))
 
     def error(self, harmonics: Mapping[int, HarmonicAmplitudes]) -> float:
-        """A bound of the largest error of its mean and these harmonics, relative to its largest value.
+        """Return a bound of the largest error of the mean and these harmonics, relative to the largest value.
 
-        The largest error r at shares a step d apart, its points included, plus d^2 / 8 max |r''| for the shares
-        between: there the waveform is linear, and r'' is that of the harmonics.
+        The bound is the largest error r at shares a step d apart, the points included, plus d^2 / 8 max |r''| for the
+        shares between. There the waveform is linear, and r'' is that of the harmonics.
         """
         shares = np.union1d(np.arange(LOOKED_AT) / LOOKED_AT, self._shares)
         sums = np.full(shares.size, self.mean)
@@ -78,9 +80,13 @@ class Waveform:
         return (float(np.abs(r).max()) + bound / (8.0 * LOOKED_AT**2)) / self.largest
 
     def fewest(self, within: float, orders: Iterable[int], limit: int) -> tuple[dict[int, HarmonicAmplitudes], float]:
-        """The fewest of its largest harmonics of these orders with an error of at most ``within``, and their error.
+        """Return the fewest of the largest harmonics of these orders within an error, and the error that they have.
 
-        If ``limit`` harmonics do not reach that error, the best approximation.
+        within  largest error
+        orders  orders of the harmonics
+        limit   maximum number of harmonics
+
+        If ``limit`` harmonics do not reach the error, return the best approximation.
         """
         every = {k: part for k in orders if any(part := self.harmonic(k))}
         ranked = sorted(every, key=lambda k: (-math.hypot(*every[k]), k))

@@ -195,7 +195,7 @@ def test_the_schedule_of_the_paper_has_no_attractors() -> None:
 
 
 def test_a_box_of_no_component_is_refused() -> None:
-    with pytest.raises(KeyError, match="y is no component of the state; they are x1, x2, v1, v2"):
+    with pytest.raises(KeyError, match="found y, must be a component of the state: x1, x2, v1, v2"):
         solved(FIG3, AttractorSettings(4, box=(("y", 0.0, 1.0),)))
 
 

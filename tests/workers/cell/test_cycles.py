@@ -202,7 +202,7 @@ def test_a_cycle_is_found_whatever_exponents_are_wanted(exponents: str) -> None:
 def test_a_machine_without_a_force_has_no_frequency_and_no_phase() -> None:
     assert [p.name for p in belt().parameters] == ["c", "Fs", "v0", "s", "x", "v"]
     for name in ("omega", "tau"):
-        line = f"'{name}': system 'mass' has no force that it could be of; leave it out"
+        line = f"'{name}': system 'mass' has no force; leave this name out"
         with pytest.raises(KeyError, match=line):
             solve_tile(belt(), {name: 1.0})
         with pytest.raises(InputError, match=f"parameter {line}"):
@@ -216,7 +216,7 @@ def test_a_machine_without_a_force_has_no_frequency_and_no_phase() -> None:
 
 
 def test_the_schedule_in_forcing_periods_is_refused_without_a_force() -> None:
-    with pytest.raises(DefinitionError, match='"fixed", which counts forcing periods, and there is no force'):
+    with pytest.raises(DefinitionError, match='must be "adaptive" for a machine without a force'):
         solve_tile(belt(), {}, Settings(method="fixed", transient_periods=10, periods=10))
 
 

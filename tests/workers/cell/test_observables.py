@@ -248,7 +248,7 @@ def test_a_contact_may_be_called_upper() -> None:
         ("impact_phase:lower", "impact_phase:lower: there is no lower stop"),
         ("maximum:z", "unknown output 'z', must be maximum: and one of gap, x, v, push"),
         ("minimum", "minimum: no output, must be minimum: and one of gap, x, v, push"),
-        ("energy_loss:stop", "energy_loss is of the whole machine"),
+        ("energy_loss:stop", "energy_loss belongs to the whole machine"),
         ("maximum:x,maximum:x", "must name each observable once"),
     ],
 )

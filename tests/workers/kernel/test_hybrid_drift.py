@@ -208,14 +208,14 @@ def test_a_block_that_sticks_on_its_way_loses_its_only_direction() -> None:
 
 
 def test_branches_of_what_drifts_are_refused_in_one_line() -> None:
-    with pytest.raises(ValueError, match="branches and curves are not there where a coordinate drifts"):
+    with pytest.raises(ValueError, match="branches and curves do not exist if a coordinate drifts"):
         family_of(find_system("capsule"), {}, ("omega",))
 
 
 def test_a_measure_of_the_displacement_that_drifts_is_refused() -> None:
     table = find_system("capsule").table() | {"name": "measured"}
     table |= {"measures": {"way": {"displacement": [0, 1], "report": ["rms"]}}}
-    with pytest.raises(DefinitionError, match=r"way\.displacement: sees x2, which drifts"):
+    with pytest.raises(DefinitionError, match=r"way\.displacement: found x2, which drifts"):
         System.from_mapping(table)
 
 

@@ -438,15 +438,15 @@ LINES: list[tuple[dict[str, Any], str]] = [
         "system.harmonics: found 11 orders, must be at most 8; leave out 3",
     ),
     ({"harmonics": [{"order": 2}]}, "system.harmonics[0]: force missing"),
-    ({"phase": [1]}, "system.phase: there is no force that it could be of"),
+    ({"phase": [1]}, "system.phase: found without a force"),
     ({"harmonics": [{"waveform": "triangle", "force": [1]}]}, "system.harmonics[0]: within missing; give the largest"),
     (
         {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01}]},
-        "found 0.01; the 8 harmonics that there is room for, up to 32 times its frequency, come within 0.026; give",
+        "found 0.01; the 8 harmonics that are allowed, up to 32 times its frequency, come within 0.026; give",
     ),
     (
         {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01, "order": 20}]},
-        "found 0.01; the 8 harmonics that there is room for, up to 1 times its frequency, come within 0.19; give",
+        "found 0.01; the 8 harmonics that are allowed, up to 1 times its frequency, come within 0.19; give",
     ),
     ({"harmonics": [{"waveform": "triangle", "force": [1], "within": 1}]}, "found 1, must be above 0 and below 1"),
     ({"harmonics": [{"waveform": "square", "force": [1], "within": 0.1}]}, "'square', which jumps: at a jump"),
@@ -470,7 +470,7 @@ LINES: list[tuple[dict[str, Any], str]] = [
     ),
     (
         {"harmonics": [{"waveform": "triangle", "force": ["+".join(["A"] * 250)], "within": 0.1}]},
-        "characters, must be at most 500; give its force a name of let",
+        "characters, must be at most 500; give its force a name in let",
     ),
     (
         {"harmonics": [{"waveform": "triangle", "force": ["A"], "within": 0.1}],

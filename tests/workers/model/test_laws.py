@@ -506,15 +506,18 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
             with_law("springs", [[0, 0], [0, 1]]),
             "system.springs[0].law: found y 0 after 0 at the defaults, must increase",
         ),
-        (with_law("contacts", [[0.1, 0], [1, 1]]), "system.contacts[0].law: begins at depth 0.1 at the defaults, must"),
-        (with_law("contacts", [[0, 1], [1, 0.5]]), "system.contacts[0].law: falls from 1 to 0.5 at the defaults where"),
+        (with_law("contacts", [[0.1, 0], [1, 1]]), "system.contacts[0].law: found depth 0.1 in the first row"),
+        (
+            with_law("contacts", [[0, 1], [1, 0.5]]),
+            "system.contacts[0].law: found a fall from 1 to 0.5 at the defaults",
+        ),
         (
             with_law("contacts", [[0, -1], [1, 0.5]]),
             "system.contacts[0].law: found force -1 at the defaults, must be 0",
         ),
         (
             with_law("friction", [[0, 1], [1, 0.5]]),
-            "system.friction[0].law: falls for ever from |v| 0 on at the defaults",
+            "system.friction[0].law: falls without end from |v| 0 on at the defaults",
         ),
         (
             with_law("friction", [[0, 1], [1, -1], [2, 3]]),
@@ -522,12 +525,15 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
         ),
         (
             with_law("contacts", [[0, 0], [1, 1]], stiffness=1),
-            "system.contacts[0]: found law and stiffness; the law at",
+            "system.contacts[0]: found law and stiffness; the law replaces",
         ),
-        (with_law("friction", [[0, 1], [1, 1]], kinetic=1), "system.friction[0]: found law and kinetic; the law at"),
+        (
+            with_law("friction", [[0, 1], [1, 1]], kinetic=1),
+            "system.friction[0]: found law and kinetic; the law replaces",
+        ),
         (with_law("friction", [[0, 1], [1, 1]], static=0.5), "system.friction[0].static: found 0.5, kinetic 1 at the"),
-        (with_law("contacts", "d"), "system.contacts[0]: within missing; a law as an expression has its largest error"),
-        (with_law("contacts", "d", within=0.1), "system.contacts[0]: range missing; a law as an expression has its"),
+        (with_law("contacts", "d"), "system.contacts[0]: within missing; a law that is an expression needs its"),
+        (with_law("contacts", "d", within=0.1), "system.contacts[0]: range missing; a law that is an expression"),
         (
             with_law("contacts", [[0, 0], [1, 1]], within=0.1),
             "system.contacts[0].within: found beside a table, which is",
@@ -539,12 +545,12 @@ def with_law(kind: str, law: Any, **more: Any) -> dict[str, Any]:
         (with_law("springs", "sqrt(y)", within=0.1, range=1), "system.springs[0].law: found no bound or value at the"),
         (
             with_law("contacts", "d**2", within=1e-7, range=1),
-            " segments at the defaults, must be at most 64; within = 3.4e-05 would do",
+            " segments at the defaults, must be at most 64; give within = 3.4e-05",
         ),
-        (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: falls from 1 to"),
+        (with_law("contacts", "1 - d", within=0.1, range=1), "system.contacts[0].law: found a fall from 1 to"),
         (
             with_law("contacts", "d", within=0.1, range=1) | {"parameters": {"d": 1.0}},
-            "system.contacts[0].law: d is its argument, and a parameter; give that another name",
+            "system.contacts[0].law: d is the argument of the law and a parameter; rename the parameter",
         ),
         (with_law("springs", [[0, 0], [1, "k"]]), "system.springs[0].law[1][1]: unknown name 'k'"),
     ],
