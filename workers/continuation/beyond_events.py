@@ -2,10 +2,10 @@
 
 The orbit of the event solves its equations on both sides of the event, but is admissible on one side only. On the other
 side, the motion from its section state passes the events of the orbit that replaces it, at times that are right to
-first order. Newton's method refines that orbit, with the conditions of the curve if there are any, at the parameters at
-which its events have these distances. The orbit is sought on either side of the event, since a contact that is released
-by its force may turn a branch back. Near the graze of a soft contact the multipliers change with the square root of the
-depth, so a curve turns into the curve of grazes there.
+first order. Newton's method refines that orbit, with the conditions of the curve if there are any. Its parameters are
+those at which the times of its events differ this much from the times at the event. The orbit is sought on either side
+of the event, since a contact that is released by its force may turn a branch back. Near the graze of a soft contact the
+multipliers change with the square root of the depth, so a curve turns into the curve of grazes there.
 """
 
 from collections.abc import Iterator
@@ -63,16 +63,14 @@ latter is a share of the former, or of its square if the curve has a condition o
 moves with the square root of the parameters."""
 
 SECOND_OFFSET = 0.25
-"""Share of that distance at which the orbit is recorded again, to find how the times of its events depend on the
-distance."""
-
-HALVES_TOLERANCE = 1e-2
-"""Share of a turn by which the halves of a symmetric orbit may differ when it is recorded next to its own parameters.
+"""Share of the distance from the event at which the orbit is recorded again: shows how the times of its events change.
 """
 
+HALVES_TOLERANCE = 1e-2
+"""Share of a turn by which the halves of a symmetric orbit may differ if it is recorded next to its own parameters."""
+
 SAME_PARAMETER, SAME_STATE = 1e-8, 1e-6
-"""Maximum difference of the parameter, in widths of the window, and of section states, relative, of one and the same
-orbit."""
+"""Maximum difference of the parameter, in widths of the window, and of section states, relative, of equal orbits."""
 
 
 def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
@@ -114,8 +112,9 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
 
 
 class _NearbyOrbit(NamedTuple):
-    """An orbit from which to look for the continuation past an event: the event's own, or one nearby on the curve of
-    the change.
+    """An orbit from which to look for the continuation past an event.
+
+    It is the orbit of the event, or a nearby one on the curve of the change.
 
     orbit   the orbit
     values  (free,) its parameters
@@ -175,7 +174,7 @@ def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
 
 def _at_depth(equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Yield the orbit at the depth across the curve of a change at which its multipliers meet the condition to first
+    """Yield the orbit at that depth beyond a curve of changes at which its multipliers meet the condition to first
     order.
 
     Multipliers change with the square root of the depth. Yield nothing if there is no such depth.
@@ -236,7 +235,7 @@ def is_within(values: Array, bounds: Array) -> bool:
 def _solved(
     equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, far: Orbit, near: Orbit
 ) -> tuple[ExtendedSystem, Array] | None:
-    """Return the extended system and solution of the orbit recorded next to an event; None if Newton's method finds no
+    """Return the extended system and solution of an orbit recorded past an event; None if Newton's method finds no
     orbit.
 
     ``far`` is the orbit recorded at the end of the step, ``near`` the one at the share SECOND_OFFSET of the step.

@@ -396,7 +396,6 @@ def _passage(
 
 
 def _ends_pair(equations: ExtendedSystem, event: Event) -> bool:
-    """Return True if a curve of pairs on the unit circle ends at the event: beyond kappa = 1 or -1 the pairs are real.
-    """
+    """Return True if a curve of pairs on the unit circle ends at the event: the pairs are real beyond kappa = +-1."""
     pair = bool(equations.conditions) and equations.conditions[0].kind == PAIR
     return pair and any(c.kind == ANGLE and abs(c.kappa) == 1.0 for c in event.conditions)

@@ -25,7 +25,7 @@ def curve(
     (2,).
 
     family      machines over two free parameters
-    event       an event located on a branch, or any Event with conditions, orbit, contact times and kappa near a solution
+    event       an event of a branch, or any Event with conditions, orbit, contact times and kappa near a solution
     values      (2,) parameters of the event
     window      bounds of both parameters, by name
     resolution  longest step, as a share of the window

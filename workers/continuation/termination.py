@@ -25,17 +25,17 @@ from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
 
 HALVINGS = 14
-"""Halvings of a step that help to locate where an orbit ceases to be admissible."""
+"""Maximum number of halvings of a step that help to locate where an orbit ceases to be admissible."""
 
 NEARLY = 1e-3
-"""Share of the window within which a curve that goes no further ends, and of its size the rate of the event that it
-loses there: rates fall faster than distances, to rounding.
-"""
+"""Share of the window within which a curve that continues no further ends at the loss of an event. The rate of that
+event is less than the same share of its size: rates fall faster than distances, to rounding."""
 
 
 def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible on a step, the first one; ``reason`` it is not at the
-    end.
+    """Return the first event on a step at which the orbit ceases to be admissible; None if no event is found.
+
+    ``reason`` is why the orbit is not admissible at the end of the step.
     """
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
@@ -55,8 +55,10 @@ def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent 
 
 
 def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
-    """Where an orbit loses its slowest event, if next to ``here``: a corner of a branch. None where all are impacts, of
-    which the equations are smooth beyond that."""
+    """Return the event at which an orbit loses its slowest event, if next to ``here``: a corner of a branch.
+
+    Return None if all events are impacts, since the equations are smooth beyond the loss of an impact.
+    """
     motion = step.equations.motion(step.here)
     if motion.plan.impacts:
         return None
@@ -67,7 +69,7 @@ def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
 
 
 def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """The graze, the lost event or the change of stick that a fault at X comes from."""
+    """Return the graze, the lost event or the change of stick that causes a fault at X; None if it is not found."""
     own, motion = step.equations.conditions, step.equations.motion(X)
     if reason.reason == ORDER:
         return None
@@ -80,8 +82,10 @@ def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> L
 def _of_holding(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault
 ) -> LocatedEvent | None:
-    """The point at which the force that would hold friction at an event equals its static level; or at which any other
-    signal reaches its end at an event: the two exchange their order there.
+    """Return the event at which the force that would hold friction at an event equals its static level.
+
+    For any other signal it is the event at which the signal reaches its end at an event: both exchange their order
+    there.
     """
     if reason.impact < 0:
         return None
@@ -97,7 +101,9 @@ def _of_holding(
 def _of_loss(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault, near: float = 0.0
 ) -> LocatedEvent | None:
-    """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
+    """Return the event at which an event of the orbit is lost.
+
+    A lost impact, or a lost slide that sticks, has zero speed there. Any other event is lost at the graze of the orbit
     without it, on the step or ``near`` it.
     """
     eq = step.equations
