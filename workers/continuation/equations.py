@@ -1,5 +1,4 @@
-"""Motions of orbits from their unknowns, or from the times of their events alone, and checks that the equations hold.
-"""
+"""Motions of orbits from their unknowns, or from the times of their events alone, and checks of the equations."""
 
 from collections.abc import Iterator
 from dataclasses import replace

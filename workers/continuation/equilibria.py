@@ -62,7 +62,9 @@ class Equilibrium(NamedTuple):
         return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
-        """Return the equilibrium as a solution point: an orbit without events, with multipliers over a natural period.
+        """Return the equilibrium as a solution point.
+
+        Its orbit has no events, and its multipliers are those over a natural period.
         """
         lost = np.zeros(len(self.state) - len(self.exponents))
         multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
@@ -229,8 +231,7 @@ def _halved(
 
 
 def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:
-    """Return the solution point of an event. At a Hopf point its orbit has the length of the cycle that begins there.
-    """
+    """Return the solution point of an event; its orbit at a Hopf point has the length of the cycle that begins there."""
     point = equilibrium.point(unstable)
     if not frequency:
         return point

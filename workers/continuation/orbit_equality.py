@@ -86,8 +86,7 @@ def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> O
 
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
-    """Return the itineraries of shorter or symmetric orbits that could be this one when repeated, by sides and length.
-    """
+    """Return the itineraries of shorter or symmetric orbits that, by sides and length, could be repeated as this one."""
     sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
     halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):

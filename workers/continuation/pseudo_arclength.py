@@ -150,7 +150,7 @@ class ContinuationStep(NamedTuple):
     there: Array
 
     def guess(self, share: float) -> Array:
-        """The unknowns (N,) at this share of the chord."""
+        """Return the unknowns (N,) at this share of the chord."""
         return self.here + share * (self.there - self.here)
 
     def solution(self, share: float) -> NewtonResult:
