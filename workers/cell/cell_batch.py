@@ -63,7 +63,9 @@ def energy_norms(metric: Array, h: Array) -> Array:
 
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
-    """Return the energy norms (N,) of block states h (N, n, 2) plus those of forced motion and displacements to stops."""
+    """Return the energy norms (N,) of block states h (N, n, 2), of forced motion and of displacements to stops, added
+    up.
+    """
     own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
     rows, stops, _ = own.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
@@ -88,7 +90,9 @@ class CellCycle(NamedTuple):
     numbers: NDArray[np.int64]
 
     def contains_states(self, states: Array, numbers: NDArray[np.int64]) -> bool:
-        """Return True if a motion with these states (K, 2n) just after events, and then in modes (K,), is on the cycle."""
+        """Return True if a motion is on the cycle, by its states (K, 2n) just after events and its modes (K,) from
+        there on.
+        """
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
 
@@ -250,7 +254,7 @@ class CellBatch:
         return off
 
     def are_far(self, rows: Rows) -> Mask:
-        """Return the mask of cells that move so far that nothing seems to limit them, also beyond the range of doubles."""
+        """Return the mask of cells that move so far that nothing seems to limit them, also beyond doubles."""
         far = np.isfinite(self.far_norm[rows])
         some = rows[far]
         size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])

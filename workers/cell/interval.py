@@ -39,7 +39,7 @@ def begin(
     states       (N, 2n) physical section states
     mode         (N,) numbers of the modes of motions that continue from these states; None if the state decides
     vectors      number of tangent vectors
-    record       number of events to record
+    record       maximum number of impacts to record
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
@@ -120,7 +120,10 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
 
 
 def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
-    """Advance a motion by some periods, in place. Return the periods completed, fewer if the motion or its work ends."""
+    """Advance a motion by some periods, in place.
+
+    Return the number of periods completed, which is smaller if the motion or its work ends.
+    """
     batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))

@@ -372,11 +372,11 @@ class AdaptiveSchedule:
         return np.minimum(required - self.cells.survived_periods(rows), self._watchable(rows))
 
     def _missing(self, rows: Rows) -> Rows:
-        """Return the periods for which these cells are still to be watched before an average as long as the last one."""
+        """Return the periods for which these cells are to be watched before an average as long as the last one."""
         return self._to_watch(rows) - self.cells.previous_average.periods[rows].astype(np.int64)
 
     def _watch(self, rows: Rows, missing: Rows) -> None:
-        """Watch these cells for an interval of the ``missing`` periods, long enough for a long orbit to return in it."""
+        """Watch these cells for an interval of the ``missing`` periods, in which a long orbit can return."""
         least = max(MIN_WATCH, self.settings.max_period + 1)
         self.stage[rows] = WATCHING
         self.interval[rows] = np.maximum(np.minimum(self.cells.survived_periods(rows) // 2, missing), least)

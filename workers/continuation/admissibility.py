@@ -36,7 +36,7 @@ class AdmissibilityFault(NamedTuple):
     """Why an orbit is not admissible.
 
     reason  CONTACT, LOST, ORDER or HELD
-    impact  index of the event that is lost, out of order or wrongly held; -1 for a contact
+    impact  index of the event that is lost or out of order, or at which friction sticks or slides wrongly; else -1
     time    time of the contact, NaN for other reasons
     side    end of its range that the signal reaches
     signal  signal that reaches it

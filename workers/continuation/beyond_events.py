@@ -138,7 +138,7 @@ def orbits_beyond(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
         if far is None or near is None or far.itinerary != near.itinerary:
             continue
         if is_same_sequence(far.itinerary, equations.itinerary):
-            continue  # the orbit that the event ends
+            continue  # the orbit that ends at the event
         solved = _solved(equations, event, beside, far, near)
         if solved is not None and is_within(solved[0].values(solved[1]), bounds):
             yield solved
@@ -222,7 +222,7 @@ def _recorded(family: Family, beside: _NearbyOrbit, share: float, bounds: Array)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not passed.itinerary.sides and not orbit.itinerary.sides:
-        return orbit  # which may be symmetric
+        return orbit  # the orbit may be symmetric
     passed = reduce_symmetry(machine, passed, HALVES_TOLERANCE) if orbit.itinerary.symmetric else passed
     return passed if passed.itinerary.symmetric == orbit.itinerary.symmetric else None
 

@@ -1,8 +1,8 @@
 """Branches of periodic orbits in one parameter, with their events and the branches that leave at them.
 
 Events, at which a test function changes sign on a step, are located as solutions of square systems. A run goes in both
-directions from its start. A direction ends at the edge of the window, where the branch closes, where the orbit ceases
-to be admissible, or where the orbit turns into a shorter one. If the contacts or slides of an orbit change without a
+directions from its start. A direction ends at the edge of the window, or where the branch closes. It also ends where
+the orbit ceases to be admissible or turns into a shorter one. If the contacts or slides of an orbit change without a
 jump of the motion, the branch or curve continues, and the change is one of its events.
 """
 
@@ -83,7 +83,7 @@ def bounds_of(free: tuple[str, ...], window: Mapping[str, tuple[float, float]]) 
     """
     for name in free:
         if name not in window or not window[name][0] < window[name][1]:
-            raise ValueError(f"window of {name}: found {window.get(name)}; give (low, high) with low < high")
+            raise ValueError(f"window of {name}: found {window.get(name)}, must be (low, high) with low < high")
     return np.array([window[name] for name in free], dtype=np.float64).T
 
 
@@ -129,7 +129,7 @@ def branch(
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
     if not window[0] <= value <= window[1]:
-        raise ValueError(f"{family.free[0]}: found {value:g}, the branch is followed in {window[0]:g}..{window[1]:g}")
+        raise ValueError(f"{family.free[0]}: found {value:g}, must be in {window[0]:g}..{window[1]:g}")
     values = np.array([value])
     equations = ExtendedSystem(family, orbit, (), values, bounds[1] - bounds[0])
     row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
@@ -151,7 +151,7 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     other events, and if Newton's method finds no orbit.
     """
     if event.conditions != (Condition(MINUS_ONE),):
-        raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
+        raise ValueError(f"event: found {event.kind}, must be symmetry_breaking or period_doubling")
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = ExtendedSystem(family, orbit, event.conditions, values, widths)
     critical = square.critical(square.pack(orbit, none, values))
@@ -160,13 +160,13 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     whole = double_orbit(orbit, orbit.span(square.model(values)))
     equations = ExtendedSystem(family, whole, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
-    if whole.itinerary.is_cycle:  # times count from the first event, and a turn is as long
+    if whole.itinerary.is_cycle:  # times count from the first event, and so does the length of a turn
         unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
     solved = solve(equations, X, unit / equations.scale)
     if not solved.converged:
-        raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
+        raise ValueError(f"Newton's method finds no orbit near the {event.kind}; try another amplitude")
     return BranchStart(equations.orbit(solved.X), float(equations.values(solved.X)[0]))
 
 
@@ -188,7 +188,7 @@ def follow_both_ways(
     if first.fault is not None:
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
     if not is_minimal(equations.motion(start)):
-        raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
+        raise ValueError("the orbit to start from repeats a shorter or symmetric orbit: start from the latter")
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.width
     walks = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
@@ -249,7 +249,7 @@ def _one_direction(
             steps += walk.newton_steps + beyond.newton_steps
             points += beyond.points
             end, seen, walk = "", beyond.seen, beyond.walk
-            walk.start = begun.start  # where it may close
+            walk.start = begun.start  # where the branch may close
     return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), steps + walk.newton_steps)
 
 
@@ -302,7 +302,7 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
     Return None if the step went too far, or slid onto another orbit, and can be repeated with a shorter length.
     """
     eq, here = walk.equations, walk.X
-    if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
+    if not walk.advance():  # the equations are singular where a branch meets the orbit that it left
         return _meeting(ContinuationStep(eq, here, here)) or _corner(ContinuationStep(eq, here, here))
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
@@ -322,7 +322,7 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
         passage = _meeting(step) or _meeting(ContinuationStep(eq, here, here)) or _StepOutcome(SHORTER)
     else:
         passage = _meeting(step) or _passage(step, seen, after, end, until)
-    if passage.end == INADMISSIBLE and may_repeat:  # it may have slid onto another root of an event
+    if passage.end == INADMISSIBLE and may_repeat:  # the step may have slid onto another root of an event
         return None
     accounted = _accounted_for(seen, passage)
     return accounted if may_repeat else accounted or passage
@@ -339,7 +339,7 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
     count = before.point.unstable
     for event in passage.events:
         if event.conditions[-1].kind not in OWN_MULTIPLIERS:
-            return passage  # where it ceases a multiplier may be infinite
+            return passage  # a multiplier may be infinite where the orbit ceases
         own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
         if count not in (others, others + own):
             return None

@@ -55,11 +55,11 @@ def curve(
     equations = ExtendedSystem(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations = equations.rebordered(X)
-    # the nearest point of the curve: across its tangent as it is known there
+    # the nearest point of the curve: across its tangent at X
     tangent = tangent_at(equations, equations.with_jacobian(X[None])[1][0], np.ones(len(X)))
     solved = solve(equations, X, tangent / equations.scale)
     if not solved.converged:
-        raise ValueError(f"Newton's method finds no {event.kind} there")
+        raise ValueError(f"Newton's method finds no {event.kind} near the given parameters")
     return follow_both_ways(equations, solved.X, bounds, resolution, budget, None)
 
 

@@ -35,20 +35,23 @@ def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mas
     unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
     even = itinerary.symmetric and itinerary.periods % 2 == 0 and not itinerary.is_cycle
-    yield np.array(even), f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}"
+    yield np.array(even), f"periods of a symmetric orbit: found {itinerary.periods}, must be odd"
     if itinerary.symmetric:
         uneven = "a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt"
         yield ~machines.mirrored, uneven
     if unknown:
         return
-    slow = "this orbit leaves a stop at once after an impact without rebound, where others rest"
+    slow = "this orbit leaves a stop at once after an impact without rebound, instead of resting"
     reached = plan_of(machines, itinerary).reached
     rebounds = reached[reached[:, ACT] == REBOUNDS]
     for signal, end in {(signal, end) for signal, end in rebounds[:, [SIGNAL, END]].tolist()}:
         contact, name = signal // SIGNALS, ("lower", "upper")[end]
-        yield machines.elements.R[:, contact] <= 0.0, f"R = 0: {slow}; take R > 0"
+        yield machines.elements.R[:, contact] <= 0.0, f"R: found 0, must be positive: {slow}"
         stop = machines.elements.stops[:, contact, end]
-        yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
+        yield (
+            ~np.isfinite(stop),
+            f"b_{name}: found {abs(stop[0])}, must be finite: the orbit has impacts at the {name} stop",
+        )
 
 
 def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) -> OrbitMachines:

@@ -31,7 +31,7 @@ equilibrium ends, since contacts or friction have no mode in which it continues.
 
 OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
-HELD = "friction holds it, as one equilibrium of a continuum, which is no branch"
+HELD = "found one of a continuum of equilibria at which friction sticks, must be an isolated equilibrium"
 
 MAX_MODES = 200
 """Maximum number of modes that are tried for an equilibrium."""
@@ -231,7 +231,7 @@ def _halved(
 
 
 def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:
-    """Return the solution point of an event; its orbit at a Hopf point has the length of the cycle that begins there."""
+    """Return the solution point of an event. At a Hopf point its orbit has the length of the cycle beginning there."""
     point = equilibrium.point(unstable)
     if not frequency:
         return point

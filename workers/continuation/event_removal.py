@@ -27,7 +27,7 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
     """
     m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):
-        place = int(m > count)  # an event is left before the lost ones
+        place = int(m > count)  # an event remains before the lost ones
         for first in range(event - count + 1, event + 1):
             other = rotated(orbit, (first - place) % m, span)
             lost = slice(place, place + count)

@@ -188,7 +188,7 @@ class ExtendedSystem:
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
-        # those with other parameters, and one for all with the same
+        # machines of the rows with other parameters, and one machine for all other rows
         places = 1 + np.concatenate([k * len(columns) - 1 - np.arange(self.free)[::-1] for k in (1, 2)])
         lin = self.family.model(self.values(rows[np.append(0, places)]))
         if len(columns) > self.free:
@@ -198,7 +198,7 @@ class ExtendedSystem:
         motion = motion_of_unknowns(lin, self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
-        with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
+        with np.errstate(invalid="ignore"):  # residuals may be infinite; Newton's method fails then
             J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
         J[: self.states, : self.states] = motion.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0

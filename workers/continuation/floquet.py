@@ -65,7 +65,7 @@ def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Arra
     unlike the multipliers themselves.
     """
     pairs = np.stack(np.triu_indices(values.shape[1], 1), axis=1)
-    with np.errstate(invalid="ignore"):  # infinite ones, where an impact has no speed
+    with np.errstate(invalid="ignore"):  # multipliers are infinite if an impact has zero speed
         sums, products = np.sum(values[:, pairs], axis=2), np.prod(values[:, pairs], axis=2)
     distance = np.abs(sums - total[:, None]) + np.abs(products - 1.0)
     pick = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=1)

@@ -88,7 +88,7 @@ class _HopfCurveWalk:
         ways = self._crossings(self.start)
         point = self._point(self.start, ways[0]) if ways else None
         if point is None:
-            raise ValueError("no pair of exponents crosses the imaginary axis there")
+            raise ValueError("no pair of exponents crosses the imaginary axis around the Hopf point")
         self.first = point._replace(values=values)
         return ways
 

@@ -37,7 +37,7 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     best, longer = np.inf if m else 0.0, omega * abs(whole - float(one.length)) if a.is_cycle else 0.0
     for mirror, turn in product((1, -1), range(m)):
         if np.array_equal(mirror * np.roll(others, -turn), sides):
-            # whole forcing periods apart, an image half a period more
+            # a whole number of forcing periods, plus a half for mirror images
             later = omega * (times[turn : turn + m] - one.times) - (0.0 if mirror > 0 else np.pi)
             later -= np.mean(later) if a.is_cycle else 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
             speeds = mirror * np.roll(other.speeds, -turn) - one.speeds
@@ -86,9 +86,9 @@ def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> O
 
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
-    """Return the itineraries of shorter or symmetric orbits that, by sides and length, could be repeated as this one."""
+    """Return the itineraries of shorter or symmetric orbits that may be repeated as this one, by sides and length."""
     sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
-    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn; 0 for a cycle
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
         for sign in (1, -1):

@@ -32,7 +32,7 @@ def record_orbit(
     state = state - machine.rest[0]
     if cycle is not None:
         return reduce_symmetry(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
-    phases = machine.elements.starts.shape[1] > 2  # the section is nothing to a machine without them
+    phases = machine.elements.starts.shape[1] > 2  # without phases, the section is no event
     motions = record_legs(machine.oscillators, state, periods)
     if not phases and all(motion.code == FLYING for motion in motions):
         motions = _between_impacts(machine, state, periods)
@@ -71,7 +71,7 @@ def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
     times = np.array([motion.time for motion in motions])
     lengths = np.diff(times)[: np.sum(times < 1.5 * period)]
     if not len(lengths):
-        raise ValueError(f"nothing happens in {period:g} units of time, the period of the cycle")
+        raise ValueError(f"no event occurs in {period:g} units of time, the period of the cycle")
     longest = int(np.argmax(lengths))
     ends = 0.5 * (times[longest] + times[longest + 1]) + period
     turn = [

@@ -132,7 +132,7 @@ def orbit_from_state(
     Raise ValueError if the motion leaves a stop at once after an impact with R = 0, or if no orbit is found.
     """
     if periods < 1:
-        raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
+        raise ValueError(f"periods: found {periods}, must be 1 or more")
     family, none = family_of(system, values, ()), np.zeros(0)
     machine = family.model(none[None])
     orbit = refine_orbit(family, record_orbit(machine, state, periods, symmetric, cycle), none)
@@ -147,7 +147,7 @@ def refine_orbit(family: Family, orbit: Orbit, values: Array) -> Orbit:
     """
     many = continued_to(family, many_of([orbit], values[None]), values[None])
     if not many.converged[0]:
-        raise ValueError("Newton's method finds no orbit there")
+        raise ValueError("Newton's method finds no orbit near the given one")
     return many.orbit(0)
 
 

@@ -188,7 +188,7 @@ class OrbitMotion:
         for k in np.flatnonzero(~events[:-1]).tolist():
             phase, before = self.plan.legs[k][0].code.phase, times[:, k - 1] if k else 0.0 * period
             low, high = starts[:, phase], starts[:, phase + 1]
-            if turns is None or events[k - 1]:  # of the phase that the event is in, or next to
+            if turns is None or events[k - 1]:  # turns of the phase of the event, or of the next phase
                 turns = np.round(before / period - 0.5 * (low + high))
             times[:, k] = (high + turns) * period
             turns = turns + (phase + 2 == starts.shape[1])
@@ -249,8 +249,8 @@ class OrbitMotion:
             det J_z = det(DP - z I) prod_i r'_i.
 
         The determinant is zero if z is a multiplier, and has no poles. A cycle has the multiplier 1. For z = 1 the
-        length of its turn is unknown in place of the time of the first event, and its other multipliers are those of
-        the map of its section, det J_1 = -det(P - I) prod_i r'_i.
+        length of its turn is unknown instead of the time of the first event. Its other multipliers are those of the map
+        of its section, det J_1 = -det(P - I) prod_i r'_i.
         """
         jacobian: Table = self.turn.tangents - z * self.turn.shifts
         if z == 1 and self.itinerary.is_cycle:
@@ -324,6 +324,6 @@ class OrbitMotion:
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega
         size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)
-        size = np.maximum(size, LEAST * self._pushed)  # it may be at rest
+        size = np.maximum(size, LEAST * self._pushed)  # the motion may be at rest
         sizes = np.repeat(np.stack([size, size * omega], axis=1), n, axis=1)
         return sizes, np.vecdot(self._rows, sizes[:, None])

@@ -119,11 +119,11 @@ def _of_loss(
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
     contacts = np.append(eq.contacts(X) + time_shift(orbit, eq.orbit(X), float(motion.span[0])), time)
     if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
-        # of any number of periods it is the answer of one, which touches once in that
+        # the forced response of one period, which grazes once in that period
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
     solved = solution(eq, orbit, conditions, contacts, X)
     before, after = (eq.motion(end).turn.signals[0, 1, reason.impact] for end in (step.here, step.there))
-    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
+    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # where the rate is zero
     if (
         solved is None
         or not step.is_near(eq.values(step.guess(share)), solved[0].values(solved[1]), near)
@@ -135,5 +135,5 @@ def _of_loss(
         lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)
     if asks_multipliers(eq) and not is_smooth(motion.lin.machines, event):
-        return None  # those of the orbit with the event are others
+        return None  # the orbit with the event has other multipliers
     return LocatedEvent(share, event)

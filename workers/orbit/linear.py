@@ -110,7 +110,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
         verdicts[e] = UNKNOWN
         base = (
             np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start
-        )  # if that is the orbit, the result is exact
+        )  # if the start is the orbit, the result is exact
         first, J = map_with_jacobian(osc, base, mode, steps, half)
         if first.tally[STATUS] != RUNNING:
             continue
@@ -127,7 +127,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
                 neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
         largest = highest(logs, 0, len(logs))
         if largest > 0.0:
-            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would hold what grows
+            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would limit the growth
             verdicts[e] = UNKNOWN if stands else GROWS
             continue
         h = newton_step(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)

@@ -67,7 +67,7 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: A
     table = take_one(oscillators, 0).table
     for k in count():
         if tally is not None and tally[WORK] < 0.0:
-            raise ValueError("the work allowed to this motion is spent")
+            raise ValueError("the evaluations allowed for this motion are spent")
         rows, state, number, work = _one_period(oscillators, table, state, number)
         if tally is not None:
             tally[WORK] -= work
@@ -132,7 +132,7 @@ def _one_period(
     z, code, tally = oscillators.with_modes(followed, np.zeros(1, dtype=np.int64))
     known = legs[~np.isnan(legs[:, LEG.start])]
     if len(known) == RECORD:
-        raise ValueError(f"found {RECORD} events or more in one period of the motion, followed are orbits with fewer")
+        raise ValueError(f"events in one period of the motion: found {RECORD} or more, must be fewer")
     if tally[STATUS] != RUNNING:
         raise ValueError("the motion cannot be followed through one period of the force")
     return known, z, int(code[0]), float(WORK_OF_A_TRIAL - tally[WORK])

@@ -62,8 +62,8 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     sections     (N, K, n, 2) written: states between the two releases, at the end of each row
     kept         (N,) written: number of these states
 
-    ``kept`` is 0 if a motion does not reach such a section in K - 1 periods, or if a disturbance grows FOLLOWED times
-    on the way, so that doubles cannot decide. Return the number of periods flown (N,).
+    ``kept`` is 0 if a motion does not reach such a section in K - 1 periods. It is also 0 if a disturbance grows
+    FOLLOWED times on the way, so that doubles cannot decide. Return the number of periods flown (N,).
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     flown = np.zeros(len(sections), dtype=np.int64)

@@ -177,7 +177,7 @@ def test_a_branch_stays_in_a_window_of_neighbouring_doubles(index: int) -> None:
 
 
 def test_a_start_outside_of_the_window_is_refused_in_one_line() -> None:
-    with pytest.raises(ValueError, match=r"^A: found 1\.2, the branch is followed in 0\.5\.\.1$"):
+    with pytest.raises(ValueError, match=r"^A: found 1\.2, must be in 0\.5\.\.1$"):
         branch(bouncing_ball(("A",), R=0.5), ball_orbit(1.2, 0.5), 1.2, (0.5, 1.0))
 
 
