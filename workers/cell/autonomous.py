@@ -219,9 +219,7 @@ class AutonomousSchedule(VertexCourse):
         return rows[self.cells.is_active[rows]]
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Return the mask of cells that have not returned to their last event in RETURNS passages of it, and have not
-        shrunk.
-        """
+        """Return the mask of cells that neither returned to their last event in RETURNS passages, nor shrank."""
         if not len(rows):
             return none_of(rows)
         motions, periods = self.cells.batch.motions, self.cells.periods_flown[rows] - self.cells.began[rows]
@@ -242,10 +240,9 @@ class AutonomousSchedule(VertexCourse):
         return min(trail.distance_between(last, int(k)) for k in same) > TORUS_RETURN
 
     def _look(self, r: int) -> tuple[tuple[LimitCycle, Array] | None, bool]:
-        """Return the cycle to which one motion converges with the times of its rarest event, and whether the motion has
-        no events.
+        """Return the cycle to which one motion converges, and whether the motion has no events.
 
-        The cycle is None if there is no such cycle.
+        The cycle comes with the times of its rarest event; it is None if there is no such cycle.
         """
         tried, trail, most = set[int](), None, 4 * self.settings.max_period
         machine = at_rows(self.cells.oscillators, np.array([r]))
@@ -349,10 +346,9 @@ def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle
 def turn_from(
     machine: Oscillator, trail: EventTrail, m: int, first: int
 ) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
-    """Return the last m events of a trail as a turn from event ``first`` on, its machine, and the key of each signal's
-    event.
+    """Return the last m events of a trail as a turn from event ``first`` on: machine, orbit and keys.
 
-    Of several signals at one time the first has the key, and the others have -1.
+    There is a key for each signal's event. Of several signals at one time the first has the key, the others have -1.
     """
     starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
     rows = trail.legs[starts[0] :].copy()
@@ -436,10 +432,9 @@ def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_beside(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium of one mass at a vertex in which a cell's motion stands; None if motion near it does not
-    shrink.
+    """Return the equilibrium of one mass at a vertex in which a cell's motion stands; None without one.
 
-    A motion that starts beside the equilibrium and shrinks round it shows that motion from all sides does so.
+    A motion that starts near the equilibrium must shrink round it; motion from all sides then does so.
     """
     if cells.directions > 2:
         return None
@@ -450,9 +445,7 @@ def _rest_beside(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | None:
-    """Return the equilibrium at a vertex round which a motion from a physical state shrinks; None without an
-    equilibrium.
-    """
+    """Return the equilibrium at a vertex round which a motion from ``state`` shrinks; None without one."""
     machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
     last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
     count, rests = len(last[0].keys) if last else 0, list[Rest]()
@@ -489,8 +482,9 @@ def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: int) -> Rest | None:
-    """Return the equilibrium of ``rest_without_events`` in the mode of this number; ``inside`` (K,): sections in that
-    mode.
+    """Return the equilibrium of ``rest_without_events`` in the mode of this number; None without one.
+
+    ``inside`` (K,) is the mask of sections in that mode.
     """
     slot, size = np.flatnonzero(machine.table.codes[0] == number), sections.shape[1]
     if not len(slot) or machine.table.pieces.lost[0, slot[0]] > 0.0:
@@ -566,9 +560,7 @@ def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
 
 
 def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
-    """Return the largest distance from ``rest`` of the states at which legs begin, as displacements and velocities
-    (2n,).
-    """
+    """Return the largest distance (2n,) from ``rest`` of the states at which legs begin, by component."""
     x, v = np.split(np.max(np.abs(legs[:, LEG_STATE : LEG_STATE + size] - rest), axis=0), 2)
     omega = 2.0 * np.pi / float(length)
     far = max(x.max(), v.max() / omega)
@@ -576,8 +568,7 @@ def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -
 
 
 def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
-    """Return the state (2n,) in which each mode of a turn is at rest and each event's signal is at its end; None
-    without one.
+    """Return the state (2n,) in which each mode of a turn rests and each event's signal is at its end, or None.
 
     ``size`` (2n,) is the size of states in the turn.
     """

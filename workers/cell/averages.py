@@ -71,11 +71,11 @@ def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
 
 
 def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array]:
-    """Return the earlier and the current average of these cells combined, and the error of the average of a stationary
-    motion.
+    """Return the earlier and the current average of these cells combined, and an error for stationary motion.
 
     The error of the combined average is at least the standard error from the difference of the two averages: far apart
-    in time, each may be too short to show slow changes of the motion. The second result is the error without it.
+    in time, each may be too short to show slow changes of the motion. The second result is the error without that
+    minimum.
     """
     now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # otherwise too short for an error

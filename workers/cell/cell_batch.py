@@ -63,9 +63,7 @@ def energy_norms(metric: Array, h: Array) -> Array:
 
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
-    """Return the energy norms (N,) of block states h (N, n, 2), of forced motion and of displacements to stops, added
-    up.
-    """
+    """Return the sum (N,) of energy norms of block states h (N, n, 2), forced motion and displacements to stops."""
     own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
     rows, stops, _ = own.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
@@ -90,22 +88,19 @@ class CellCycle(NamedTuple):
     numbers: NDArray[np.int64]
 
     def contains_states(self, states: Array, numbers: NDArray[np.int64]) -> bool:
-        """Return True if a motion is on the cycle, by its states (K, 2n) just after events and its modes (K,) from
-        there on.
+        """Return True if a motion is on the cycle.
+
+        ``states`` (K, 2n) are those just after its events, ``numbers`` (K,) its modes from there on.
         """
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
 
     def is_through(self, state: Array, period: float) -> bool:
-        """Return True if this is the cycle of a period through a state (2n,) just after an event: the same set of
-        states.
-        """
+        """Return True if this is the cycle of a period through a state (2n,) just after an event."""
         return bool(self._away(state).min() <= SAME_CYCLE and abs(period - self.period) <= SAME_CYCLE * self.period)
 
     def _away(self, states: Array) -> Array:
-        """Return the distances (..., m) of states (..., 2n) from the states after events, relative to the size of the
-        cycle.
-        """
+        """Return the distances (..., m) of states (..., 2n) from the states after events, as shares of the size."""
         x, v = np.split(np.abs(self.events), 2, axis=1)
         omega = 2.0 * np.pi / self.period
         size = max(x.max(), v.max() / omega)

@@ -104,8 +104,9 @@ def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Map
 
 
 def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
-    """Return the periods (N,) over which these cells are measured, and the mask of cells for which they are a turn of
-    an orbit.
+    """Return the periods (N,) over which these cells are measured, and the mask of cells that close.
+
+    The periods of a cell that closes are a turn of its orbit.
     """
     period = cells.results["period"][rows].astype(np.int64)
     closes = period > 0
@@ -117,7 +118,7 @@ def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
 
 
 def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
-    """Return physical states (N, 2n) of these cells' motions at a section, and the numbers (N, 1) of the modes there."""
+    """Return physical states (N, 2n) of these cells' motions at a section, and numbers (N, 1) of modes there."""
     states, mode = cells.results["state"][rows], cells.mode[rows]
     proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
     orbits = motions_at(cells.orbits.h, cells.orbits.mode)
@@ -129,9 +130,7 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
-    """Return the measured quantities of machines: measures, arguments of laws, and the range of the coordinate in
-    pictures.
-    """
+    """Return the measured quantities: measures, arguments of laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
     own: HybridMachines = machines.table.machines
     more = [*_arguments(definition, own), (machines.gap_row, 0.0)]
@@ -149,8 +148,7 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
 
 
 def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
-    """Return the arguments of friction and springs in ``definition.fitted``: rows (N, n) and the derivatives they act
-    on.
+    """Return rows (N, n) and derivatives of the arguments of friction and springs in ``definition.fitted``.
 
     The depth of a contact is measured anyway.
     """

@@ -51,9 +51,7 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
 
 @np.errstate(divide="ignore", invalid="ignore")
 def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
-    """Return the sum of the amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); NaN for other
-    motion.
-    """
+    """Return the summed amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); else NaN."""
     w = np.sqrt(gap.lam)
     swing = np.hypot(gap.c0 * h[..., 0] + gap.c1 * h[..., 1], gap.c0 * h[..., 1] / w - gap.c1 * h[..., 0] * w)
     swing = np.where((gap.eta == 0.0) & (gap.lam > 0.0), swing, np.nan)

@@ -32,8 +32,9 @@ class Recurrence:
         self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
     def update(self, cells: CellBatch, rows: Rows, settled: Mask) -> None:
-        """Compare the last interval of these cells with earlier ones. The update counts once the transient is over
-        (``settled``).
+        """Compare the last interval of these cells with earlier ones.
+
+        The update counts once the transient is over (``settled``).
 
         The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
         flight may last longer than all of the motion before it.

@@ -85,9 +85,7 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
 
 
 def survival_share(relaxation: Array) -> Array:
-    """Return the share of ``survival`` for which chaos of these relaxation times is watched if no stable orbit is
-    known.
-    """
+    """Return the share of ``survival`` for which chaos is watched without a known stable orbit."""
     return np.clip((relaxation / LONG_MEMORY) ** 2, MIN_SURVIVAL_SHARE, 1.0)
 
 

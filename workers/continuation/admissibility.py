@@ -204,9 +204,7 @@ def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
 
 
 def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
-    """Return about when a signal that is beyond its end since the time of a fault turns back; None if not within the
-    leg.
-    """
+    """Return about when a signal that is beyond its end since a fault turns back; None if beyond the leg."""
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
     _, (_, rates, _, _) = motion.states_at(s[None], reason.signal)

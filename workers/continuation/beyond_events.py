@@ -174,10 +174,9 @@ def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
 
 def _at_depth(equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Yield the orbit at that depth beyond a curve of changes at which its multipliers meet the condition to first
-    order.
+    """Yield the nearby orbit with the step after which its multipliers meet the condition, to first order.
 
-    Multipliers change with the square root of the depth. Yield nothing if there is no such depth.
+    Multipliers change with the square root of the length of the step. Yield nothing if there is no such step.
     """
     deep, (condition, *_) = _recorded(equations.family, beside, 1.0, bounds), event.conditions
     same = deep is None or is_same_sequence(deep.itinerary, beside.orbit.itinerary)
@@ -235,8 +234,7 @@ def is_within(values: Array, bounds: Array) -> bool:
 def _solved(
     equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, far: Orbit, near: Orbit
 ) -> tuple[ExtendedSystem, Array] | None:
-    """Return the extended system and solution of an orbit recorded past an event; None if Newton's method finds no
-    orbit.
+    """Return the extended system and solution of an orbit recorded past an event; None if there is no solution.
 
     ``far`` is the orbit recorded at the end of the step, ``near`` the one at the share SECOND_OFFSET of the step.
     """

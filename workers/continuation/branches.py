@@ -356,9 +356,7 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """Return the end of a branch that continues no further: the event that is lost there, or STALLED if no event is
-    known.
-    """
+    """Return the end of a branch that continues no further: an event is lost there, or STALLED."""
     met = nearly_lost(step)
     return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))
 

@@ -21,8 +21,7 @@ def curve(
     resolution: float = RESOLUTION,
     budget: int = MAX_POINTS,
 ) -> BranchRun:
-    """Return the curve of an event in the plane of a family's two free parameters, in both directions from ``values``
-    (2,).
+    """Return the curve of an event in two free parameters, in both directions from ``values`` (2,).
 
     family      machines over two free parameters
     event       an event of a branch, or any Event with conditions, orbit, contact times and kappa near a solution
@@ -64,8 +63,9 @@ def curve(
 
 
 def is_impact_loss(event: Event) -> bool:
-    """Return True if an impact of the event's orbit has zero speed. A slide that ends at zero rate has the same
-    condition.
+    """Return True if an impact of the event's orbit has zero speed.
+
+    A slide that ends at zero rate has the same condition.
     """
     condition = event.conditions[0]
     if condition.kind != SPEED:

@@ -160,8 +160,7 @@ def _mode_at(code: ModeCode, shown: ModeCode, rigid: NDArray[np.bool_], signals:
 def equilibria(
     family: Family, orbit: Orbit, value: float, window: tuple[float, float], *, resolution: float = RESOLUTION
 ) -> EquilibriumBranch:
-    """Return the branch of the equilibrium at a value of a family's one free parameter, in both directions, with its
-    events.
+    """Return the branch of an equilibrium in a family's one free parameter, in both directions, with its events.
 
     family      machines over one free parameter
     orbit       the equilibrium, see ``equilibrium_of``
@@ -215,9 +214,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
 def _halved(
     family: Family, here: Equilibrium, there: Equilibrium | None, value: float
 ) -> tuple[Equilibrium, Equilibrium | None]:
-    """Return the first change of stability on a step: the last equilibrium before it, and the next one, None if it
-    ends.
-    """
+    """Return the last equilibrium before the first change of stability on a step, and the next one, None if it ends."""
     for _ in range(HALVINGS):
         middle = 0.5 * (here.values + value)
         if middle[0] in (here.values[0], value):

@@ -104,7 +104,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
-    """Return the solution point of unknowns X (N,), and its finite multipliers except those that the conditions fix."""
+    """Return the solution point of unknowns X (N,), and its finite multipliers without those fixed by the conditions."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
@@ -144,8 +144,9 @@ def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
 
 
 def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
-    """Return why the orbit at unknowns X (N,) is not admissible; None if it is. Its own grazes and lost impacts are
-    allowed.
+    """Return why the orbit at unknowns X (N,) is not admissible; None if it is.
+
+    Its own grazes and lost impacts are allowed.
     """
     if not equations.family.certified:
         return None
@@ -256,10 +257,10 @@ def locate_event(
 
 
 def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
-    """Return the symmetry breaking or period doubling at which a branch becomes an orbit of half the turn, of itinerary
-    ``to``.
+    """Return the symmetry breaking or period doubling at which a branch becomes an orbit of half the turn.
 
-    The search also works on a curve of grazes. Return None on other curves, and if the event is not found.
+    ``to`` is the itinerary of that orbit. The search also works on a curve of grazes. Return None on other curves, and
+    if the event is not found.
     """
     eq = step.equations
     own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
@@ -272,11 +273,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """Return the itinerary of the orbit of half the turn that is passed on a step: both halves exchange their roles
-    there.
+    """Return the itinerary of the orbit of half the turn that is passed on a step.
 
-    If no step converged, so that ``here`` is ``there``, return the itinerary of the nearest such orbit. Return None if
-    there is no such orbit.
+    Both halves of the turn exchange their roles there. If no step converged, so that ``here`` is ``there``, return the
+    itinerary of the nearest such orbit. Return None if there is no such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:

@@ -1,10 +1,10 @@
-"""Extended systems: an orbit with conditions as one square system. Events have one free parameter, curves and points
-two.
+"""Extended systems: an orbit with conditions as one square system of equations.
 
     (state, t_1..t_m, contact times, parameters) -> (orbit, conditions)
 
-The residual is exact. Its derivatives by state and times are exact too. All other derivatives are central differences,
-with which Newton's method still gains six digits or more in each step.
+Events have one free parameter; curves and their points have two. The residual is exact. Its derivatives by state and
+times are exact too. All other derivatives are central differences, with which Newton's method still gains six digits or
+more in each step.
 """
 
 import math
@@ -88,8 +88,7 @@ def conditions_on(
 
 
 def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
-    """Return the shift of the times of the orbit ``former`` that brings its events nearest to those of an orbit with
-    others.
+    """Return the shift of the times of ``former`` that brings its events nearest to those of ``orbit``.
 
     ``span`` is the length of a turn. Only times of cycles are shifted, since they count from the first event.
     """
@@ -255,17 +254,14 @@ class ExtendedSystem:
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
-        """Return the direction (states,) of state and times of the multiplier in the first condition, at unknowns X
-        (N,).
+        """Return the direction (states,) of the multiplier in the first condition, at unknowns X (N,).
 
-        The direction is in units of the scale.
+        The direction is one of state and times, in units of the scale.
         """
         return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
-        """Return the direction (B, states) of unknowns, in units of the scale, of a null vector of
-        ``_bordered_matrix``.
-        """
+        """Return the direction (B, states) of a null vector of ``_bordered_matrix``, in units of the scale."""
         if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
@@ -273,8 +269,9 @@ class ExtendedSystem:
         return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: OrbitMotion) -> Array:
-        """Return (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular,
-        along w.
+        """Return (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1).
+
+        g vanishes where J_z is singular, along w.
         """
         J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]

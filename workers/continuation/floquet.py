@@ -58,8 +58,7 @@ def error_along(motion: OrbitMotion) -> Array:
 
 
 def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return the sum and the product (N,) of the pair of multipliers (N, 2n) nearest to sum ``total`` (N,) and product
-    1.
+    """Return sum and product (N,) of the pair of multipliers (N, 2n) nearest to sum ``total`` and product 1.
 
     The third result (N, 2) are the indices of the pair. Sum and product are smooth even if the pair is real and double,
     unlike the multipliers themselves.

@@ -46,8 +46,7 @@ def hopf_curve(
     resolution: float = RESOLUTION,
     budget: int = MAX_POINTS,
 ) -> BranchRun:
-    """Return the curve of a Hopf point in the plane of a family's two free parameters, in both directions from values
-    (2,).
+    """Return the curve of a Hopf point in two free parameters, in both directions from ``values`` (2,).
 
     family      machines over two free parameters
     orbit       the equilibrium there, see ``equilibria.equilibrium_of``
@@ -135,9 +134,7 @@ class _HopfCurveWalk:
         ]
 
     def _onward(self, center: Array, angle: float) -> float | None:
-        """Return the angle nearest to ``angle`` at which the curve crosses the circle; None if the curve would turn
-        back.
-        """
+        """Return the angle of the crossing nearest to ``angle``; None if the curve would turn back."""
         ends = [angle - 0.5 * STEP, angle + 0.5 * STEP]
         stable = [self._is_stable(self._seen(center, end)) for end in ends]
         if stable[0] != stable[1]:
@@ -151,8 +148,9 @@ class _HopfCurveWalk:
         return None
 
     def _crossing(self, center: Array, low: float, stable: bool, high: float) -> float:
-        """Return the angle between two at which the curve crosses, to rounding. ``stable`` is the stability at the
-        first one.
+        """Return the angle of the crossing between two angles, to rounding.
+
+        ``stable`` is the stability at the first angle.
         """
         while abs(high - low) > SHARP:
             middle = 0.5 * (low + high)
@@ -175,9 +173,7 @@ class _HopfCurveWalk:
         return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + place * self.width)
 
     def _at_edge(self, here: Array, there: Array) -> SolutionPoint | None:
-        """Return the point at which the curve leaves the window between two of its points; None if that point is not
-        found.
-        """
+        """Return the point at which the curve leaves the window between two points; None if it is not found."""
         axis = int(np.argmax(np.maximum(-there, there - 1.0)))
         edge, other = float(np.clip(there[axis], 0.0, 1.0)), 1 - axis
         share = (edge - here[axis]) / (there[axis] - here[axis])

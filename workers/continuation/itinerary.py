@@ -131,8 +131,9 @@ class Itinerary(NamedTuple):
         return Itinerary(sides, self.periods if self.symmetric else 2 * self.periods, legs=legs)
 
     def repeats(self, k: int, sign: int) -> bool:
-        """Return True if each event, and what follows it, equals the k-th event before it, or its mirror image for sign
-        -1.
+        """Return True if each event, and what follows it, equals the k-th event before.
+
+        For sign -1 it equals the mirror image of that event.
         """
         here, before = (self.sides[k:], self.sides[: len(self.sides) - k])
         same = all(a == sign * b for a, b in zip(here, before, strict=True))

@@ -74,12 +74,11 @@ def act_on(elements, r, act, signal, z, W):
 
 @kernel
 def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
-    """Take tangents D (m, 2n) at a fixed time through the event at the end of a leg, S w = R w + (f+ - R f-) (r . w) /
-    r'.
+    """Apply the saltation of the event at the end of a leg to tangents D (m, 2n) at a fixed time, in place.
 
-    All terms are taken where the guard is at its end, next to z if z itself is not there. The map of a turn is thus
-    smooth off the orbit too, however slowly a contact is reached. P (3, 2n) is scratch space. S = R if friction begins
-    to stick at a rate below ``minimum``.
+    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard is at its end, next to z if z itself is
+    not there. The map of a turn is thus smooth off the orbit too, however slowly a contact is reached. P (3, 2n) is
+    scratch space. S = R if friction begins to stick at a rate below ``minimum``.
     """
     k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
     row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
@@ -101,8 +100,7 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
 
 @kernel
 def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, minimum):
-    """Take turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN) are the legs, which end at ends
-    (N, L).
+    """Return the results of turns from ``start`` (N, 2n) over events at times t (N, m).
 
     signals    (N, 3, m) value of each guard, its rate, and the rate after the event
     states     (N, L, 2n) states at which legs begin
@@ -111,9 +109,9 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, min
     shifts     (N, M, M) see below
     maps       (N, 2n, 2n) of a turn, of the state at the time of the first event
 
-    ``tangents`` lack the contribution of a later end and of the start itself to the first rows: -shifts. For
-    ``minimum`` (N, m) see ``saltate``. A turn begins and ends with its first event, later if the event is later; sign
-    is -1 for symmetric orbits.
+    plan (L, PLAN) are the legs, which end at ends (N, L). ``tangents`` lack the contribution of a later end and of the
+    start itself to the first rows: -shifts. For ``minimum`` (N, m) see ``saltate``. A turn begins and ends with its
+    first event, later if the event is later; sign is -1 for symmetric orbits.
     """
     (N, m), size, legs = t.shape, start.shape[1], len(plan)
     n, M = size // 2, size + m

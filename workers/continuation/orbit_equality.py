@@ -100,10 +100,9 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
 
 
 def difference(motion: OrbitMotion, to: Itinerary) -> Array:
-    """Return the differences (2m,) of an orbit from a shorter one repeated: m times in radians of the force, then m
-    speeds.
+    """Return the differences (2m,) of an orbit from a shorter one repeated: of times, then of speeds.
 
-    Speeds are relative to the fastest one.
+    Times are in radians of the force; speeds are relative to the fastest one.
     """
     itinerary, t, v, _ = motion.orbits.at_rows(0)
     k, span = len(to.sides), motion.span[0]

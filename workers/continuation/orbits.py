@@ -43,8 +43,9 @@ class OrbitBatch(NamedTuple):
 
 
 def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
-    """Return the indices of equal keys, one array per key, in the order in which the keys occur. Keys of None are left
-    out.
+    """Return the indices of equal keys, one array per key, in the order in which the keys occur.
+
+    Keys of None are left out.
     """
     places_of: dict[Hashable, list[int]] = {}
     for place, key in enumerate(keys):

@@ -240,11 +240,10 @@ class OrbitMotion:
         return np.concatenate([states, np.abs(own.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
 
     def linearised(self, z: complex = 1) -> Table:
-        """Return J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z in a
-        turn.
+        """Return J_z (N, M, M): the equations linearised for perturbations that grow by z in a turn.
 
-        z = 1 gives the Jacobian of the residuals of ``turn``. With r'_i the rate of the signal that reaches event i,
-        just before the event (v_i for an impact),
+        The perturbations are those of states and times. z = 1 gives the Jacobian of the residuals of ``turn``. With
+        r'_i the rate of the signal that reaches event i, just before the event (v_i for an impact),
 
             det J_z = det(DP - z I) prod_i r'_i.
 
@@ -258,8 +257,7 @@ class OrbitMotion:
         return jacobian
 
     def states_at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
-        """Return the states (N, K, 2n) at times s (N, K), and for a signal its value, rate, lower and upper end (4, N,
-        K).
+        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal.
 
         An event at such a time counts as past.
         """

@@ -19,8 +19,9 @@ NARROW = 2.0
 
 @kernel
 def overlaps(blocks, before, after, m):
-    """Return the energy products of the first m vectors of two frames: an orthogonal matrix if they span the same
-    space.
+    """Return the energy products of the first m vectors of two frames.
+
+    They are an orthogonal matrix if both frames span the same space.
     """
     products = np.empty((m, m))
     for i in range(m):

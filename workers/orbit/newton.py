@@ -44,7 +44,7 @@ G), two of the motion, one for the error of the multipliers, one last count."""
 
 NOTHING, NEAR, SETTLED = range(3)
 """Outcomes of the search. NOTHING: no stable orbit. NEAR: a stable orbit that is not proved to attract the motion.
-SETTLED: an orbit that is."""
+SETTLED: a stable orbit that is."""
 
 
 class PeriodicOrbit(NamedTuple):
@@ -117,8 +117,7 @@ def newton(oscillator, start, mode, steps, half, scale, limit):
 
 @inline_always
 def least_turn(oscillator, point, steps, half, scale):
-    """Return (steps, half) of the shortest turn of an orbit that closes after these, and the half periods flown to find
-    it.
+    """Return (steps, half) of the shortest turn of an orbit that closes after these, and half periods flown.
 
     A motion returns only after several turns if an impact alternates between both sides of the section t = k T.
     """
@@ -139,8 +138,7 @@ def least_turn(oscillator, point, steps, half, scale):
 
 @inline_always
 def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
-    """Return whether a motion at block state h converges to an orbit, judged in at most ``limit`` turns, and these
-    turns.
+    """Return whether a motion at block state h converges to an orbit, and the turns taken, at most ``limit``.
 
     Every turn must pass the test of ``orbit.attraction`` until the motion stays nearer to the orbit, and in one more
     turn. A motion that reaches the orbit passes as well.
@@ -205,11 +203,10 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
 
 @kernel
 def recurrence(blocks, sections, near, longest):
-    """Return the periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest
-    first.
+    """Return the periods p <= longest after which the last section nearly returned, the closest first.
 
-    A return is within ``near`` in the energy norm and ten times closer than for any shorter p. There are at most three.
-    ``settle`` decides whether a return belongs to an orbit.
+    The sections are (K, n, 2). A return is within ``near`` in the energy norm and ten times closer than for any shorter
+    p. There are at most three. ``settle`` decides whether a return belongs to an orbit.
     """
     closest = np.empty(3, dtype=np.int64)
     count, last = 0, len(sections) - 1
@@ -245,8 +242,9 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 @inline_always
 def settle(oscillator, motion, sections, near, longest, budget):
-    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent) for the stable orbit to which a motion
-    converges.
+    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent) of a motion.
+
+    SETTLED: the motion converges to that stable orbit.
 
     NEAR: its sections recur near a stable orbit, but convergence is not proved.
 
