@@ -104,7 +104,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
-    """Return the solution point of unknowns X (N,), and its finite multipliers without those fixed by the conditions."""
+    """Return the solution point of unknowns X (N,), and the finite multipliers not fixed by the conditions."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
