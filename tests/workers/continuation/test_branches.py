@@ -198,7 +198,7 @@ def test_a_symmetric_orbit_given_as_asymmetric_is_refused_in_one_line() -> None:
     whole, orbit = impact_pair(("alpha",), R=0.6), pair_orbit(0.2, 0.6)
     times = np.concatenate([orbit.times, orbit.times + np.pi])
     twice = Orbit(Itinerary((1, -1), 1), times, np.concatenate([orbit.speeds, -orbit.speeds]))
-    with pytest.raises(ValueError, match="shorter or symmetric one repeated"):
+    with pytest.raises(ValueError, match="repeats a shorter or symmetric orbit"):
         branch(whole, twice, 0.2, (0.1, 0.6))
 
 
