@@ -1,1 +1,1 @@
-"""One cell: its stages, averages and results; many cells at once."""
+"""The computation of cells, many at once: their stages, averages and results."""

@@ -1,9 +1,9 @@
 """Cells of machines without a force: their cycles, equilibria, tori and chaos, with results in units of time.
 
-No period is given. The motion is followed over natural periods as any other, and examined event by event: it may be on
-a cycle if an event repeats in the same mode at nearly the same state. The cycle is then solved by its equations, see
-continuation/cycles.py, and the event loop has to close it. From then on the period of the cell is the period of the
-cycle, so that all measures see an orbit of one period.
+Such a machine has no forcing period. Its motion is simulated over natural periods like any other, and examined event by
+event. It may be on a cycle if an event repeats in the same mode at nearly the same state. The cycle is then solved by
+its equations, see continuation/cycles.py, and the event loop must close it. From then on the period of the cell is the
+period of the cycle, so that all measures see an orbit of one period.
 """
 
 import math
@@ -53,43 +53,45 @@ from workers.results import (
 )
 
 MIN_EXAMINED_PERIODS = 64
-"""Least natural periods over which a motion is examined: as long as all before, or until it closes."""
+"""Minimum number of natural periods over which a motion is examined: as long as all before, or until it closes."""
 
 SPARSER = 0.25
-"""Beyond LEAST_LOOK periods, the share of all periods so far until the events are examined again: the examinations
-together cost a few times what the last one does."""
+"""Share of all periods so far after which the events are examined again, beyond MIN_EXAMINED_PERIODS periods. All
+examinations together cost a few times the last one."""
 
 AT_ONE_TIME = 1e-9
 """Share of a natural period within which events of different signals count as one: rounding decides their order."""
 
 NEAR_CYCLE = 1e-3
-"""Largest distance of a return, relative to the motion, that may be the return of a cycle."""
+"""Maximum distance of a return, relative to the motion, that may be the return of a cycle."""
 
 STABLE = 1e-12
-"""Least -ln|mu| from which a multiplier mu is certainly inside the unit circle, if its error is less."""
+"""Minimum -ln|mu| of a multiplier mu that is certainly inside the unit circle, if its error is smaller."""
 
 VERTEX, SAME_RAY = 1e-12, 1e-6
-"""Rounding of rates and signals in an equilibrium, as a share of their terms; and by how much the direction from an
-equilibrium may change in a turn round it, as a share of the distance."""
+"""Rounding of rates and signals in an equilibrium, as a share of their terms; and maximum change of the direction from
+an equilibrium in a turn round it, as a share of the distance."""
 
 BRUSH = 1e-7
-"""Largest share of rest in a cycle that is a touch, made longer by rounding: inside of it motions swing for ever."""
+"""Maximum share of rest in a cycle that is a graze, made longer by rounding: inside the cycle motions swing forever."""
 
 STEADY, MIN_TORUS_PERIODS = 15.0, 3000
-"""Largest logarithm of the shrinkage of a torus's second tangent vector, over at least this many natural periods of
+"""Maximum logarithm of the shrinkage of a torus's second tangent vector, and minimum number of natural periods of
 averaging."""
 
 
 BESIDE, FEW_TURNS = 1e-4, 8
-"""How far beside an equilibrium a motion is begun, relative to its place; natural periods for which it is followed."""
+"""Distance from an equilibrium, relative to its displacement, at which a motion is started; number of natural periods
+for which it is followed."""
 
 
 class EventTrail(NamedTuple):
-    """The last events of one motion, G of them; events of several signals at one time are one event.
+    """The last G events of one motion; events of several signals at one time are one event.
 
-    legs (E, columns): the leg from each event of a signal, see notes.LegRecord; first (G,): the first leg of each
-    event; keys (G,): events have one key if signals, sides and next mode are the same; states (G, 2n) after them, over
-    the range of each component.
+    legs    (E, columns) the leg from each event of a signal, see leg_record.LegRecord
+    first   (G,) index of the first leg of each event
+    keys    (G,) key of each event: equal if signals, sides and next mode are equal
+    states  (G, 2n) states after the events, as shares of the range of each component
     """
 
     legs: Array
@@ -104,18 +106,18 @@ class EventTrail(NamedTuple):
         return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
 
     def until(self, count: int) -> "EventTrail":
-        """The first events of the trail."""
+        """Return the first ``count`` events of the trail."""
         return EventTrail(self.legs[: np.append(self.first, len(self.legs))[count]], self.first[:count],
         self.keys[:count],
                      self.states[:count])  # fmt: skip
 
     def distance_between(self, last: int, first: int) -> float:
-        """The distance of the states after two events."""
+        """Return the distance of the states after two events."""
         return float(np.max(np.abs(self.states[last] - self.states[first])))
 
 
 def trail_of(legs: Array, size: int, period: float) -> EventTrail:
-    """The trail of legs in order of time; ``period`` is the natural one."""
+    """Return the trail of legs in order of time; ``period`` is the natural one."""
     events = legs[legs[:, LEG.signal] >= 0.0]
     columns = events[:, [LEG.number, LEG.signal, LEG.side]].astype(np.int64)
     first = _first_at_one_time(events, period)
@@ -131,24 +133,24 @@ def trail_of(legs: Array, size: int, period: float) -> EventTrail:
 
 
 def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
-    """The places of events that do not follow an event of another signal at once."""
+    """Return the indices of events that do not follow an event of another signal at once."""
     later = np.diff(events[:, LEG.start], prepend=-np.inf) > AT_ONE_TIME * period
     for k in np.flatnonzero(~later).tolist():
         begin = k - 1
         while not later[begin]:
             begin -= 1
-        later[k] = events[k, LEG.signal] in events[begin:k, LEG.signal]  # a signal is not twice in one event
+        later[k] = events[k, LEG.signal] in events[begin:k, LEG.signal]  # a signal occurs only once in an event
     return np.flatnonzero(later)
 
 
 def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Property = none_of) -> AdaptiveSchedule:
-    """The adaptive schedule of cells, see Course."""
+    """Return the adaptive schedule of cells, see AdaptiveSchedule."""
     kind = AutonomousSchedule if cells.unforced else VertexCourse if np.any(without_force(cells)) else AdaptiveSchedule
     return kind(cells, is_known, must_leave)
 
 
 def without_force(cells: CellBatch) -> Mask:
-    """Mask of machines with modes that no force moves and no phase changes."""
+    """Return the mask of machines with modes that have neither a force nor changes of phase."""
     if not cells.oscillators.has_modes:
         return np.zeros(len(cells.periods_used), dtype=np.bool_)
     own = cells.oscillators.table.machines
@@ -160,7 +162,7 @@ class VertexCourse(AdaptiveSchedule):
     """The adaptive schedule for machines of which some have a force of amplitude 0."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that converge to an orbit, or to an equilibrium at a vertex."""
+        """Write the results of cells that converge to an orbit, or to an equilibrium at a vertex; return the others."""
         rests, still = dict[int, Rest](), without_force(self.cells)
         for r in rows[still[rows]].tolist():
             rest = rest_without_events(self.cells, r) or rest_of_turns(self.cells, r)
@@ -182,7 +184,7 @@ class AutonomousSchedule(VertexCourse):
     """The adaptive schedule for machines without a force."""
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells that fall into a cycle or an equilibrium; returns the others that are not known.
+        """Write the results of cells that converge to a cycle or an equilibrium; return the others that are not known.
 
         An equilibrium is an orbit of the map over a natural period, without events.
         """
@@ -213,11 +215,11 @@ class AutonomousSchedule(VertexCourse):
         return rows[self.cells.is_active[rows]]
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """The cells that continue: cycles of any length are sought at every stretch."""
+        """Return the cells that continue: cycles of any length are sought after every interval."""
         return rows[self.cells.is_active[rows]]
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Mask of cells that have not returned to their last event in RETURNS passages of it, and have not shrunk."""
+        """Return the mask of cells that neither returned to their last event in RETURNS passages, nor shrank."""
         if not len(rows):
             return none_of(rows)
         motions, periods = self.cells.batch.motions, self.cells.periods_flown[rows] - self.cells.began[rows]
@@ -238,8 +240,10 @@ class AutonomousSchedule(VertexCourse):
         return min(trail.distance_between(last, int(k)) for k in same) > TORUS_RETURN
 
     def _look(self, r: int) -> tuple[tuple[LimitCycle, Array] | None, bool]:
-        """The cycle into which one motion falls, with the times of its rarest event, if any; and whether it has no
-        more events."""
+        """Return the cycle to which one motion converges, and whether the motion has no events.
+
+        The cycle comes with the times of its rarest event; it is None if there is no such cycle.
+        """
         tried, trail, most = set[int](), None, 4 * self.settings.max_period
         machine = at_rows(self.cells.oscillators, np.array([r]))
         for trail in trails(self.cells, r):
@@ -256,11 +260,14 @@ class AutonomousSchedule(VertexCourse):
 
 
 def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, limit: int = 0) -> Iterator[EventTrail]:
-    """Trails of one motion from its present state, or from ``start``, a physical state and the number of its mode; ever
-    longer, until it cannot be followed or its work is spent.
+    """Yield trails of one motion, ever longer, until it cannot be followed or its work is spent.
 
-    They are of each number of periods up to LEAST_LOOK and ever rarer ones beyond, of at most as many as the motion has
-    flown, or ``limit``.
+    cells  the cells
+    r      row of the motion
+    start  physical state and number of its mode at the start; None for the present state
+    limit  maximum number of periods; 0 for as many as the motion has flown
+
+    There is a trail for each number of periods up to MIN_EXAMINED_PERIODS, and for ever fewer beyond.
     """
     one = np.array([r])
     machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions
@@ -283,9 +290,9 @@ def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, lim
 
 
 def turns_of(trail: EventTrail) -> list[int]:
-    """The numbers of events in which a motion has nearly returned, nearer than a turn before.
+    """Return the numbers of events after which a motion has nearly returned, nearer than a turn before.
 
-    At most three, each return ten times nearer than any shorter one.
+    There are at most three, each return ten times nearer than any shorter one.
     """
     turns, last, record = list[int](), len(trail.keys) - 1, NEAR_CYCLE
     distances = np.max(np.abs(trail.states[-1:] - trail.states[last - last // 2 : last]), axis=1)[::-1]
@@ -299,11 +306,15 @@ def turns_of(trail: EventTrail) -> list[int]:
 
 
 def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle, Array] | None:
-    """The cycle near the last m events of a trail of a single machine, in a record of many, that is stable, or on which
-    the motion is and of which a multiplier is 1; None without one.
+    """Return the cycle near the last m events of a trail, and the times (p,) of its rarest event; None without a cycle.
 
-    With the times (p,) of its rarest event: the event with the fewest passages, of several the first by signal, side
-    and mode. A turn begins there, but not among the hops that end a chatter: they would count as rest.
+    machine  the machine, in a batch
+    trail    the trail
+    m        number of events of a turn
+
+    The cycle is stable, or the motion is on the cycle and a multiplier of the cycle is 1. The rarest event is the event
+    with the fewest passages, of several the first by signal, side and mode. A turn begins there, but not among the hops
+    that end a chatter: these would count as rest.
     """
     keys = trail.keys[-m:]
     counts = np.bincount(keys)
@@ -335,9 +346,9 @@ def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle
 def turn_from(
     machine: Oscillator, trail: EventTrail, m: int, first: int
 ) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
-    """The last m events of a trail as a turn from one of them on, with its machine and the key of each signal's event.
+    """Return the last m events of a trail as a turn from event ``first`` on: machine, orbit and keys.
 
-    Of several signals at one time the first has the key, and the others have -1.
+    There is a key for each signal's event. Of several signals at one time the first has the key, the others have -1.
     """
     starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
     rows = trail.legs[starts[0] :].copy()
@@ -354,19 +365,19 @@ def turn_from(
 
 
 def is_stable(cycle: LimitCycle) -> bool:
-    """Whether all multipliers of a cycle are certainly inside the unit circle."""
+    """Return True if all multipliers of a cycle are certainly inside the unit circle."""
     return bool(cycle.logs[0] < -max(STABLE, cycle.error))
 
 
 def is_neutral(cycle: LimitCycle) -> bool:
-    """Whether the largest multiplier of a cycle is 1 within its error."""
+    """Return True if the largest multiplier of a cycle is 1 within its error."""
     return bool(abs(cycle.logs[0]) <= max(STABLE, cycle.error))
 
 
 def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
-    """One turn of a cycle that may go round several times: a motion may seem to return after two turns first.
+    """Return one turn of a cycle that may consist of several: a motion may seem to return after two turns first.
 
-    None if Newton's method does not converge to it.
+    Return None if Newton's method does not converge to it.
     """
     motion, times = cycle.motion, cycle.motion.times[0]
     itinerary, states, span = motion.itinerary, motion.turn.states[0, 1:], float(motion.span[0])
@@ -392,10 +403,12 @@ def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
 
 
 class Rest(NamedTuple):
-    """An equilibrium at a vertex, where events go on for ever while the motion shrinks by a factor each turn.
+    """An equilibrium at a vertex, where events continue forever while the motion shrinks by a factor each turn.
 
-    Its physical state (2n,), the number of a mode there, the exponents (2n,) of the motion per unit of time, and their
-    error.
+    state      (2n,) its physical state
+    number     number of a mode there
+    exponents  (2n,) exponents of the motion per unit of time
+    error      error of the exponents
     """
 
     state: Array
@@ -405,19 +418,24 @@ class Rest(NamedTuple):
 
 
 def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
-    """The equilibrium at a vertex round which a cell's motion shrinks, if any, from the first known section on."""
+    """Return the equilibrium at a vertex round which a cell's motion shrinks, from the first known section on.
+
+    Return None if there is no such equilibrium.
+    """
     sections = sections_of(cells, r)
     if len(sections) < 8:
         return None
     quarters = [float(np.ptp(quarter, axis=0).max()) for quarter in np.array_split(sections, 4)]
     if not quarters[0] > quarters[3] or np.any(np.diff(quarters) > 0.0):
-        return None  # it does not shrink
+        return None  # the motion does not shrink
     return _rest_from(cells, r, sections[0], min(len(sections), MIN_EXAMINED_PERIODS))
 
 
 def _rest_beside(cells: CellBatch, r: int) -> Rest | None:
-    """The equilibrium of one mass at a vertex in which a cell's motion stands, if motion from beside it shrinks round
-    it: then it does so from all sides."""
+    """Return the equilibrium of one mass at a vertex in which a cell's motion stands; None without one.
+
+    A motion that starts near the equilibrium must shrink round it; motion from all sides then does so.
+    """
     if cells.directions > 2:
         return None
     state = physical_states(cells.oscillators, cells.batch.motions, np.array([r]))[0]
@@ -427,11 +445,11 @@ def _rest_beside(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | None:
-    """The equilibrium at a vertex round which the motion of a cell's machine from a physical state shrinks, if any."""
+    """Return the equilibrium at a vertex round which a motion from ``state`` shrinks; None without one."""
     machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
     last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
     count, rests = len(last[0].keys) if last else 0, list[Rest]()
-    while count > 2:  # rounding hides the turns about a rest away from the origin in the end
+    while count > 2:  # rounding hides the last turns round a rest away from the origin
         rest = rest_of(machine, last[0].until(count))
         rests += [rest] if rest else []
         count //= 2
@@ -439,21 +457,23 @@ def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | N
 
 
 def sections_of(cells: CellBatch, r: int) -> Array:
-    """The known physical sections (K, 2n) of a cell's last stretch."""
+    """Return the known physical sections (K, 2n) of a cell's last interval."""
     h = cells.batch.sections[r, -int(cells.known_section_count()[r]) :].reshape(-1, cells.directions)
     return np.asarray(h @ cells.oscillators.to_physical[r].T)
 
 
 def numbers_of(cells: CellBatch, r: int, states: Array) -> NDArray[np.int64]:
-    """The numbers (K,) of the modes of physical states (K, 2n) of a cell."""
+    """Return the numbers (K,) of the modes of physical states (K, 2n) of a cell."""
     own = cells.oscillators.table
     elements = at_rows(own.elements, np.array([r]))
     return np.array([mode_code_of_state(elements, z).number_of(*own.machines.segments) for z in states])
 
 
 def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
-    """The equilibrium at the end of a signal to which a cell's motion comes in one mode, from one side, by its slowest
-    decay; None without one."""
+    """Return the equilibrium at the end of a signal to which a cell's motion converges in one mode; None without one.
+
+    The motion comes from one side, by its slowest decay.
+    """
     sections = sections_of(cells, r)
     numbers = numbers_of(cells, r, sections)
     machine = at_rows(cells.oscillators, np.array([r]))
@@ -462,7 +482,10 @@ def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
 
 
 def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: int) -> Rest | None:
-    """The equilibrium of ``rest_without_events`` in the mode of this number; ``inside`` (K,): sections in it."""
+    """Return the equilibrium of ``rest_without_events`` in the mode of this number; None without one.
+
+    ``inside`` (K,) is the mask of sections in that mode.
+    """
     slot, size = np.flatnonzero(machine.table.codes[0] == number), sections.shape[1]
     if not len(slot) or machine.table.pieces.lost[0, slot[0]] > 0.0:
         return None
@@ -489,18 +512,18 @@ def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: in
 
 
 def _rates(acceleration: Array) -> Array:
-    """The matrix (2n, 2n) of z' = A z round the rest of a mode, from its accelerations (n, 2n + 1)."""
+    """Return the matrix (2n, 2n) of z' = A z round the rest of a mode, from its accelerations (n, 2n + 1)."""
     n = len(acceleration)
     return np.concatenate([np.eye(n, 2 * n, n), acceleration[:, : 2 * n]])
 
 
 def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
-    """The equilibrium to which the motion of a trail shrinks through ever the same events, of a single machine in a
-    record of many; None without one.
+    """Return the equilibrium to which the motion of a trail shrinks through ever the same events; None without one.
 
-    If each mode of a turn is at rest in one state, and each signal of an event is at its end there, then the motion
-    round it has no scale: what a turn multiplies by a factor, every turn does. Motion along itself grows by this
-    factor, and so does the distance; the turn tells the other multipliers.
+    ``machine`` is a single machine in a batch. If each mode of a turn is at rest in one state, and each signal of an
+    event is at its end there, then the motion round it has no scale. A factor by which one turn multiplies the motion
+    then applies to every turn. Motion along itself grows by this factor, and so does the distance; the map of the turn
+    has the other multipliers.
     """
     last, size = len(trail.keys) - 1, trail.states.shape[1]
     again = last - np.flatnonzero(trail.keys[:-1] == trail.keys[-1:])[::-1]
@@ -537,7 +560,7 @@ def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
 
 
 def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
-    """The largest distance of the states where legs begin from ``rest``, as displacements and as velocities (2n,)."""
+    """Return the largest distance (2n,) from ``rest`` of the states at which legs begin, by component."""
     x, v = np.split(np.max(np.abs(legs[:, LEG_STATE : LEG_STATE + size] - rest), axis=0), 2)
     omega = 2.0 * np.pi / float(length)
     far = max(x.max(), v.max() / omega)
@@ -545,9 +568,9 @@ def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -
 
 
 def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
-    """The state (2n,) in which each mode of a turn is at rest and each event's signal is at its end, or None.
+    """Return the state (2n,) in which each mode of a turn rests and each event's signal is at its end, or None.
 
-    size (2n,): of states in the turn.
+    ``size`` (2n,) is the size of states in the turn.
     """
     pieces, plan, n = motion.pieces, motion.plan.table, len(size) // 2
     events = plan[plan[:, EVENT] != NO_EVENT]
@@ -567,7 +590,7 @@ def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
 
 
 def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
-    """Write the results of cells that come to rest at a vertex; ``rests`` gives them by row."""
+    """Write the results of cells that come to rest at a vertex; ``rests`` has their equilibria by row."""
     if not rests:
         return
     rows, orbits = np.array(list(rests), dtype=np.int64), cells.orbits
@@ -577,19 +600,19 @@ def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
         orbits.mode[r, 0], orbits.period[r] = rest.number, 1
         orbits.exponents[r], orbits.error[r] = rest.exponents * period, rest.error * period
         orbits.tally[r] = NOTHING_COUNTED
-        orbits.tally[r, CONTRACTION] = np.nan  # of no turn
+        orbits.tally[r, CONTRACTION] = np.nan  # no turn was followed
     put_periodic(cells, rows)
     write_results(cells, rows, regime=NO_IMPACT)
 
 
 def _repeats(cells: CellBatch, r: int) -> bool:
-    """Whether the sections of one motion are one state over all of its stretch."""
+    """Return True if the sections of one motion are one state over its whole interval."""
     kept = cells.batch.sections[r, -int(cells.known_section_count()[r]) :]
     return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= CLOSING_DISTANCE * float(np.abs(kept).max())
 
 
 def _stands(cells: CellBatch, r: int) -> bool:
-    """Whether nothing moves or accelerates in the present state of a cell."""
+    """Return True if nothing moves or accelerates in the present state of a cell."""
     motions, table = cells.batch.motions, cells.oscillators.table
     state = physical_states(cells.oscillators, motions, np.array([r]))[0]
     slot = np.flatnonzero(table.codes[r] == motions.mode[r, 0])
@@ -600,8 +623,10 @@ def _stands(cells: CellBatch, r: int) -> bool:
 
 
 def put_centres(cells: CellBatch, rows: Rows) -> None:
-    """Write the results of cells whose sections are one state without attracting: they stand in an equilibrium, or
-    swing about a centre without damping."""
+    """Write the results of cells whose sections are one state without attracting.
+
+    They stand in an equilibrium, or swing about a centre without damping.
+    """
     if not len(rows):
         return
     reasons = np.where([_stands(cells, r) for r in rows.tolist()], np.int8(AT_EQUILIBRIUM), np.int8(CENTRE))
@@ -610,7 +635,7 @@ def put_centres(cells: CellBatch, rows: Rows) -> None:
 
 
 def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]]) -> None:
-    """Write the results of cells that fall into cycles; ``cycles_of`` gives them by row, with their times."""
+    """Write the results of cells that converge to cycles; ``cycles_of`` has the cycles by row, with times of events."""
     free = np.array([r for r, (cycle, _) in cycles_of.items() if not is_stable(cycle)], dtype=np.int64)
     put_averaged(cells, free)
     write_results(cells, free, regime=UNDETERMINED, error=np.nan, reason=FREE_PHASE)
@@ -652,18 +677,18 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
     orbits.tally[rows] = motions.tally[kept]
     put_periodic(cells, rows)
     largest = np.array([cycles_of[r][0].logs[0] for r in rows.tolist()])
-    write_results(cells, rows, largest=largest)  # beside the 0 along the cycle
+    write_results(cells, rows, largest=largest)  # without the 0 along the cycle
     write_results(cells, rows[np.isneginf(largest)], error=0.0)
 
 
 def _after_first(cycle: LimitCycle) -> int:
-    """The leg that begins after the first event, and after all that happen at the same time."""
+    """Return the index of the leg that begins after the first event, and after all events at the same time."""
     lengths = (cycle.motion.ends - cycle.motion.begins)[0, 1:]
     return 1 + int(np.argmax(lengths > AT_ONE_TIME * cycle.period))
 
 
 def _as_passed(machines: Oscillator, cycle: LimitCycle, times: Array) -> CellCycle:
-    """A cycle of a cell with the times (p,) of its rarest event; ``machines`` are of the same elements."""
+    """Return a cycle of a cell with the times (p,) of its rarest event; ``machines`` are of the same elements."""
     motion, segments = cycle.motion, machines.table.machines.segments
     legs, states = [leg for leg, _ in motion.plan.legs[1:]], motion.turn.states[0, 1:]
     if motion.itinerary.symmetric:
@@ -699,9 +724,9 @@ def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:
 
 
 def passages(cells: CellBatch, r: int, count: int) -> Array:
-    """The states (count, 2n) just after the commonest event of a motion that does not close, from its result on.
+    """Return the states (count, 2n) just after the commonest event of a motion that does not close, from its result on.
 
-    NaN from the event on at which it cannot be followed.
+    They are NaN from the event on at which the motion cannot be followed.
     """
     size, states = cells.directions, list[Array]()
     machine, number = at_rows(cells.oscillators, np.array([r])), int(cells.mode[r])

@@ -10,34 +10,36 @@ from workers.kernel.motion import LOST, MAX_SPEED, MIN_SPEED, NOTHING_COUNTED, S
 from workers.model.oscillator import Array, Mask, Rows, at_rows
 
 CLEAR = 4.0
-"""Standard errors above zero from which on an exponent counts as positive."""
+"""Number of standard errors above zero from which on an exponent counts as positive."""
 
 GROWN = 15.0
 """Total log-growth from which on a positive exponent counts: a deviation of rounding size has become visible."""
 
 CHANGED = 3.0
-"""Difference of two averages of the same motion, in standard errors."""
+"""Maximum difference of two averages of the same motion, in standard errors."""
 
 NEVER_RESTARTED = np.isin(np.arange(TALLIES), (WORK, STATUS))
 """Counts of a motion from its start to its end."""
 
 SHEAR_LIMIT, SHEAR = 3e-4, 0.02
-"""Mean growth up to which it may be due to shear, and relative deviation from that: see ``shears``."""
+"""Maximum mean growth that may be due to shear, and maximum relative deviation from the law of shear: see ``shears``.
+"""
 
 FARTHEST = 1e9
-"""Largest ratio of error to tolerance of interest: no budget has the periods for more."""
+"""Maximum ratio of error to tolerance of interest: no budget has the periods for more."""
 
 
 def clearly_positive(mean: Array, error: Array, periods: Array) -> Mask:
-    """Mask of mean growths over these periods that are certainly positive."""
+    """Return the mask of mean growths over these periods that are certainly positive."""
     return (mean > CLEAR * error) & (mean * periods > GROWN)
 
 
 def shears(previous: Array, now: Array, apart: Array) -> Mask:
-    """Mask of weighted mean growths of two stretches, their middles ``apart`` periods apart, that are due to shear.
+    """Return the mask of weighted mean growths of two intervals that are due to shear.
 
-    Without loss the frequencies of a torus depend on its amplitude: a disturbance grows in proportion to time, its
-    logarithm by 1 / (t - c) per period, and 1 / now - 1 / previous = apart for any c. The exponent is zero.
+    ``apart`` is the number of periods between their midpoints. Without loss the frequencies of a torus depend on its
+    amplitude. A disturbance then grows in proportion to time, its logarithm by 1 / (t - c) per period, and 1 / now - 1
+    / previous = apart for any c. The exponent is zero.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         linear = np.abs(1.0 / now - 1.0 / previous - apart) < SHEAR * apart
@@ -45,14 +47,14 @@ def shears(previous: Array, now: Array, apart: Array) -> Mask:
 
 
 def periods_for(periods: Array, error: Array, wanted: Array | float) -> Array:
-    """Periods until an average with this error after these periods reaches the wanted error."""
+    """Return the periods until an average with this error after these periods reaches the wanted error."""
     return np.asarray(periods * np.minimum(error / wanted, FARTHEST) ** 2)
 
 
 def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
-    """The current average of these cells; of no periods if growth does not count.
+    """Return the current average of these cells; of 0 periods if growth does not count.
 
-    Without tangent vectors it holds only impacts. If all directions are lost, the mean is exact.
+    Without tangent vectors it has only impacts. If all directions are lost, the mean is exact.
     """
     motions, levels = cells.batch.motions, cells.batch.levels
     periods = levels[rows, 0, COUNT] if cells.vectors else cells.periods_flown[rows] - cells.began[rows]
@@ -69,13 +71,14 @@ def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
 
 
 def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array]:
-    """The earlier and the current average of these cells combined, with the error given in results.
+    """Return the earlier and the current average of these cells combined, and an error for stationary motion.
 
-    The error is at least the standard error from the difference of the two averages: far apart in time, each may be too
-    short to show slow changes of the motion. The second result is the error without it, as for stationary motion.
+    The error of the combined average is at least the standard error from the difference of the two averages: far apart
+    in time, each may be too short to show slow changes of the motion. The second result is the error without that
+    minimum.
     """
     now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
-    counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # else too short to have an error
+    counts = (now.periods > 0.0) & (np.isfinite(now.error) | (e.periods == 0.0))  # otherwise too short for an error
     mean, error, count, growth, impacts = (np.where(counts, field.T, 0.0).T for field in now)
     total = e.periods + count
     both = (count > 0.0) & (e.periods > 0.0)
@@ -92,13 +95,13 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
 
 
 def has_changed(cells: CellBatch, rows: Rows) -> Mask:
-    """Mask of cells whose earlier and current average differ."""
+    """Return the mask of cells whose earlier and current average differ."""
     now, e = current_average(cells, rows), at_rows(cells.previous_average, rows)
     return np.asarray(np.abs(now.mean - e.mean) > CHANGED * np.hypot(now.error, e.error))
 
 
 def close(cells: CellBatch, rows: Rows) -> None:
-    """Keep the current average as the earlier one, in its place."""
+    """Keep the current average as the earlier one, which it replaces."""
     reset_frames(cells.oscillators.gap.blocks, cells.batch.motions, rows)
     for earlier, now in zip(cells.previous_average, current_average(cells, rows), strict=True):
         earlier[rows] = now
@@ -123,7 +126,7 @@ def lose_all(cells: CellBatch, rows: Rows) -> None:
 
 
 def counts(cells: CellBatch, rows: Rows) -> tuple[Array, Rows]:
-    """Counts of these cells since the first average that counts, (rows, TALLIES), and the periods (rows,)."""
+    """Return the counts (rows, TALLIES) of these cells since the first average that counts, and the periods (rows,)."""
     before, now = cells.tallied[rows], cells.batch.motions.tally[rows]
     both = before + now
     both[:, MIN_SPEED] = np.minimum(before[:, MIN_SPEED], now[:, MIN_SPEED])

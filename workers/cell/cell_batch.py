@@ -16,27 +16,28 @@ Results = dict[str, NDArray[Any]]
 """Result arrays (N, ...) by name."""
 
 RETURNS = 64
-"""Least number of returns of a motion known of each cell, for any ``max_period``."""
+"""Minimum number of returns of a motion that are known for each cell, for any ``max_period``."""
 
 FAR = 1e6
-"""Size of a growing motion from which on it counts as unbounded, relative to its start, its forced motion and the
-stops, which are negligible then."""
+"""Size from which on a growing motion counts as unbounded, relative to its start, its forced motion and the stops,
+which are negligible then."""
 
 STEPS, SAME_STEP = 16, 1e-7
-"""Periods over which a runaway motion gains speed in equal steps; the relative deviation of these steps, and their
-least share of the sum."""
+"""Number of periods over which a runaway motion gains speed in equal steps; maximum relative deviation of these steps,
+and their minimum share of the sum."""
 
 CLOSING_DISTANCE, SAME_CYCLE = 1e-8, 1e-6
-"""Largest distances, relative to the motion: of a state on a cycle from its image once round, and of a motion on the
-cycle; of states, and of periods, of one cycle solved twice."""
+"""Maximum distances, relative to the motion. CLOSING_DISTANCE: of a state on a cycle from its image after one turn, and
+of a motion on the cycle. SAME_CYCLE: of states, and of periods, of one cycle solved twice."""
 
 WORK_PER_PERIOD, MIN_WORK = 200, 1_000_000
-"""Evaluations allowed to a cell per period of its budget, and the least for all together. Ordinary cells take 5 to 40 a
-period; R near 1 can take 10^5, and a cell must not cost minutes."""
+"""Number of evaluations allowed to a cell per period of its budget, and minimum for all periods together.
+
+Ordinary cells take 5 to 40 evaluations a period. R near 1 can take 10^5, and a cell must not cost minutes."""
 
 
 def work_allowed(periods: int) -> int:
-    """Evaluations allowed to a cell over its budget of periods."""
+    """Return the number of evaluations allowed to a cell over its budget of periods."""
     return max(WORK_PER_PERIOD * periods, MIN_WORK)
 
 
@@ -44,7 +45,9 @@ class GrowthAverage(NamedTuple):
     """An average of N cells.
 
     mean, error  (N,) growth of the first tangent vector per period, and its standard error
-    periods      (N,) averaged; growth (N, m) sums of all vectors, impacts (N,), over the same periods
+    periods      (N,) periods averaged
+    growth       (N, m) sums of the growth of all vectors over these periods
+    impacts      (N,) impacts over these periods
     """
 
     mean: Array
@@ -55,12 +58,12 @@ class GrowthAverage(NamedTuple):
 
 
 def energy_norms(metric: Array, h: Array) -> Array:
-    """Energy norms (...) of block states (..., n, 2), the metric (..., n)."""
+    """Return the energy norms (...) of block states (..., n, 2) with metric (..., n)."""
     return np.asarray(np.sqrt(np.sum(metric * h[..., 0] ** 2 + h[..., 1] ** 2, axis=-1)))
 
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
-    """Energy norms (N,) of block states h (N, n, 2) plus those of forced motion and displacements to stops."""
+    """Return the sum (N,) of energy norms of block states h (N, n, 2), forced motion and displacements to stops."""
     own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
     rows, stops, _ = own.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
@@ -73,8 +76,10 @@ def sizes(oscillators: Oscillator, h: Array) -> Array:
 class CellCycle(NamedTuple):
     """A cycle of a machine without a force.
 
-    Its period; its states (p, 2n) at its rarest event; and its states (m, 2n) just after each of its events, with the
-    numbers (m,) of its modes from there on.
+    period   period of the cycle
+    section  (p, 2n) states at its rarest event
+    events   (m, 2n) states just after each of its events
+    numbers  (m,) numbers of its modes from there on
     """
 
     period: float
@@ -83,16 +88,19 @@ class CellCycle(NamedTuple):
     numbers: NDArray[np.int64]
 
     def contains_states(self, states: Array, numbers: NDArray[np.int64]) -> bool:
-        """Whether a motion in these states (K, 2n) just after events, in modes (K,) from there on, is on the cycle."""
+        """Return True if a motion is on the cycle.
+
+        ``states`` (K, 2n) are those just after its events, ``numbers`` (K,) its modes from there on.
+        """
         near = self._away(states[:, None]) <= CLOSING_DISTANCE
         return bool(np.any(near & (numbers[:, None] == self.numbers)))
 
     def is_through(self, state: Array, period: float) -> bool:
-        """Whether this is the cycle of a period through a state (2n,) just after an event: the same set of states."""
+        """Return True if this is the cycle of a period through a state (2n,) just after an event."""
         return bool(self._away(state).min() <= SAME_CYCLE and abs(period - self.period) <= SAME_CYCLE * self.period)
 
     def _away(self, states: Array) -> Array:
-        """Distances (..., m) of states (..., 2n) from the states after its events, relative to the cycle's size."""
+        """Return the distances (..., m) of states (..., 2n) from the states after events, as shares of the size."""
         x, v = np.split(np.abs(self.events), 2, axis=1)
         omega = 2.0 * np.pi / self.period
         size = max(x.max(), v.max() / omega)
@@ -101,25 +109,31 @@ class CellCycle(NamedTuple):
 
 
 class CellBatch:
-    """N cells and the stage of each; the batch has their motions and the periods of the current stretch.
+    """N cells and the stage of each; ``batch`` has their motions and the periods of the current interval.
 
-    Cells without a reason against their oscillator begin at physical section states ``starts`` (N, 2n); cells without a
-    motion are written invalid at once. contact (N,) is the contact of motions that continue from these states; without
-    it the state decides.
+    Cells without a reason against their oscillator begin at physical section states ``starts`` (N, 2n). Cells without a
+    motion are written invalid at once. The argument ``mode`` (N,) has the modes of motions that continue from these
+    states; without it the state decides.
 
-    going      true if the cell has not ended
-    framed     true if tangent vectors are carried along; averaging: and their growth counts
-    used       periods spent on the cell
-    flown      periods of its motion; since: periods before it looked chaotic, began: before the current average and
-               counts, first: before the first average that counts
-    earlier    the average before the current one; of no periods if there is none
-    tallied    (N, TALLIES) counts between ``first`` and ``began``
-    directions of the state, 2n; drifts: 1 if one of them is a coordinate that may drift, which has no exponent;
-               vectors: number of tangent vectors
-    results    arrays, written when cells end; contact (N,): of the ``state`` among them
-    orbits     of the cells that were proved to converge to one
-    unforced   true for machines without a force, whose periods are natural ones; cycles: the proved cycle of each
-    far        energy norm from which on a growing motion counts as unbounded; infinite for others
+    is_active         (N,) True if the cell has not ended
+    has_frame         (N,) True if tangent vectors are carried along
+    averaging         (N,) True if their growth counts
+    periods_used      (N,) periods spent on the cell
+    periods_flown     (N,) periods of its motion
+    since             (N,) periods before it looked chaotic
+    began             (N,) periods before the current average and counts
+    first             (N,) periods before the first average that counts
+    previous_average  average before the current one; of 0 periods if there is no such average
+    tallied           (N, TALLIES) counts between ``first`` and ``began``
+    directions        number of directions of the state, 2n
+    drifts            1 if one of them is a coordinate that may drift, which has no exponent
+    vectors           number of tangent vectors
+    results           result arrays, written when cells end
+    mode              (N,) number of the mode of the ``state`` in the results
+    orbits            orbits of the cells that were proved to converge to one
+    unforced          True for machines without a force, whose periods are natural periods
+    cycles            proved cycles by row
+    far_norm          (N,) energy norm from which on a growing motion counts as unbounded; infinite for other motions
     """
 
     def __init__(
@@ -165,15 +179,18 @@ class CellBatch:
 
     @property
     def unfinished(self) -> Rows:
-        """The cells that have not ended."""
+        """Rows of the cells that have not ended."""
         return np.flatnonzero(self.is_active)
 
     def set_interval(self, rows: Rows, periods: Rows | int) -> None:
-        """Give these cells a stretch of this many periods."""
+        """Give these cells an interval of this number of periods."""
         self.batch.periods[rows], self.batch.done[rows] = periods, 0
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
-        """Advance these cells, ``to_end`` until the end of each stretch; returns the cells that have reached it."""
+        """Advance these cells; return the cells that have reached the end of their intervals.
+
+        With ``to_end`` all cells are advanced to the end.
+        """
         framed = self.has_frame[rows]
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
             run(batch, some, to_end=to_end)
@@ -183,15 +200,15 @@ class CellBatch:
         return through
 
     def known_section_count(self) -> Rows:
-        """Number of known sections of each cell's stretch."""
+        """Return the number of known sections of each cell's interval."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
     def survived_periods(self, rows: Rows) -> Rows:
-        """Periods for which these cells have looked chaotic."""
+        """Return the number of periods for which these cells have looked chaotic."""
         return self.periods_flown[rows] - self.since[rows]
 
     def is_running_away(self, rows: Rows) -> Mask:
-        """Mask of cells whose drift gains the same speed in each period.
+        """Return the mask of cells whose drift gains the same speed in each period.
 
         Without damping the momentum of the drift changes only by load, force and friction.
         """
@@ -205,9 +222,9 @@ class CellBatch:
         return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def fly_off(self, rows: Rows) -> Mask:
-        """Mask of cells that move on by the same step in each period, at one velocity, with no stop ahead.
+        """Return the mask of cells that move by the same step in each period, at one velocity, with no stop ahead.
 
-        What moves is free: it has no stiffness, and nothing else changes from section to section.
+        The moving part is free: it has no stiffness, and nothing else changes from section to section.
         """
         (contacts, stops, _), n = self.oscillators.contacts, self.oscillators.gap_row.shape[1]
         free = self.oscillators.gap.lam[rows] == 0.0
@@ -232,7 +249,7 @@ class CellBatch:
         return off
 
     def are_far(self, rows: Rows) -> Mask:
-        """Mask of cells that move so far that nothing seems to hold them, also beyond the range of doubles."""
+        """Return the mask of cells that move so far that nothing seems to limit them, also beyond doubles."""
         far = np.isfinite(self.far_norm[rows])
         some = rows[far]
         size = energy_norms(self.oscillators.gap.metric[some], self.batch.motions.h[some])
@@ -240,10 +257,10 @@ class CellBatch:
         return np.asarray(far)
 
     def budget(self) -> Rows:
-        """Periods that may still be spent on each cell."""
+        """Return the number of periods that may still be spent on each cell."""
         return self.settings.max_periods + self.settings.survival - self.periods_used
 
     def is_at_rest(self, rows: Rows) -> Mask:
-        """Mask of cells that have lost all directions, since their only mass has rested."""
+        """Return the mask of cells that have lost all directions, since their only mass has rested."""
         lost = np.maximum(self.tallied[rows, LOST], self.batch.motions.tally[rows, LOST])
         return np.asarray(lost >= self.directions)

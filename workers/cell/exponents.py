@@ -9,7 +9,7 @@ from workers.model.oscillator import COLUMN, Array, Oscillator
 
 
 def free_exponents(oscillator: Oscillator) -> Array:
-    """Exponents (2n,) per period of motion without impact, largest first; (N, 2n) for many oscillators.
+    """Return the exponents (2n,) per period of motion without impact, largest first; (N, 2n) for many oscillators.
 
     -eta_j T twice for an underdamped block, -(eta_j -+ sqrt(eta_j^2 - lam_j)) T for another.
     """
@@ -19,9 +19,9 @@ def free_exponents(oscillator: Oscillator) -> Array:
 
 
 def sum_of_exponents(oscillator: Oscillator, impacts_per_period: Array | float) -> Any:
-    """The exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
+    """Return the exact sum of all exponents per period, -trace(M^-1 C) T + 2 ln(R) impacts_per_period; (N,) for many.
 
-    NaN for impacts with R = 0, and for machines with modes.
+    The sum is NaN for impacts with R = 0, and for machines with modes.
     """
     if oscillator.has_modes:
         return np.full(np.shape(oscillator.period), np.nan)
@@ -31,11 +31,12 @@ def sum_of_exponents(oscillator: Oscillator, impacts_per_period: Array | float) 
 
 
 def kaplan_yorke(spectrum: Array) -> Array:
-    """The Kaplan-Yorke dimension j + (lam_1 + ... + lam_j) / |lam_(j+1)| of exponents (..., 2n), largest first.
+    """Return the Kaplan-Yorke dimension j + (lam_1 + ... + lam_j) / |lam_(j+1)| of exponents (..., 2n), largest first.
 
     j is the largest number of exponents whose sum is not negative: 0 if all are negative, and 2n, with nothing added,
-    if volume does not shrink. A lost direction, lam_(j+1) = -inf, adds nothing. NaN if an exponent is NaN. The
-    attractor of the stroboscopic map has this dimension; the motion in time has one more (Kaplan & Yorke 1979).
+    if volume does not shrink. A lost direction, lam_(j+1) = -inf, adds nothing. The dimension is NaN if an exponent is
+    NaN. The attractor of the stroboscopic map has this dimension; the motion in time has one more (Kaplan & Yorke
+    1979).
     """
     size = spectrum.shape[-1]
     sums = np.concatenate([np.zeros((*spectrum.shape[:-1], 1)), np.cumsum(spectrum, axis=-1)], axis=-1)
@@ -47,15 +48,18 @@ def kaplan_yorke(spectrum: Array) -> Array:
 
 
 def sum_law_holds(tally: Array) -> Any:
-    """Whether sum_of_exponents holds for these counts (..., TALLIES) of motions: no rest, no impact with R = 0."""
+    """Return the mask of counts (..., TALLIES) for which sum_of_exponents holds: no rest, no impact with R = 0."""
     return (tally[..., LOST] == 0.0) & (tally[..., STUCK] == 0.0)
 
 
 def impact_count(tally: Array) -> Any:
-    """Impacts in the counts (..., TALLIES) of motions, at both stops."""
+    """Return the impacts at both stops, from the counts (..., TALLIES) of motions."""
     return tally[..., UPPER] + tally[..., LOWER]
 
 
 def rests_on_stop(tally: Array) -> Any:
-    """Whether a rigid stop has held the mass (..., TALLIES): usually after a chatter of infinitely many impacts."""
+    """Return the mask of counts (..., TALLIES) of motions in which the mass has stuck to a rigid stop.
+
+    The mass usually sticks after a chatter of infinitely many impacts.
+    """
     return tally[..., MIN_SPEED] == 0.0

@@ -1,4 +1,4 @@
-"""Stretches of periods of many motions: their beginning, their continuation, their failures."""
+"""Intervals of periods of many motions: their beginning, their continuation, their failures."""
 
 from typing import Any
 
@@ -32,9 +32,14 @@ def begin(
     vectors: int = 0,
     record: int = 0,
 ) -> tuple[Motion, Reasons]:
-    """N motions from physical section states (N, 2n), and the reasons (N,) against them, ``reasons`` included.
+    """Return N motions from physical section states, and the reasons (N,) against them, ``reasons`` included.
 
-    contact (N,): of motions that continue from these states; without it the state decides.
+    oscillators  N machines
+    reasons      (N,) reasons against the machines
+    states       (N, 2n) physical section states
+    mode         (N,) numbers of the modes of motions that continue from these states; None if the state decides
+    vectors      number of tangent vectors
+    record       maximum number of impacts to record
     """
     N, size = states.shape
     motions = motions_at(np.zeros((N, size // 2, 2)), vectors=vectors, record=record)
@@ -47,7 +52,7 @@ def begin(
 
 
 def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
-    """The reason why each motion cannot continue, NO_REASON if it can."""
+    """Return the reason why each motion cannot continue, NO_REASON if it can."""
     tally = motions.tally[cells]
     stopped = REASON_OF[tally[:, STATUS].astype(np.int64)]
     runs, finite = tally[:, STATUS] == RUNNING, np.isfinite(motions.h[cells]).all(axis=(1, 2))
@@ -57,7 +62,7 @@ def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
 
 
 def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> MotionBatch:
-    """A batch of many motions without periods to go, with room for the last ``kept`` sections of each."""
+    """Return a batch of motions without periods to simulate, with room for the last ``kept`` sections of each."""
     N, n = motions.h.shape[:2]
     return MotionBatch(
         oscillators,
@@ -71,7 +76,7 @@ def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> MotionBatch:
 
 
 def has_ended(batch: MotionBatch) -> Mask:
-    """Mask of the cells with nothing left to do: their periods, their motion or their work have ended."""
+    """Return the mask of cells with nothing left to do: their periods, their motion or their work have ended."""
     tally = batch.motions.tally
     return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
@@ -79,9 +84,8 @@ def has_ended(batch: MotionBatch) -> Mask:
 def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
     """Advance these cells of a batch, in place, until each has ended; at most ``lanes`` <= LANES at a time.
 
-    With ``to_end`` false it returns once half of the lanes are idle, so that other cells can take their place. Cells
-    with only underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after
-    the other.
+    Without ``to_end`` return once half of the lanes are idle, so that other cells can take their place. Cells with only
+    underdamped modes need less arithmetic and run separately. Cells whose free flight may grow run one after the other.
     """
     if batch.oscillators.has_modes:
         signals, enough = batch.oscillators.table.machines.signals, 0 if to_end else min(lanes, len(cells)) // 2
@@ -99,8 +103,9 @@ def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LA
 
 
 def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Array:
-    """Physical section states (N, K, 2n) of motions, advanced to the last of them: the first ``counts`` (N,) <= K of
-    each. NaN beyond these, and after a motion cannot be followed.
+    """Return physical section states (N, K, 2n) of motions, which are advanced to the last section.
+
+    Row r has the first ``counts[r]`` <= K sections, and NaN beyond. Sections are NaN after a motion cannot be followed.
     """
     N, n = motions.h.shape[:2]
     batch, every = batch_of(oscillators, motions), np.arange(N)
@@ -115,7 +120,10 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
 
 
 def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
-    """Advance a motion by some periods, in place; returns the periods completed, fewer if it or its work ends."""
+    """Advance a motion by some periods, in place.
+
+    Return the number of periods completed, which is smaller if the motion or its work ends.
+    """
     batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))

@@ -1,4 +1,4 @@
-"""Measures of a machine, contacts one by one, and losses, by another pass over the motion of each cell.
+"""Measures of a machine, of its contacts one by one, and losses, by another pass over the motion of each cell.
 
 Cells of known class are followed once more, over one turn of their orbit or WINDOW periods. Cells without a class keep
 their fill values.
@@ -38,20 +38,20 @@ from workers.results import (
 )
 
 WINDOW = 256
-"""Periods, from ``state`` on, over which motion without an orbit is measured."""
+"""Number of periods, from ``state`` on, over which motion without an orbit is measured."""
 
 WORK_PER_PERIOD = 2000
-"""Evaluations allowed per such period besides LEAST_WORK; motion that costs more is not measured."""
+"""Number of evaluations allowed per such period in addition to MIN_WORK; motion that costs more is not measured."""
 
 MACHINES_PER_BLOCK = 512
-"""Machines measured together: each has a table of its modes."""
+"""Number of machines measured together: each has a table of its modes."""
 
 KNOWN = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
 """Classes of motion with results for the machine."""
 
 MIRRORED = 1e-6
-"""Distance between a state and the mirror image of the state half an orbit later, as a share of both, up to which the
-orbit counts as symmetric."""
+"""Maximum distance between a state and the mirror image of the state half an orbit later, as a share of both, on an
+orbit that counts as symmetric."""
 
 
 @np.errstate(all="ignore")
@@ -84,7 +84,7 @@ def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
     """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
 
-    Motion of a machine that loses nothing comes to nothing; growth has a reason of its own. What nothing drives dies
+    Motion of a machine that loses nothing never settles; growth has a reason of its own. Motion without a drive dies
     away.
     """
     reason = cells.results["reason"]
@@ -98,13 +98,16 @@ def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 
 
 def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
-    """The machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
+    """Return the machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
     own = cells.oscillators
     return at_rows(own, rows) if own.has_modes else build_hybrid(definition.hybrid(values))[0]
 
 
 def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
-    """Periods (N,) over which these cells are measured, and a mask of cells for which that is a turn of an orbit."""
+    """Return the periods (N,) over which these cells are measured, and the mask of cells that close.
+
+    The periods of a cell that closes are a turn of its orbit.
+    """
     period = cells.results["period"][rows].astype(np.int64)
     closes = period > 0
     if not cells.oscillators.has_modes:  # without damping, impact-free motion need not repeat
@@ -115,7 +118,7 @@ def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
 
 
 def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
-    """Physical states (N, 2n) at a section of these cells' motions, and the numbers (N, 1) of their modes there."""
+    """Return physical states (N, 2n) of these cells' motions at a section, and numbers (N, 1) of modes there."""
     states, mode = cells.results["state"][rows], cells.mode[rows]
     proved = closes & (cells.oscillators.has_modes | (cells.results["regime"][rows] == PERIODIC))
     orbits = motions_at(cells.orbits.h, cells.orbits.mode)
@@ -127,7 +130,7 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 
 
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
-    """Quantities measured of machines: measures, arguments of laws, and the range of the coordinate in pictures."""
+    """Return the measured quantities: measures, arguments of laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
     own: HybridMachines = machines.table.machines
     more = [*_arguments(definition, own), (machines.gap_row, 0.0)]
@@ -145,11 +148,11 @@ def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, A
 
 
 def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[Array, float]]:
-    """Rows (N, n) of the arguments of friction and springs in ``definition.fitted``, and the derivatives they act on.
+    """Return rows (N, n) and derivatives of the arguments of friction and springs in ``definition.fitted``.
 
     The depth of a contact is measured anyway.
     """
-    first = len(definition.contacts)  # springs follow the contacts there
+    first = len(definition.contacts)  # the rows of springs follow those of contacts
     frictions = [
         (machines.friction_rows[:, f], 1.0) for f, e in enumerate(definition.friction) if e in definition.fitted
     ]
@@ -160,9 +163,14 @@ def _arguments(definition: Definition, machines: HybridMachines) -> list[tuple[A
 def follow_motions(
     machines: Oscillator, meters: MeasurePlan, states: Array, codes: Rows, periods: Rows, closes: Mask
 ) -> tuple[MeasureTotals, Mask]:
-    """Readings of motions from physical states (N, 2n), with mode numbers (N, 1), over ``periods`` (N,).
+    """Return readings of motions over ``periods`` (N,), and the mask of motions that could be followed.
 
-    closes (N,): the periods are one turn of an orbit. Also returns a mask of motions that could be followed.
+    machines  N machines with modes
+    meters    measured quantities
+    states    (N, 2n) physical states at the start
+    codes     (N, 1) mode numbers
+    periods   (N,) periods
+    closes    (N,) mask of motions for which the periods are one turn of an orbit
     """
     N, readings = len(states), _nothing_read(meters)
     states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
@@ -189,7 +197,7 @@ def _nothing_read(meters: MeasurePlan) -> MeasureTotals:
 
 
 def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals, span: Array) -> dict[str, Array]:
-    """The variables of measures."""
+    """Return the variables of measures."""
     variables: dict[str, Array] = {}
     for m, (name, measure) in enumerate(definition.measures):
         square = readings.square[:, m] / span
@@ -206,7 +214,7 @@ def _of_measures(definition: Definition, weights: Array, readings: MeasureTotals
 def _of_machine(
     machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """The variables of a whole machine with modes."""
+    """Return the variables of a whole machine with modes."""
     centred, centre = about_centre(machines)
     halves = readings.halves - np.concatenate([centre, np.zeros_like(centre)], axis=1)[:, None]
     if machines.drifting >= 0:  # the position of the drifting coordinate has no effect
@@ -224,7 +232,7 @@ def _of_machine(
 def _of_elements(
     definition: Definition, machines: HybridMachines, readings: MeasureTotals, closes: Mask, periods: Rows
 ) -> dict[str, NDArray[Any]]:
-    """The variables of contacts and friction. A spring returns all energy, up to rounding."""
+    """Return the variables of contacts and friction. A spring returns all energy, up to rounding."""
     variables: dict[str, NDArray[Any]] = {}
     span, pad = periods * 2.0 * np.pi / machines.omega, machines.contact_constants
     springs = (machines.soft > 0.0) & (machines.by_force == 0.0) & np.all(pad[..., 1] == 0.0, axis=1)
@@ -246,7 +254,7 @@ def _of_elements(
 def _of_laws(
     definition: Definition, machines: HybridMachines, readings: MeasureTotals, values: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """The variables of laws that are expressions."""
+    """Return the variables of laws that are expressions."""
     variables: dict[str, Array] = {}
     m = len(definition.measures)
     for element in definition.fitted:

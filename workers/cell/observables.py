@@ -51,11 +51,16 @@ def record_observables(
     limit: int,
     turns: int,
 ) -> tuple[Values, Mask]:
-    """The first values of each observable of N motions, at most ``limit``; and a mask of motions that could be
-    followed.
+    """Return the first values of each observable of N motions, and the mask of motions that could be followed.
 
-    outputs: see outputs_for. motions: physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions
-    for which these are one turn of an orbit. turns: see Definition.
+    machines     N machines with modes
+    observables  M observables
+    outputs      rows and derivatives of the observables, see outputs_for
+    motions      physical states (N, 2n), mode numbers (N, 1), periods (N,), and a mask of motions that close
+    limit        maximum number of values of an observable
+    turns        see Definition
+
+    The periods of a motion that closes are one turn of an orbit.
     """
     states, codes, periods, closes = motions
     N, M, own = len(states), len(observables), machines.table.machines
@@ -68,7 +73,7 @@ def record_observables(
     seen = ObservedValues(np.full((N, M, limit), np.nan), counts, endless, np.zeros((N, M, len(COURSE))))
     seen.course[..., COURSE.value] = np.nan
     starts, states, codes, status = (states, codes), states.copy(), codes.copy(), np.full(N, RUNNING)
-    periods = periods.astype(np.int64)  # as results periods are int32, which kernels would be compiled for once more
+    periods = periods.astype(np.int64)  # results have int32, for which kernels would be compiled again
     turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
     done = np.where(closes & turns_of_outputs, -periods, 0)
     allowance = MIN_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
@@ -90,7 +95,7 @@ def record_observables(
     numbers, results = np.where(endless > 0, -1, counts), Values()
     for m, observable in enumerate(observables):
         shown = seen.values[:, m]
-        if observable.kind == IMPACT_PHASE:  # of the machine, with frequency omega / turns
+        if observable.kind == IMPACT_PHASE:  # phase of the machine, with frequency omega / turns
             shown = np.mod(turns * shown, observable.modulus)
         results |= {observable.variable: shown, observable.number: numbers[:, m]}
     return results, status == RUNNING
@@ -99,7 +104,7 @@ def record_observables(
 def outputs_for(
     observables: tuple[Observable, ...], definition: Definition, values: Mapping[str, Array]
 ) -> tuple[Array, Array]:
-    """The rows (N, M, n) of observables, and the derivatives (N, M) that the rows act on, see Observable.row."""
+    """Return the rows (N, M, n) of observables, and the derivatives (N, M) that the rows act on, see Observable.row."""
     rows_of = [observable.row(definition, values) for observable in observables]
     rows = np.stack([row for row, _ in rows_of], axis=1)
     return rows, np.tile([order for _, order in rows_of], (len(rows), 1))
@@ -108,9 +113,16 @@ def outputs_for(
 def observe_orbits(
     definition: Definition, values: Mapping[str, Array], states: Array, periods: Rows, observed_by: str, limit: int
 ) -> Values:
-    """Values of observables, named with commas between, on orbits from physical section states (N, 2n), over one turn.
+    """Return values of observables on N orbits from physical section states, over one turn.
 
-    Parameters and ``periods`` are (N,). Values are NaN, and counts 0, if an orbit cannot be followed.
+    definition   definition of the system
+    values       parameters (N,) by name
+    states       (N, 2n) physical section states
+    periods      (N,) periods of the orbits
+    observed_by  names of the observables, separated by commas
+    limit        maximum number of values of an observable
+
+    Values are NaN, and counts 0, if an orbit cannot be followed.
     """
     observables = observables_of(observed_by, definition)
     machines, reasons = build_hybrid(definition.hybrid(values))

@@ -14,14 +14,15 @@ from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
 NEAR_ORBIT = 1e-2
-"""Distance of a return, relative to the motion's scale, up to which it may lead to a stable orbit."""
+"""Maximum distance of a return, relative to the motion's scale, that may lead to a stable orbit."""
 
 LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
-"""Longest orbit sought if an average indicates one; cells whose sections are kept for that together."""
+"""Longest period sought if an average indicates an orbit; number of cells whose sections are stored for that together.
+"""
 
 
 def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Rows:
-    """Write the results of cells proved to converge to a stable orbit; returns the others.
+    """Write the results of cells proved to converge to a stable orbit; return the others.
 
     An orbit is sought if the motion has returned within ``near`` (N,) of its scale, in a budget (N,) of periods.
     """
@@ -36,7 +37,7 @@ def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Ro
 
 
 def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
-    """settle_cells of these cells; repeated for cells that needed a new mode."""
+    """Return the result of settle_cells for these cells, which is repeated for cells that needed a new mode."""
     *asked, orbits, spent = arguments
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
 
@@ -49,9 +50,10 @@ def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
 
 
 def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
-    """As ``end_on_orbits``, for orbits of up to LONG_PERIOD periods: motions continue as long to close them.
+    """Write the results of cells proved to converge to orbits of up to LONG_PERIOD periods; return the others.
 
-    Cells without the budget for that are not tried.
+    Motions continue for as many periods, until such an orbit would close. Cells without the budget for these periods
+    are not tried.
     """
     tried = rows[cells.budget()[rows] > LONG_PERIOD + 1]
     for first in range(0, len(tried), LONG_ORBIT_BATCH):
@@ -61,7 +63,10 @@ def end_on_long_orbits(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
-    """Prove long orbits; motions that rest are compared after a rest, where rounding has grown least."""
+    """Return the mask of cells with a proved long orbit.
+
+    Motions that rest are compared after a rest, where rounding has grown least.
+    """
     every, length, budget = np.arange(len(rows)), LONG_PERIOD + 1, cells.budget()[rows]
     batch = batch_of(at_rows(cells.oscillators, rows), at_rows(cells.bare.motions, rows), length)
     orbits, spent, proved = at_rows(cells.orbits, rows), 0 * every, np.zeros(len(rows), np.bool_)
@@ -82,11 +87,11 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
 
 
 def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
-    """Mask of cells with a known stable orbit beside their motion.
+    """Return the mask of cells with a known stable orbit apart from their motion.
 
-    Motion without impact is one if |Y| stays inside the stops, every mode is damped and no load moves a rigid mode. An
-    orbit that the motion came near and left again is another. A single mass that a stop can hold at some phase of the
-    force has one as well: the motion after a release repeats after the next rest.
+    Motion without impact is such an orbit if |Y| stays inside the stops, every mode is damped and no load moves a rigid
+    mode. An orbit that the motion came near and left again is another. A single mass also has one if a stop can hold it
+    at some phase of the force: the motion after a release repeats after the next rest.
     """
     if cells.oscillators.has_modes:
         machines = at_rows(cells.oscillators.table.machines, rows)
@@ -99,9 +104,10 @@ def has_coexisting_orbit(cells: CellBatch, rows: Rows) -> Mask:
 
 
 def moves_freely(machines: HybridMachines) -> Mask:
-    """Mask of machines with a damped steady motion inside all stops; not known, so false, of the following two.
+    """Return the mask of machines with a damped steady motion inside all stops.
 
-    With friction, and where phases change more than contacts, such a motion is no sum of harmonics.
+    False for machines with friction or with phases that change more than contacts: such a motion is no sum of
+    harmonics.
     """
     P, C, F = machines.sizes
     if F > 0 or machines.drifting >= 0:
@@ -119,7 +125,10 @@ def moves_freely(machines: HybridMachines) -> Mask:
 
 
 def rests_alone(machines: HybridMachines) -> Mask:
-    """Mask of single masses that a rigid stop can hold: force and load press on it at some phase, or springs may."""
+    """Return the mask of single masses to which a rigid stop can stick.
+
+    Force and load press the mass on the stop at some phase, or springs may do so.
+    """
     own, harmonics = machines, np.hypot(machines.force_sin, machines.force_cos).sum(axis=2)[..., 0]  # (N, P)
     if own.dimension > 2:
         return np.zeros(len(own.omega), dtype=np.bool_)
@@ -133,7 +142,10 @@ def rests_alone(machines: HybridMachines) -> Mask:
 
 
 def most_on_stops(oscillators: Oscillator) -> Array:
-    """The largest force (N, 2) that presses a single mass on the upper and on the lower stop; -infinity without one."""
+    """Return the largest force (N, 2) that presses a single mass on the upper and on the lower stop.
+
+    It is -infinity if the stop is missing.
+    """
     held, stops = oscillators.held, np.stack([oscillators.b_upper, -oscillators.b_lower], axis=1)
     level = held.offset[:, 0] + held.blocks[:, 0, 0, -1, COLUMN.c0, None] * stops
     return np.where(

@@ -43,7 +43,7 @@ def write_results(cells: CellBatch, rows: Rows, **values: Any) -> None:
 
 
 def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion cannot continue, by their reason; returns the others.
+    """Write the results of cells whose motion cannot continue, by their reason; return the others.
 
     A cell that has spent its evaluations is judged by its average, see ``put_by_average``.
     """
@@ -61,7 +61,7 @@ def end_stopped(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion cannot impact any more; returns the others."""
+    """Write the results of cells whose motion cannot impact any more; return the others."""
     motions = cells.batch.motions
     growing = rows[cells.oscillators.growth[rows] > 0.0]
     if len(growing):
@@ -78,9 +78,9 @@ def end_impact_free(cells: CellBatch, rows: Rows) -> Rows:
 
 
 def _end_linear(cells: CellBatch, rows: Rows) -> Rows:
-    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; returns the others.
+    """Write the results of cells whose motion changes with phases alone, see ``orbit.linear``; return the others.
 
-    Growing motion is unbounded: nothing holds it.
+    Growing motion is unbounded, since nothing limits it.
     """
     _, _, frictions = cells.oscillators.table.machines.sizes
     if frictions or cells.drifts or not len(rows):
@@ -120,9 +120,9 @@ def put_impact_free(cells: CellBatch, rows: Rows, h: Array) -> None:
 def put_periodic(cells: CellBatch, rows: Rows) -> None:
     """Write the results of proved orbits: one turn counts impacts and rest; the exponents are Floquet exponents.
 
-    The error of the largest exponent is that of rounding, but at least the deviation of the sum of all from its exact
-    value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is too small.
-    Exponents of minus infinity are exact.
+    The error of the largest exponent is that of rounding, but at least the deviation of the sum of all exponents from
+    its exact value: if a stiff machine hits a stop slowly under a large load, the rounding error of one more turn is
+    too small. Exponents of minus infinity are exact.
     """
     orbits = at_rows(cells.orbits, rows)
     orbits = orbits._replace(exponents=orbits.exponents[:, : cells.directions - cells.drifts])
@@ -181,10 +181,10 @@ def _put_orbits(cells: CellBatch, rows: Rows, oscillators: Oscillator, orbits: P
 
 
 def put_averaged(cells: CellBatch, rows: Rows) -> None:
-    """Write the averages of these cells, leaving their class open.
+    """Write the averages of these cells, without a class.
 
-    Impacts are counted over the periods of the averages, for the sum law; rests and speeds over all periods since: a
-    rest during watching belongs to the motion.
+    Impacts are counted over the periods of the averages, for the sum law. Rests and speeds are counted over all periods
+    since: a rest during watching belongs to the motion.
     """
     if not len(rows):
         return
@@ -207,7 +207,7 @@ def put_averaged(cells: CellBatch, rows: Rows) -> None:
 def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits: Array) -> None:
     """Write rest and impacts from tallies (N, TALLIES) over some periods (N,), with ``hits`` (N,) per period.
 
-    An impact at speed v loses gap_mass (1 - R^2) v^2 / 2; the impact that completes a chatter to rest loses gap_mass
+    An impact at speed v loses gap_mass (1 - R^2) v^2 / 2. The impact that completes a chatter to rest loses gap_mass
     v^2 / 2, as all remaining impacts of the chatter together. See Oscillator.gap_mass.
     """
     impacts, sticks, rests = impact_count(tally), tally[:, motion.STUCK] > 0.0, rests_on_stop(tally)
@@ -230,7 +230,7 @@ def put_contacts(cells: CellBatch, rows: Rows, tally: Array, periods: Rows, hits
 def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverage) -> None:
     """Write the exponents of these cells from an average.
 
-    Directions lost in the ``tally`` of the whole motion are lost, even if not in the average.
+    Directions lost in the ``tally`` of the whole motion are lost, even if they are not lost in the average.
     """
     spectrum = -np.sort(-average.growth / average.periods[:, None], axis=1)
     spectrum[np.arange(spectrum.shape[1]) >= cells.directions - tally[:, motion.LOST, None]] = -math.inf
@@ -272,8 +272,12 @@ def put_by_average(
 ) -> None:
     """Write the results of cells that end with their averages: chaos if it is clear, else undetermined.
 
-    unclear and clear are the reasons given. If only the difference of two averages makes chaos unclear, the reason is
-    that it is not stationary; motion that does not recur is no chaos, see ``recurrence``.
+    unclear  reason of undetermined cells
+    clear    reason of cells whose chaos is clear
+    recurs   mask of cells whose motion recurs
+
+    If only the difference of two averages makes chaos unclear, the reason is that it is not stationary. Motion that
+    does not recur is no chaos, see ``recurrence``.
     """
     if not len(rows):
         return
@@ -288,9 +292,9 @@ def put_by_average(
 
 
 def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, mode: Rows, period: Rows) -> None:
-    """Write the physical state of these cells, given in blocks, and the K section states from it on.
+    """Write the physical states of these cells, given in blocks, and the K section states from these states on.
 
-    An orbit of known ``period`` repeats its own. NaN after the motion cannot be followed.
+    An orbit of known ``period`` repeats its section states. States are NaN after the motion cannot be followed.
     """
     motions, every = motion.motions_at(h, mode), np.arange(len(rows))
     cells.mode[rows] = mode[:, 0]
@@ -303,5 +307,5 @@ def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, 
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:
-    """A sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
+    """Return a sum of exponents minus its exact value; NaN if that law does not hold, see exponents.sum_law_holds."""
     return np.where(sum_law_holds(tally), total - sum_of_exponents(oscillators, hits), math.nan)

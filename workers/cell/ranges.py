@@ -7,17 +7,17 @@ from workers.kernel.motion import FLIGHT, LOWER, UPPER
 from workers.model.oscillator import Array, GuardedFlow, Oscillator, Rows
 
 FOLLOWED = 64
-"""Periods over which the range is sought of a motion that neither closes nor reaches both stops."""
+"""Number of periods over which the range is sought of a motion that neither closes nor reaches both stops."""
 
 WORK_PER_PERIOD, LEAST_WORK = 1000, 100_000
-"""Evaluations allowed for each such period, and the least for all together."""
+"""Number of evaluations allowed for each such period, and minimum for all periods together."""
 
 
 def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, periods: Rows) -> Array:
-    """Greatest minus least y (N,) of motions with impacts and counts ``tally`` (N, TALLIES).
+    """Return maximum minus minimum y (N,) of motions with impacts and counts ``tally`` (N, TALLIES).
 
-    The whole gap if impacts were counted at both stops; else y is followed from block states h (N, n, 2) with contacts
-    (N, 1) over ``periods`` (N,), through every turning point. NaN if it cannot be followed.
+    The range is the whole gap if impacts were counted at both stops. Otherwise y is followed from block states h (N, n,
+    2) in modes (N, 1) over ``periods`` (N,), through every turning point. It is NaN if the motion cannot be followed.
     """
     if oscillators.has_modes:
         return np.full(len(tally), np.nan)  # there is no single gap coordinate
@@ -27,12 +27,13 @@ def impact_range(oscillators: Oscillator, tally: Array, h: Array, mode: Rows, pe
 
 
 def free_range(oscillators: Oscillator, h: Array) -> Array:
-    """Greatest minus least y (N,) of motions without impact from block states h (N, n, 2).
+    """Return maximum minus minimum y (N,) of motions without impact from block states h (N, n, 2).
 
-    Twice the amplitude of the forced response if that is a single harmonic and the rest has decayed, h = 0 except the
-    position of a rigid mode. From turning points over one period for several harmonics, over FOLLOWED periods for
-    motion that does not decay. If that takes more evaluations than allowed, free oscillations are so much faster than
-    the force that they swing fully at its extremes: the range of the forced response and twice their amplitudes.
+    The range is twice the amplitude of the forced response if the response is a single harmonic and the rest has
+    decayed: h = 0 except the position of a rigid mode. For several harmonics it is found from turning points over one
+    period, and for motion that does not decay over FOLLOWED periods. If this takes more evaluations than allowed, free
+    oscillations are so much faster than the force that they swing fully at its extremes. The range is then that of the
+    forced response plus twice the amplitudes of the free oscillations.
     """
     gap, mode = oscillators.gap, np.full((len(h), 1), FLIGHT)
     still = np.where((gap.lam == 0.0)[..., None] & [True, False], h, 0.0)
@@ -50,7 +51,7 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
 
 @np.errstate(divide="ignore", invalid="ignore")
 def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
-    """Sum of the amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); NaN for other motion."""
+    """Return the summed amplitudes (N,) in y of undamped oscillations at block states h (N, n, 2); else NaN."""
     w = np.sqrt(gap.lam)
     swing = np.hypot(gap.c0 * h[..., 0] + gap.c1 * h[..., 1], gap.c0 * h[..., 1] / w - gap.c1 * h[..., 0] * w)
     swing = np.where((gap.eta == 0.0) & (gap.lam > 0.0), swing, np.nan)
@@ -58,14 +59,17 @@ def _free_amplitude(gap: GuardedFlow, h: Array) -> Array:
 
 
 def _followed(oscillators: Oscillator, h: Array, mode: Rows, periods: Rows, cells: Rows) -> Array:
-    """The range of these cells by ``excursions``, 0 for a motion at rest; NaN for the others."""
+    """Return the range of these cells by ``excursions``, 0 for a motion at rest; NaN for the other cells."""
     allowance = np.maximum(LEAST_WORK, WORK_PER_PERIOD * periods)
     ends = excursions(oscillators, h, mode, periods, allowance, cells)
     return np.where(ends[:, 0] > ends[:, 1], 0.0, ends[:, 1] - ends[:, 0])
 
 
 def steady_state(oscillators: Oscillator, h: Array) -> Array:
-    """Limits of block states h (N, n, 2) without impact: damped rigid modes come to rest, undamped motion continues."""
+    """Return the limits of block states h (N, n, 2) without impact.
+
+    Damped rigid modes come to rest; undamped motion continues.
+    """
     eta, lam = oscillators.gap.eta, oscillators.gap.lam
     with np.errstate(divide="ignore", invalid="ignore"):
         end = np.where(lam == 0.0, h[..., 0] + h[..., 1] / (2.0 * eta), 0.0)

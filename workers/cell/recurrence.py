@@ -8,17 +8,20 @@ from workers.cell.exponents import impact_count
 from workers.model.oscillator import COLUMN, Array, Mask, Rows
 
 FEWEST_HITS = 0.5
-"""Least share of the impacts expected in a stretch, from their number so far, if impacts continue."""
+"""Minimum number of impacts in an interval if impacts continue, as a share of the number expected from the impacts so
+far."""
 
 
 class Recurrence:
     """History of N motions: their energies at sections, and their impacts.
 
-    low, high    the range of the energies seen so far
-    hits, until  counted impacts and periods up to the last look
-    same         true if the energies of the last look were in the range of all earlier ones
-    recurred     true if any counted look found that, or none has counted yet; counted: true if one has
-    strikes      true if impacts have continued at the expected rate, or there never were any
+    low, high    (N,) range of the energies seen so far
+    hits, until  (N,) impacts and periods counted up to the last update
+    struck       (N,) True if there has been an impact
+    same         (N,) True if the energies of the last update were in the range of all earlier ones
+    recurred     (N,) True if ``same`` was True in any update that counted, or if no update has counted yet
+    counted      (N,) True if an update has counted
+    strikes      (N,) True if impacts have continued at the expected rate, or if there never were any
     """
 
     def __init__(self, count: int) -> None:
@@ -29,7 +32,9 @@ class Recurrence:
         self.recurred, self.counted = np.ones(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
 
     def update(self, cells: CellBatch, rows: Rows, settled: Mask) -> None:
-        """Compare the last stretch of these cells with earlier ones; the look counts once the transient is over.
+        """Compare the last interval of these cells with earlier ones.
+
+        The update counts once the transient is over (``settled``).
 
         The energy ranges of any torus at RETURNS sections overlap. Decaying motion impacts ever more rarely: a single
         flight may last longer than all of the motion before it.
@@ -50,7 +55,10 @@ class Recurrence:
 
 
 def _energy_ranges(cells: CellBatch, rows: Rows) -> tuple[Array, Array]:
-    """The least and the greatest energy (rows,) at the last sections of these cells; kinetic energy for rigid modes."""
+    """Return the minimum and the maximum energy (rows,) at the last sections of these cells.
+
+    Rigid modes count with their kinetic energy.
+    """
     blocks, sections = cells.oscillators.gap.blocks[rows], cells.batch.sections[rows, -RETURNS:]
     weight = np.where(blocks[..., COLUMN.lam] != 0.0, blocks[..., COLUMN.metric], 0.0)
     if cells.drifts:

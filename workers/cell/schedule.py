@@ -1,10 +1,11 @@
-"""The adaptive schedule: each cell is followed until its class is certain, and apparent chaos is watched.
+"""The adaptive schedule: simulate each cell until its regime is certain, and watch apparent chaos.
 
-The stages of a cell are searching, warming, averaging, watching, and averaging once more. At the end of every stretch
-of periods, except in warming, it looks for a stable orbit.
+A cell goes through the stages searching, warming up, averaging, watching, and averaging again. The simulation is
+divided into intervals of forcing periods. At the end of each interval, except while warming up, the solver looks for a
+stable periodic orbit and decides the next stage.
 
-``max_periods`` bounds the periods that decide the class; watching apparent chaos may take ``survival`` periods more. A
-tenth of max_periods is kept for the proof of an orbit.
+``max_periods`` limits the periods spent on deciding the regime, ``survival`` the further periods of watching apparent
+chaos. A tenth of ``max_periods`` is reserved for proving an orbit.
 """
 
 import math
@@ -26,43 +27,51 @@ from workers.results import LOCKING, NO_REASON, NOT_RELAXED, NOT_STATIONARY, RES
 SEARCHING, WARMING, AVERAGING, WATCHING = range(4)
 
 FIRST_INTERVAL = 32
-"""Periods before the first look at a cell; each further stretch is as long as all before it."""
+"""Forcing periods of the first interval; each further interval is as long as all before it."""
 
 MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
-"""The transient: its least periods, its relaxation times, and its largest share of max_periods."""
+"""The transient: minimum number of periods, number of relaxation times, and maximum share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR after the first stretch: motion has had time to come nearer, and chaos often returns within NEAR itself, at the
-cost of a trial each time."""
+"""NEAR_ORBIT after the first interval. The motion has had time to come nearer, and chaos often returns within
+NEAR_ORBIT itself, at the cost of a trial each time."""
 
 WARM_UP = 64
 """Periods in which the tangent frame aligns before its growth counts."""
 
 FIRST_AVERAGE = 192
-"""Periods averaged before the first look at the average."""
+"""Periods averaged before the average is first judged."""
 
 LONG_MEMORY, MIN_SURVIVAL_SHARE = 5.0, 1.0 / 32.0
-"""Chaos is watched for all of ``survival`` if a stable orbit is known or its energy relaxes in at least LONG_MEMORY
-periods; else for the share (memory / LONG_MEMORY)^2, at least LEAST_PART. The share of transient chaos falls about like
-that: measured in 16,000 cells over all parameters."""
+"""Relaxation time of the energy, in periods, from which on chaos is watched for all of ``survival``; minimum share.
+
+Chaos with a known stable orbit is also watched for all of ``survival``. Otherwise the share is (relaxation /
+LONG_MEMORY)^2, at least MIN_SURVIVAL_SHARE. The share of transient chaos falls about like that: measured in 16,000
+cells over all parameters."""
 
 MIN_WATCH = 256
-"""Periods of the shortest stretch of watching; each further one is half as long as the survival before it."""
+"""Minimum number of periods of an interval of watching; each further one is half as long as the survival before it."""
 
 TORUS_LIMIT = 1e-5
-"""Largest modulus of the weighted averages of two stretches that counts as zero."""
+"""Maximum modulus of the weighted averages of two intervals that counts as zero."""
 
 TORUS_RETURN = 1e-5
-"""Nearest of the last RETURNS returns, relative to the motion's scale, of a possible slowly closing orbit."""
+"""Minimum distance of the last RETURNS returns on a torus, relative to the motion's scale. With a nearer return the
+motion may be an orbit that closes slowly."""
 
 
 def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contraction: Array | None = None) -> Array:
-    """Forcing periods in which the energy of these motions falls by a factor e without the force.
+    """Return the forcing periods in which the energy of these motions falls by a factor e without the force.
 
-    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; hits, the impacts per period, reduce
-    one of the 2n squares in the energy. May be infinite. If a motion grows, eta is the least rate of growth or decay.
-    With modes ``contraction``, the change per period of the log of volume, shows in place of R what all contacts and
-    frictions take: without impacts at most one square per period.
+    oscillators  N machines
+    rows         rows of the motions
+    hits         impacts per period
+    contraction  with modes, change per period of the log of volume
+
+    1 / (2 eta T + (1 - R^2) hits / 2n): eta of the slowest mode between impacts; an impact reduces one of the 2n
+    squares in the energy. The result may be infinite. If a motion grows, eta is the smallest rate of growth or decay.
+    With modes ``contraction`` shows, in place of R, the loss by all contacts and frictions: without impacts at most one
+    square per period.
     """
     period, freedoms = oscillators.period[rows], 2.0 * oscillators.gap_row.shape[1]
     if oscillators.has_modes:
@@ -76,32 +85,33 @@ def relaxation_periods(oscillators: Oscillator, rows: Rows, hits: Array, contrac
 
 
 def survival_share(relaxation: Array) -> Array:
-    """Share of ``survival`` for which chaos of these relaxation times is watched if no stable orbit is known."""
+    """Return the share of ``survival`` for which chaos is watched without a known stable orbit."""
     return np.clip((relaxation / LONG_MEMORY) ** 2, MIN_SURVIVAL_SHARE, 1.0)
 
 
 Property = Callable[[Rows], Mask]
-"""A property of cells: the mask of the cells that have it."""
+"""Predicate on cells: returns the mask of the cells that have a property."""
 
 
 def none_of(rows: Rows) -> Mask:
-    """A mask of none of these cells."""
+    """Return a mask without any of these cells."""
     return np.zeros(len(rows), dtype=np.bool_)
 
 
 class AdaptiveSchedule:
-    """N cells on their way through the stages; each stage is a method for cells at the end of a stretch in it.
+    """N cells on their way through the stages. Each stage is a method that is called at the end of an interval.
 
-    stage      of each cell; stretch: its next periods
-    memory     periods needed for its transient, NaN until known
-    watched    periods of watching
-    weighted   weighted average of its last stretch; middle: of that stretch, in periods flown
-    half       standard error of an average over half of the periods needed for the tolerance
-    recurrence record of the recurrence of its amplitude
+    stage              (N,) SEARCHING, WARMING, AVERAGING or WATCHING
+    interval           (N,) forcing periods until the next decision
+    transient_periods  (N,) forcing periods of the transient; NaN until estimated
+    watched            (N,) forcing periods spent watching
+    weighted, middle   (N,) weighted average of the last interval, and its midpoint in periods
+    half               standard error of an average over half of the periods that the tolerance needs
+    recurrence         recurrence of the amplitude, see ``Recurrence``
 
-    is_known   mask of cells, at the end of a stretch, that end since their motion is recognised
-    leaves     mask of cells, after their transients, that leave the course to be judged elsewhere
-    part       share of ``survival`` for which chaos is watched, by its relaxation in periods
+    is_known           predicate on cells at the end of an interval: the motion is recognised, and the cell ends
+    must_leave         predicate on cells after their transients: they leave the schedule, to be judged elsewhere
+    survival_share_of  function of the relaxation time: share of ``survival`` for which chaos is watched
     """
 
     def __init__(
@@ -132,14 +142,14 @@ class AdaptiveSchedule:
             ready = through[self.cells.is_active[through]]
 
     def begin(self, ready: Rows) -> None:
-        """Give each cell its next stretch, or its result if no periods are left."""
+        """Give each cell its next interval, or its result if no periods are left."""
         ready = outcome.end_impact_free(self.cells, ready)
         length = np.minimum(self.interval[ready], self._left(ready))
         self._end(ready[length <= 0])
         self.cells.set_interval(ready[length > 0], length[length > 0])
 
     def judge(self, through: Rows) -> None:
-        """Judge each cell at the end of a stretch."""
+        """Decide each cell in ``through``, which has reached the end of its interval."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
         stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
@@ -156,22 +166,22 @@ class AdaptiveSchedule:
         self.watching(rows[stage == WATCHING])
 
     def end_on_orbits(self, rows: Rows, budget: Rows, near: Array) -> Rows:
-        """Write the results of cells proved to converge to an orbit; returns the others that are not known."""
+        """Write the results of cells proved to converge to an orbit; return the others that are not known."""
         known = self.is_known(rows)
         self.cells.is_active[rows[known]] = False
         return end_on_orbits(self.cells, rows[~known], budget, near)
 
     def end_on_long_orbits(self, rows: Rows) -> Rows:
-        """Write the results of cells proved to converge to a long orbit; returns the others."""
+        """Write the results of cells proved to converge to a long orbit; return the others."""
         return end_on_long_orbits(self.cells, rows)
 
     def _left(self, rows: Rows) -> Rows:
-        """Periods left to these cells' motions in their present stage."""
+        """Return the number of periods left to these cells in their present stage."""
         decide = self.settings.deciding_periods - (self.cells.periods_used[rows] - self.watched[rows])
         return np.where(self.stage[rows] == WATCHING, self._watchable(rows), decide)
 
     def _end(self, rows: Rows) -> None:
-        """Write the results of cells out of periods."""
+        """Write the results of cells that have no periods left."""
         unrelaxed = self.cells.first[rows] < self.transient_periods[rows]
         clear = np.where(unrelaxed, np.int8(NOT_RELAXED), np.int8(NO_REASON))
         outcome.put_by_average(self.cells, rows, clear=clear, recurs=self.recurrence.recurred[rows])
@@ -192,7 +202,10 @@ class AdaptiveSchedule:
     # Searching
 
     def searching(self, rows: Rows) -> None:
-        """The motion forgets its start: for some relaxation times, at least LEAST_TRANSIENT periods."""
+        """Continue the transient of these cells: some relaxation times, at least MIN_TRANSIENT periods.
+
+        During the transient the motion forgets its initial state.
+        """
         cells, flown = self.cells, self.cells.periods_flown[rows]
         new = rows[(flown >= MIN_TRANSIENT) & np.isnan(self.transient_periods[rows])]
         tally, periods = cells.batch.motions.tally[new], cells.periods_flown[new]
@@ -208,7 +221,7 @@ class AdaptiveSchedule:
         self.observe(over[~leaves])
 
     def observe(self, rows: Rows) -> None:
-        """Warm up these cells after their transients, or watch them if no exponents are wanted."""
+        """Warm up these cells after their transients, or watch them if no exponents are requested."""
         cells = self.cells
         if cells.vectors:
             averages.restart(cells, rows)
@@ -221,7 +234,7 @@ class AdaptiveSchedule:
     # Warming
 
     def warming(self, rows: Rows) -> None:
-        """Tangent vectors are aligned: average from now on.
+        """Start an average of these cells, whose tangent vectors are aligned.
 
         A second average is as long as the first should have been.
         """
@@ -237,17 +250,17 @@ class AdaptiveSchedule:
     # Averaging
 
     def averaging(self, rows: Rows) -> None:
-        """The growth of tangent vectors is averaged.
+        """Judge the averaged growth of the tangent vectors of these cells.
 
-        Clearly positive, and known to half of the wanted accuracy (in periods): chaotic so far. Zero on two stretches:
-        a torus. Clearly negative: a long orbit is sought.
+        Clearly positive growth, known to half of the requested accuracy (in periods), is chaotic so far. Zero growth in
+        two intervals is a torus. With clearly negative growth a long orbit is sought.
         """
         second = self.cells.previous_average.periods[rows] > 0.0
         self._judge_first(rows[~second])
         self._judge_second(rows[second])
 
     def _judge_first(self, rows: Rows) -> None:
-        """Half of the budget also suffices to call a cell chaotic."""
+        """Judge the first average of these cells. Half of the budget also suffices to call a cell chaotic."""
         now = current_average(self.cells, rows)
         positive = clearly_positive(now.mean, now.error, now.periods)
         half_spent = self.cells.periods_used[rows] - self.watched[rows] >= self.settings.deciding_periods // 2
@@ -258,9 +271,10 @@ class AdaptiveSchedule:
         self._close(rows[chaotic])
 
     def _judge_second(self, rows: Rows) -> None:
-        """Both averages together must reach the wanted accuracy unless they differ, and chaos must have survived.
+        """Judge the second average of these cells.
 
-        A positive exponent must be clearly positive.
+        Both averages together must reach the requested accuracy unless they differ, and chaos must have survived. A
+        positive exponent must be clearly positive.
         """
         (whole, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
         least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
@@ -275,7 +289,7 @@ class AdaptiveSchedule:
         self._restart_changed(rows[enough & changed])
 
     def _average_on(self, rows: Rows, missing: Array) -> None:
-        """The next stretch of an average that lacks ``missing`` periods: at most as long as the average so far."""
+        """Set the next interval of an average that lacks ``missing`` periods: at most as long as the average so far."""
         longest = self.cells.periods_flown[rows] - self.cells.began[rows]
         self.interval[rows] = np.minimum(longest, np.maximum(1.05 * missing, WARM_UP))
 
@@ -294,7 +308,7 @@ class AdaptiveSchedule:
         self.interval[rows[~out & ~positive]] = now.periods[~out & ~positive]
 
     def _close(self, rows: Rows) -> None:
-        """Close the average of these cells and watch them, or continue with the next average if there is no need to."""
+        """Close the average of these cells and watch them; continue with the next average if no watching is needed."""
         averages.close(self.cells, rows)
         missing = self._missing(rows)
         self.warming(rows[missing <= 0])  # the frame is unchanged
@@ -320,7 +334,7 @@ class AdaptiveSchedule:
         self.end_on_long_orbits(rows[clearly_positive(-mean, error, periods) | late])
 
     def never_closes(self, rows: Rows) -> Mask:
-        """Mask of cells that have not returned to their present state in RETURNS periods."""
+        """Return the mask of cells that have not returned to their present state in RETURNS periods."""
         cells = self.cells
         blocks, h = cells.oscillators.gap.blocks, cells.batch.motions.h
         return np.asarray(far_from_closing(blocks, h, cells.batch.sections, rows, RETURNS, TORUS_RETURN))
@@ -328,10 +342,10 @@ class AdaptiveSchedule:
     # Watching
 
     def watching(self, rows: Rows) -> None:
-        """Apparent chaos continues without tangent vectors for most of its watch.
+        """Continue apparent chaos without tangent vectors for most of its watch, then average once more.
 
-        Then it is averaged once more: equal averages are combined; otherwise the motion has changed, and the later
-        average replaces the earlier. Without exponents it is aperiodic then.
+        Equal averages are combined. Otherwise the motion has changed, and the later average replaces the earlier one.
+        Without exponents the cell is aperiodic at the end.
         """
         self.watched[rows] += self.cells.batch.done[rows]
         missing = self._missing(rows)
@@ -345,22 +359,22 @@ class AdaptiveSchedule:
             self._end(rows[~recurs])
 
     def _watchable(self, rows: Rows) -> Rows:
-        """Periods for which these cells may still be watched, less the cost of proofs in both budgets."""
+        """Return the periods for which these cells may still be watched, less the cost of proofs in both budgets."""
         return np.minimum(self.settings.survival - self.watched[rows], self.cells.budget()[rows])
 
     def _to_watch(self, rows: Rows) -> Rows:
-        """Periods for which these cells are still to be watched, within ``survival``."""
+        """Return the periods for which these cells are still to be watched, within ``survival``."""
         part = self.part(self.transient_periods[rows] / RELAXATIONS)
         part[has_coexisting_orbit(self.cells, rows)] = 1.0
         required = (part * self.settings.survival).astype(np.int64)
         return np.minimum(required - self.cells.survived_periods(rows), self._watchable(rows))
 
     def _missing(self, rows: Rows) -> Rows:
-        """Periods for which these cells are still to be watched before an average as long as the last one."""
+        """Return the periods for which these cells are to be watched before an average as long as the last one."""
         return self._to_watch(rows) - self.cells.previous_average.periods[rows].astype(np.int64)
 
     def _watch(self, rows: Rows, missing: Rows) -> None:
-        """Watch these cells for a stretch of the ``missing`` periods, long enough for a long orbit to return in it."""
+        """Watch these cells for an interval of the ``missing`` periods, in which a long orbit can return."""
         least = max(MIN_WATCH, self.settings.max_period + 1)
         self.stage[rows] = WATCHING
         self.interval[rows] = np.maximum(np.minimum(self.cells.survived_periods(rows) // 2, missing), least)

@@ -1,7 +1,7 @@
-"""Cells from their parameters to their results, by the adaptive schedule or the paper's fixed one.
+"""Computation of cells from their parameters to their results, by the adaptive schedule or the paper's fixed one.
 
 Schedules are arrays with one row per cell, and each step is done for all its cells at once. The results of a cell do
-not depend on the others.
+not depend on the other cells.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from workers.results import NEVER_RECURS, PERIODS_SPENT, UNDETERMINED
 
 
 def solve(cells: CellBatch) -> None:
-    """Take cells to their results, by the schedule of their settings."""
+    """Compute the results of cells, by the schedule of their settings."""
     with np.errstate(all="ignore"):
         if cells.settings.method == "adaptive":
             course_of(cells).run()
@@ -27,10 +27,10 @@ def solve(cells: CellBatch) -> None:
 
 
 def _solve_fixed(cells: CellBatch) -> None:
-    """The paper's schedule: a transient, then plain averages over ``Settings.periods``.
+    """Compute the results of cells by the paper's schedule: a transient, then plain averages over ``Settings.periods``.
 
-    The averages of a cell with a proved orbit may include earlier chaos: they are kept as ``average``, and its
-    exponents are the exact ones.
+    The averages of a cell with a proved orbit may include earlier chaos. They are kept as ``average``; the exponents of
+    the cell are the exact ones.
     """
     settings, recurrence = cells.settings, Recurrence(len(cells.periods_used))
     cells.has_frame[:] = True
@@ -61,7 +61,7 @@ def _solve_fixed(cells: CellBatch) -> None:
 
 
 def _through(cells: CellBatch, ready: Rows, periods: int) -> Rows:
-    """Take these cells through this many periods; returns the cells that can continue."""
+    """Simulate these cells for this number of periods, and return the cells that can continue."""
     cells.set_interval(ready, periods)
     cells.run(ready, to_end=True)
     return end_stopped(cells, ready)

@@ -1,5 +1,6 @@
-"""Exact orbits. The map of many periods with its Jacobian, Newton's method on it and Floquet multipliers; and orbits as
-equations of their events, their branches in one parameter and their bifurcation and grazing curves in two.
+"""Exact orbits as equations of their events: branches in one parameter, bifurcation and grazing curves in two.
+
+The equations are solved by Newton's method and give the Floquet multipliers of each orbit.
 """
 
 from workers.continuation.branches import BranchRun, BranchStart, branch, leaving_branch

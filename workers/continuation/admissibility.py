@@ -1,6 +1,6 @@
-"""Admissible orbits: each leg ends at its own event and at no other.
+"""Admissibility of orbits: each leg ends at its own event and at no other.
 
-Decided by the certified crossings of the kernel, leg by leg, without sampling.
+The certified crossings of the kernel decide it leg by leg, without sampling.
 """
 
 import math
@@ -16,8 +16,8 @@ from workers.kernel.chatter import chatter_time
 from workers.model.hybrid_modes import DETACHED, OPEN, SIGNALS
 
 CONTACT, LOST, ORDER, HELD = "contact", "impact_lost", "order", "held"
-"""Why an orbit is not admissible: another contact; an impact that moves off its stop; impacts out of order; friction
-that would stick where it does not, or cannot where it does."""
+"""Why an orbit is not admissible. CONTACT: another contact. LOST: an impact that moves off its stop. ORDER: impacts out
+of order. HELD: friction that would stick where it slides, or cannot stick where it does."""
 
 VERTEX = "vertex"
 """Kind of the event at which a motion touches a vertex of a law in segments."""
@@ -26,16 +26,22 @@ AT_ONCE = 1e-6
 """Share of a period by which a certified event may differ from the event of the orbit; a shorter leg has no length."""
 
 HOPS = 1e-3
-"""Largest change of the load during a chatter that is replaced by rest, as a share of the load."""
+"""Maximum change of the load during a chatter that is replaced by rest, as a share of the load."""
 
 NEAR_TOUCH = 1e-3
-"""Share of a period about a graze in which its signal is known to turn back there."""
+"""Share of a period about a graze within which its signal is known to turn back."""
 
 
 class AdmissibilityFault(NamedTuple):
-    """Why an orbit is not admissible: CONTACT at a time on a side; ``impact`` LOST, out of ORDER or wrongly HELD.
+    """Why an orbit is not admissible.
 
-    Impacts are events of any kind, and a contact is that of any signal with the end of its range.
+    reason  CONTACT, LOST, ORDER or HELD
+    impact  index of the event that is lost or out of order, or at which friction sticks or slides wrongly; else -1
+    time    time of the contact, NaN for other reasons
+    side    end of its range that the signal reaches
+    signal  signal that reaches it
+
+    Events of any kind count as impacts, and any signal at an end of its range as a contact.
     """
 
     reason: str
@@ -46,7 +52,7 @@ class AdmissibilityFault(NamedTuple):
 
 
 class Graze(NamedTuple):
-    """A graze: its time, and which end of its range a signal touches."""
+    """A grazing contact: its time, the signal, and the end of its range that the signal touches at zero rate."""
 
     time: float
     signal: int
@@ -54,10 +60,10 @@ class Graze(NamedTuple):
 
 
 def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = -1) -> AdmissibilityFault | None:
-    """The first fault, in time, of one orbit (all records of one); None if it is admissible.
+    """Return the first fault, in time, of one orbit, the only row of a batch; None if the orbit is admissible.
 
-    ``touches`` are allowed: where signals graze ends of their ranges and turn back. An event ``lost`` has no rate: an
-    impact counts as a graze.
+    ``touches`` are grazes that are allowed: signals touch ends of their ranges there and turn back. The event ``lost``
+    has zero rate; if it is an impact it counts as a graze.
     """
     rates, durations = motion.turn.signals[0, 1], (motion.ends - motion.begins)[0]
     period = 2.0 * math.pi / float(motion.lin.omega[0])
@@ -73,7 +79,7 @@ def first_fault(motion: OrbitMotion, touches: Sequence[Graze] = (), lost: int = 
 
 
 def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
-    """A touch in the turn that begins with the first event, or in its mirror image."""
+    """Return a graze as one in the turn that begins with the first event, or in its mirror image."""
     begin, span = float(motion.begins[0, 0]), float(motion.span[0])
     turns = math.floor((touch.time - begin) / span)
     flips = motion.itinerary.symmetric and turns % 2 != 0
@@ -82,7 +88,7 @@ def _in_turn(motion: OrbitMotion, touch: Graze) -> Graze:
 
 
 def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """A turn of friction that would rather stick."""
+    """Return the fault of friction that turns round but would stick; None if there is no such friction."""
     for event, signal, _ in motion.plan.turning:
         low, high = (float(motion.holding_margin(event, signal, side)[0]) for side in (-1, 1))
         if low > 1e-9 * (low - high) and high < -1e-9 * (low - high):
@@ -91,9 +97,9 @@ def _would_stick(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
-    """A rest in place of chatter whose hops take too long for that, since the load on the stop changes meanwhile.
+    """Return the fault of a rest in place of chatter whose hops last too long; None if there is no such rest.
 
-    The load must change by a share of itself of HOPS at most while they last.
+    While the hops last, the load on the stop may change by the share HOPS of itself at most.
     """
     for k, (_, event) in enumerate(motion.plan.legs):
         if motion.plan.table[k, ACT] != RESTS:
@@ -110,7 +116,7 @@ def _would_hop(motion: OrbitMotion) -> AdmissibilityFault | None:
 
 
 def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
-    """A leg in whose mode a signal is beyond its range from the beginning."""
+    """Return the fault of leg k if a signal is beyond its range in its mode from the beginning; else None."""
     leg, mode = motion.plan.legs[k][0], motion.plan.table[k, MODE]
     signal, side = beyond_range(
         motion.pieces, 0, mode, np.array(leg.begun), motion.turn.states[0, k], _phase(motion, k), 1e-9
@@ -123,7 +129,7 @@ def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
 
 
 def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
-    """The phase of the force some time after the beginning of a leg."""
+    """Return the phase of the force at the time ``later`` after the beginning of leg k."""
     own = motion.lin
     return math.fmod(float(own.tau[0]) + float(own.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi)
 
@@ -131,7 +137,7 @@ def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
 def _of_leg(
     motion: OrbitMotion, k: int, period: float, touches: Sequence[Graze], lost: int
 ) -> AdmissibilityFault | None:
-    """The first fault on a leg before the event at its end."""
+    """Return the first fault on leg k before the event at its end; None if there is no fault."""
     (leg, _), begin, end = motion.plan.legs[k], float(motion.begins[0, k]), float(motion.ends[0, k])
     tolerance = AT_ONCE * period
     if end - begin <= 1e-9 * period:
@@ -164,9 +170,10 @@ def _of_leg(
 
 
 def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[int, int]]:
-    """Signals and ends of the event at the end of a leg, and of all that follow at once: rounding decides their order.
+    """Return the signals and ends of the event at the end of leg k, and of all that follow at once.
 
-    None where the phase changes, or the turn ends without events.
+    Rounding decides the order of these events. The result is empty if the phase changes, or if the turn ends without
+    events.
     """
     legs, (lengths,) = motion.plan.legs, motion.ends - motion.begins
     if legs[k][1] == NO_EVENT and not (k + 1 == len(legs) and motion.itinerary.sides):
@@ -190,14 +197,14 @@ def _near(motion: OrbitMotion, touch: Graze, here: float, period: float) -> bool
 
 
 def _turns_back(motion: OrbitMotion, touch: Graze, period: float) -> bool:
-    """Whether a signal comes nearer to its end before a touch, and leaves it after."""
+    """Return True if a signal comes nearer to its end before a graze, and leaves the end after it."""
     times = touch.time + NEAR_TOUCH * period * np.array([[-1.0, 1.0]])
     _, (_, rates, _, _) = motion.states_at(times, touch.signal)
     return bool(touch.side * rates[0, 0] > 0.0 > touch.side * rates[0, 1])
 
 
 def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
-    """About when a signal, beyond its end since the time of a fault, turns back, if within the leg."""
+    """Return about when a signal that is beyond its end since a fault turns back; None if beyond the leg."""
     k = int(np.searchsorted(motion.begins[0], reason.time, side="right")) - 1
     s = np.linspace(reason.time, float(motion.ends[0, max(k, 0)]), 402)[1:-1]
     _, (_, rates, _, _) = motion.states_at(s[None], reason.signal)
@@ -206,7 +213,7 @@ def peak_of(motion: OrbitMotion, reason: AdmissibilityFault) -> float | None:
 
 
 def name_of_touch(motion: OrbitMotion, touch: Graze) -> str:
-    """The name of the event at which a signal touches an end of its range."""
+    """Return the name of the event at which a signal touches an end of its range."""
     k = int(np.searchsorted(motion.begins[0], _in_turn(motion, touch).time, side="right")) - 1
     code = motion.plan.legs[max(k, 0)][0].code
     contact, friction = touch.signal // SIGNALS, touch.signal - SIGNALS * len(code.contacts)

@@ -1,10 +1,11 @@
-"""Orbits beyond an event at which contacts or slides change though nothing jumps.
+"""Continuation of branches and curves past events at which the itinerary changes but the motion does not jump.
 
-The orbit of the event solves its own equations on both sides of it. Where it is not admissible there, the motion from
-its section state passes the events of the orbit that takes its place, to first order at their times. Newton's method
-then finds that orbit, with the conditions of a curve if it is one, at the parameters at which its events have these
-distances, on either side: a contact that is released by its force may turn a branch back. A multiplier changes with the
-square root of the depth in a soft contact, so that a curve turns into the curve of grazes there.
+The orbit of the event solves its equations on both sides of the event, but is admissible on one side only. On the other
+side, the motion from its section state passes the events of the orbit that replaces it, at times that are right to
+first order. Newton's method refines that orbit, with the conditions of the curve if there are any. Its parameters are
+those at which the times of its events differ this much from the times at the event. The orbit is sought on either side
+of the event, since a contact that is released by its force may turn a branch back. Near the graze of a soft contact the
+multipliers change with the square root of the depth, so a curve turns into the curve of grazes there.
 """
 
 from collections.abc import Iterator
@@ -51,31 +52,33 @@ CHANGES = (*OF_CONTACTS, STICK_ONSET, STICK_END, GRAZING_SLIDING, "adding_slidin
 """Kinds of events at which an orbit may continue with other contacts or slides."""
 
 OF_MULTIPLIERS = (UNIT, MINUS_ONE, PAIR)
-"""Conditions that take the derivative of the motion to be continuous, and not the motion alone."""
+"""Conditions that need a continuous derivative of the motion, in addition to a continuous motion."""
 
 OFFSETS = (1e-3, 1e-4, 1e-5, 1e-6)
-"""How far from an event, as shares of the window, the orbit beyond is looked for: another event may be near."""
+"""Distances from an event, as shares of the window, at which the orbit beyond is sought: another event may be near."""
 
 CURVE_OFFSETS, CURVE_DEPTH = (1e-2, 1e-3, 1e-4, 1e-5), 1e-2
-"""The same on the curve of a change; and how far from that curve, as a share of that, of its square where multipliers
-are asked for: next to a fold an orbit moves with the square root of parameters."""
+"""Distances from an event along the curve of the change, as shares of the window, and distance from that curve. The
+latter is a share of the former, or of its square if the curve has a condition on multipliers: next to a fold an orbit
+moves with the square root of the parameters."""
 
 SECOND_OFFSET = 0.25
-"""Share of that distance at which it is looked for again, to see how the times of its events depend on it."""
+"""Share of the distance from the event at which the orbit is recorded again: shows how the times of its events change.
+"""
 
 HALVES_TOLERANCE = 1e-2
-"""Share of a turn by which the halves of a symmetric orbit may differ as it is recorded beside its own parameters."""
+"""Share of a turn by which the halves of a symmetric orbit may differ if it is recorded next to its own parameters."""
 
 SAME_PARAMETER, SAME_STATE = 1e-8, 1e-6
-"""Difference of the parameter, in widths of the window, and of section states, relative, of one orbit."""
+"""Maximum difference of the parameter, in widths of the window, and of section states, relative, of equal orbits."""
 
 
 def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
-    """Whether motions near the orbit of an event depend on parameters without a jump or a square root there.
+    """Return True if motions near the orbit of an event depend on the parameters there without a jump or a square root.
 
-    A soft contact without preload is touched and lifted from so, damped or not. Of friction, and of lift-off, it
-    depends on what the motion does next: ``branches`` follows it back to see. A rigid contact or a preload is touched
-    with a square root. A curve of folds, doublings or pairs ends where the derivative jumps too: see ``is_smooth``.
+    This holds at touching and leaving a soft contact without preload, damped or not. A rigid or preloaded contact is
+    touched with a square root. At lift-off and at events of friction it depends on the motion that follows:
+    ``branches`` follows it back to decide. A curve of folds, doublings or pairs also needs ``is_smooth``.
     """
     if event.last not in CHANGES:
         return False
@@ -89,16 +92,16 @@ def is_continuous(equations: ExtendedSystem, event: Event) -> bool:
 
 
 def asks_multipliers(equations: ExtendedSystem) -> bool:
-    """Whether a condition of a curve is on multipliers."""
+    """Return True if a condition of a curve is on multipliers."""
     return any(condition.kind in OF_MULTIPLIERS for condition in equations.conditions)
 
 
 def is_smooth(machine: HybridMachines, event: Event) -> bool:
-    """Whether multipliers are continuous through a change of one machine: not where friction begins to stick at no
-    rate, nor at the graze of a contact, but for a soft one without preload.
+    """Return True if multipliers are continuous through a change of itinerary of one machine.
 
-    Nor at that of a damped one that its force releases: its damper, S = I - c M^-1 r r, acts when the contact begins
-    and not when it ends.
+    They jump where friction begins to stick at zero rate. At the graze of a contact they are continuous only if the
+    contact is soft and has no preload. They also jump at a damped contact that is released by its force. Its damper,
+    with S = I - c M^-1 r r, acts when the contact begins and not when it ends.
     """
     if event.last not in OF_CONTACTS:
         return event.last != GRAZING_SLIDING
@@ -109,8 +112,14 @@ def is_smooth(machine: HybridMachines, event: Event) -> bool:
 
 
 class _NearbyOrbit(NamedTuple):
-    """Where to look beyond an event: the orbit of the event, or one next to it on the curve of its change, at
-    parameters ``values`` (free,); the way (free,) to leave it; and the direction (free,) in which it lies.
+    """An orbit from which to look for the continuation past an event.
+
+    It is the orbit of the event, or a nearby one on the curve of the change.
+
+    orbit   the orbit
+    values  (free,) its parameters
+    away    (free,) step in the parameters to take from it
+    along   (free,) direction of the curve
     """
 
     orbit: Orbit
@@ -120,24 +129,23 @@ class _NearbyOrbit(NamedTuple):
 
 
 def orbits_beyond(equations: ExtendedSystem, event: Event, bounds: Array) -> Iterator[tuple[ExtendedSystem, Array]]:
-    """The orbits that may continue from an event of a branch or a curve, as equations with their solution; the
-    farthest first.
+    """Yield the orbits that may continue a branch or curve past an event, the farthest first.
 
-    bounds (2, free) of the parameters.
+    Each is an extended system with its solution (N,). ``bounds`` (2, free) are the lower and upper parameter bounds.
     """
     for beside in _beside_branch(equations, event) if equations.free == 1 else _beside_curve(equations, event, bounds):
         far, near = (_recorded(equations.family, beside, share, bounds) for share in (1.0, SECOND_OFFSET))
         if far is None or near is None or far.itinerary != near.itinerary:
             continue
         if is_same_sequence(far.itinerary, equations.itinerary):
-            continue  # the orbit that the event ends
+            continue  # the orbit that ends at the event
         solved = _solved(equations, event, beside, far, near)
         if solved is not None and is_within(solved[0].values(solved[1]), bounds):
             yield solved
 
 
 def _beside_branch(equations: ExtendedSystem, event: Event) -> Iterator[_NearbyOrbit]:
-    """The orbit of an event, to be left along the parameter."""
+    """Yield the orbit of an event with each step along the parameter."""
     for share in OFFSETS:
         for side in (1.0, -1.0):
             away = side * share * equations.width
@@ -145,7 +153,7 @@ def _beside_branch(equations: ExtendedSystem, event: Event) -> Iterator[_NearbyO
 
 
 def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """Orbits with the change of an event of a curve, to be left across their own curve."""
+    """Yield orbits on the curve of an event's change, with each step across that curve."""
     values, orbit, contacts, *_ = event.point
     change = ExtendedSystem(equations.family, orbit, event.conditions[-1:], values, equations.width)
     X = change.pack(orbit, contacts[len(contacts) - change.grazes :], values)
@@ -166,9 +174,9 @@ def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
 
 def _at_depth(equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
-    """The orbit so far across the curve of a change that its multipliers meet the condition to first order, if any.
+    """Yield the nearby orbit with the step after which its multipliers meet the condition, to first order.
 
-    Multipliers change with the square root of that distance.
+    Multipliers change with the square root of the length of the step. Yield nothing if there is no such step.
     """
     deep, (condition, *_) = _recorded(equations.family, beside, 1.0, bounds), event.conditions
     same = deep is None or is_same_sequence(deep.itinerary, beside.orbit.itinerary)
@@ -184,7 +192,7 @@ def _at_depth(equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, bou
 
 
 def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
-    """How far the multipliers of an orbit are from a condition on them; NaN where one is infinite."""
+    """Return the distance of the multipliers of an orbit from a condition on them; NaN if a multiplier is infinite."""
     of_turn = multipliers(motion_of(equations.model(values), many_orbits([orbit])))
     if not np.all(np.isfinite(of_turn)):
         return np.nan
@@ -194,7 +202,10 @@ def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit
 
 
 def _recorded(family: Family, beside: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
-    """The orbit of a motion from the section state of an orbit beside it, this share of the way from that."""
+    """Return the orbit recorded along the motion from the section state of a nearby orbit, at a ``share`` of its step.
+
+    Return None if the parameters are out of bounds, the motion cannot be followed, or the symmetry is another one.
+    """
     orbit, here = beside.orbit, beside.values
     values = here + share * beside.away
     if not is_within(values, bounds):
@@ -210,20 +221,23 @@ def _recorded(family: Family, beside: _NearbyOrbit, share: float, bounds: Array)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not passed.itinerary.sides and not orbit.itinerary.sides:
-        return orbit  # which may be symmetric
+        return orbit  # the orbit may be symmetric
     passed = reduce_symmetry(machine, passed, HALVES_TOLERANCE) if orbit.itinerary.symmetric else passed
     return passed if passed.itinerary.symmetric == orbit.itinerary.symmetric else None
 
 
 def is_within(values: Array, bounds: Array) -> bool:
-    """Whether parameters (free,) are within bounds (2, free)."""
+    """Return True if parameters (free,) are within bounds (2, free)."""
     return bool(np.all((bounds[0] <= values) & (values <= bounds[1])))
 
 
 def _solved(
     equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, far: Orbit, near: Orbit
 ) -> tuple[ExtendedSystem, Array] | None:
-    """The orbit next to one as it was recorded beside an event, and ``near`` it at NEARER of the way."""
+    """Return the extended system and solution of an orbit recorded past an event; None if there is no solution.
+
+    ``far`` is the orbit recorded at the end of the step, ``near`` the one at the share SECOND_OFFSET of the step.
+    """
     (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
     own = [
         condition._replace(kappa=event.kappa) if condition.kind == PAIR else condition
@@ -249,12 +263,12 @@ def _solved(
 
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:
-    """Whether two itineraries have the same events and modes, whichever comes first."""
+    """Return True if two itineraries have the same events and modes, from any first event on."""
     return bool(beginnings(one, other))
 
 
 def is_same_event(equations: ExtendedSystem, one: Event, other: Event) -> bool:
-    """Whether two events of any kinds are at one orbit of one parameter."""
+    """Return True if two events of any kinds are at one orbit of one parameter."""
     if np.any(np.abs(one.point.values - other.point.values) > SAME_PARAMETER * equations.width):
         return False
     a, b = (comparison_states(equations.model(e.point.values), many_orbits([e.point.orbit]))[0] for e in (one, other))

@@ -1,9 +1,9 @@
 """Branches of periodic orbits in one parameter, with their events and the branches that leave at them.
 
 Events, at which a test function changes sign on a step, are located as solutions of square systems. A run goes in both
-directions from its start; either ends at the edge of the window, where it closes, where the orbit ceases to be
-admissible, or where it turns into a shorter one. Where the contacts or slides of an orbit change though nothing jumps,
-a branch or a curve continues: the change is an event on it.
+directions from its start. A direction ends at the edge of the window, or where the branch closes. It also ends where
+the orbit ceases to be admissible or turns into a shorter one. If the contacts or slides of an orbit change without a
+jump of the motion, the branch or curve continues, and the change is one of its events.
 """
 
 import math
@@ -35,30 +35,37 @@ from workers.model.oscillator import Array
 EDGE, CLOSED, BUDGET, STALLED, INADMISSIBLE, SHORTER = (
     "edge", "closed", "budget", "stalled", "inadmissible", "shorter_orbit",
 )  # fmt: skip
-"""How a direction ends if not at an event: at the window's edge; as a closed loop; its points are spent; no step
-converges; where the orbit ceases to be admissible, at no event that was found; it became a shorter orbit."""
+"""How a direction ends if it does not end at an event. EDGE: at the edge of the window. CLOSED: as a closed loop.
+BUDGET: its solution points are spent. STALLED: no step converges. INADMISSIBLE: the orbit ceases to be admissible, and
+no event was found there. SHORTER: the orbit became a shorter one."""
 
 RESOLUTION, MAX_POINTS = 0.02, 2000
-"""The longest step as a share of the window; most points of either direction, BUDGET if these are spent."""
+"""Longest step, as a share of the window; maximum number of points of either direction, which then ends with BUDGET."""
 
 MAX_BACK_POINTS = 200
-"""Most points for which an orbit beyond a change of itinerary is followed back to the change."""
+"""Maximum number of points for which an orbit beyond a change of itinerary is followed back to the change."""
 
 MIN_STEP_SHARE = 1e-3
-"""Share of the longest step down to which a step is repeated that went too far, or slid onto another orbit."""
+"""Shortest step, as a share of the longest, to which a step is reduced that went too far or slid onto another orbit."""
 
 DOUBT = 1e-4
-"""Distance from the unit circle within which a multiplier may be on either side: beside a pitchfork it flickers."""
+"""Distance of a multiplier from the unit circle within which it may be on either side: near a pitchfork it flickers."""
 
 NOISE = 1e-6
-"""Share of the largest entry of a null vector up to which another entry, and so its sign, may be rounding."""
+"""Size of an entry of a null vector, as a share of the largest entry, up to which the entry and its sign may be
+rounding."""
 
 OWN_MULTIPLIERS = {UNIT: 1, MINUS_ONE: 1, PAIR: 2}
-"""How many multipliers cross the unit circle at events with these conditions."""
+"""Number of multipliers that cross the unit circle at an event, by the condition of the event."""
 
 
 class BranchRun(NamedTuple):
-    """Points in order, events included; events in order; how each end ends; number of Newton steps.
+    """The result of following a branch or a curve.
+
+    points        solution points in order, events included
+    events        events in order
+    ends          how either end of the branch ends
+    newton_steps  number of Newton steps
 
     Points beyond an event at which the orbit continues with other contacts or slides have another itinerary.
     """
@@ -70,19 +77,22 @@ class BranchRun(NamedTuple):
 
 
 def bounds_of(free: tuple[str, ...], window: Mapping[str, tuple[float, float]]) -> Array:
-    """The bounds (2, free), low and high, of these parameters; ValueError where one has none or none between them."""
+    """Return the bounds (2, free) of these parameters, low and high.
+
+    Raise ValueError if the window lacks a parameter, or if its low bound is not below its high one.
+    """
     for name in free:
         if name not in window or not window[name][0] < window[name][1]:
-            raise ValueError(f"window of {name}: found {window.get(name)}; give (low, high) with low < high")
+            raise ValueError(f"window of {name}: found {window.get(name)}, must be (low, high) with low < high")
     return np.array([window[name] for name in free], dtype=np.float64).T
 
 
 Until = Callable[[Event], bool]
-"""Whether a run ends at an event."""
+"""Predicate on events: a run ends at an event for which it is True."""
 
 
 class BranchStart(NamedTuple):
-    """An orbit to start another branch from: the orbit and the parameter there."""
+    """An orbit from which another branch starts, and the parameter ``value`` there."""
 
     orbit: Orbit
     value: float
@@ -98,18 +108,28 @@ def branch(
     budget: int = MAX_POINTS,
     until: Until | None = None,
 ) -> BranchRun:
-    """The branch of an orbit of a family with one free parameter, in both directions from ``value``.
+    """Return the branch of an orbit of a family with one free parameter, in both directions from ``value``.
 
-    Pseudo-arclength in state, times and the parameter. Events are folds, symmetry breakings, period doublings,
-    Neimark-Sacker points, and where the orbit of one itinerary ceases to exist: grazes, lost impacts, changes of stick.
-    There the branch continues with another itinerary if that is continuous, or ends.
-    Each direction ends at the first event for which ``until`` is true.
-    Raises ValueError, in one line, for flight after an impact with R = 0, and for a start that has no orbit nearby, is
-    outside of the window, not admissible, or a shorter or symmetric orbit repeated.
+    The branch is followed by pseudo-arclength in state, times and the parameter. Its events are folds, symmetry
+    breakings, period doublings, Neimark-Sacker points, and changes of itinerary: grazes, lost impacts, changes of
+    stick. At a change of itinerary the branch continues with another itinerary if the motion depends continuously on
+    the parameter, else it ends.
+
+    family      machines over one free parameter
+    orbit       orbit near the one to start from
+    value       parameter of the start
+    window      (low, high) of the parameter
+    resolution  longest step, as a share of the window
+    budget      maximum number of points of either direction
+    until       predicate: either direction ends at the first event for which it is True
+
+    Raise ValueError, in one line, for flight after an impact with R = 0, and if there is no orbit near the start. Also
+    raise ValueError if the start lies outside the window, is not admissible, or is a shorter or symmetric orbit
+    repeated.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))
     if not window[0] <= value <= window[1]:
-        raise ValueError(f"{family.free[0]}: found {value:g}, the branch is followed in {window[0]:g}..{window[1]:g}")
+        raise ValueError(f"{family.free[0]}: found {value:g}, must be in {window[0]:g}..{window[1]:g}")
     values = np.array([value])
     equations = ExtendedSystem(family, orbit, (), values, bounds[1] - bounds[0])
     row = np.eye(1, len(equations.scale), equations.states)[0] / equations.scale
@@ -120,14 +140,18 @@ def branch(
 
 
 def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
-    """The doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
+    """Return the doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
-    ``amplitude``: distance along the critical direction, in units of the scale of state and times; ``width`` of the
-    parameter's window. The orbit's other half, or its mirror image, is the same branch in the other direction.
-    Raises ValueError for other events, and where Newton's method finds none.
+    family     machines over one free parameter
+    event      period doubling or symmetry breaking
+    width      width of the parameter's window
+    amplitude  distance along the critical direction, in units of the scale of state and times
+
+    The other half of the orbit, or its mirror image, is the same branch in the other direction. Raise ValueError for
+    other events, and if Newton's method finds no orbit.
     """
     if event.conditions != (Condition(MINUS_ONE),):
-        raise ValueError(f"a branch leaves at symmetry_breaking and period_doubling, not at {event.kind}")
+        raise ValueError(f"event: found {event.kind}, must be symmetry_breaking or period_doubling")
     none, widths, (values, orbit, *_) = np.zeros(0), np.array([width]), event.point
     square = ExtendedSystem(family, orbit, event.conditions, values, widths)
     critical = square.critical(square.pack(orbit, none, values))
@@ -136,30 +160,35 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     whole = double_orbit(orbit, orbit.span(square.model(values)))
     equations = ExtendedSystem(family, whole, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
-    if whole.itinerary.is_cycle:  # times count from the first event, and a turn is as long
+    if whole.itinerary.is_cycle:  # times count from the first event, and so does the length of a turn
         unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
     unit /= np.linalg.norm(unit)
     X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
     solved = solve(equations, X, unit / equations.scale)
     if not solved.converged:
-        raise ValueError(f"Newton's method finds no orbit beside the {event.kind}; try another amplitude")
+        raise ValueError(f"Newton's method finds no orbit near the {event.kind}; try another amplitude")
     return BranchStart(equations.orbit(solved.X), float(equations.values(solved.X)[0]))
 
 
 def follow_both_ways(
     equations: ExtendedSystem, start: Array, bounds: Array, resolution: float, budget: int, until: Until | None
 ) -> BranchRun:
-    """Both directions from a solution ``start`` (N,) of the equations within bounds (2, free) of the parameters,
-    at most ``budget`` points each.
+    """Follow a branch or a curve in both directions from a solution, at most ``budget`` points each.
 
-    ``resolution`` is the longest step, as a share of the window; either direction ends at the first event of which
-    ``until`` is true. ValueError where the orbit to start from is not admissible or another one repeated.
+    equations   extended system of the branch or curve
+    start       (N,) its solution to start from
+    bounds      (2, free) bounds of the parameters
+    resolution  longest step, as a share of the window
+    budget      maximum number of points of either direction
+    until       predicate: either direction ends at the first event for which it is True
+
+    Raise ValueError if the orbit to start from is not admissible or is another orbit repeated.
     """
     first = monitor_point(equations, start)
     if first.fault is not None:
         raise ValueError(f"the orbit to start from is not admissible: {first.fault.reason}")
     if not is_minimal(equations.motion(start)):
-        raise ValueError("the orbit to start from is a shorter or symmetric one repeated: follow that one")
+        raise ValueError("the orbit to start from repeats a shorter or symmetric orbit: start from the latter")
     direction = np.zeros(len(start))
     direction[len(start) - equations.free :] = equations.width
     walks = (PseudoArclength(first.equations, start, resolution, sign * direction) for sign in (1.0, -1.0))
@@ -176,8 +205,12 @@ def follow_both_ways(
 
 
 class _StepOutcome(NamedTuple):
-    """The result of a step: events, points with events included, the end of the direction, if it ends there, and the
-    test functions at the last point.
+    """The result of a step.
+
+    end     how the direction ends; empty if it continues
+    events  events on the step
+    points  solution points, events included
+    after   test functions at the last point
     """
 
     end: str
@@ -194,9 +227,10 @@ def _one_direction(
     until: Until | None,
     goes_on: bool = True,
 ) -> BranchRun:
-    """One of the two directions from a start, whose point comes first; how it ends is the second of both ends.
+    """Follow one of the two directions from a start, whose point ``first`` comes first.
 
-    ``goes_on``: through continuous changes of the itinerary.
+    The end of the direction is the second of the two ends of the result. With ``goes_on`` the branch is followed
+    through continuous changes of the itinerary.
     """
     points, events, end, seen = [first.point], list[Event](), "", first
     begun, steps = walk, 0
@@ -215,12 +249,18 @@ def _one_direction(
             steps += walk.newton_steps + beyond.newton_steps
             points += beyond.points
             end, seen, walk = "", beyond.seen, beyond.walk
-            walk.start = begun.start  # where it may close
+            walk.start = begun.start  # where the branch may close
     return BranchRun(points, events, (CLOSED if end == CLOSED else "", end), steps + walk.newton_steps)
 
 
 class _ContinuedWalk(NamedTuple):
-    """A branch or a curve beyond a change of itinerary: points up to where ``walk`` leaves, and what is seen there."""
+    """A branch or a curve beyond a change of itinerary.
+
+    walk          continuation from there
+    seen          test functions where ``walk`` starts
+    points        solution points from the change up to the start of ``walk``
+    newton_steps  number of Newton steps
+    """
 
     walk: PseudoArclength
     seen: MonitoredPoint
@@ -229,9 +269,10 @@ class _ContinuedWalk(NamedTuple):
 
 
 def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _ContinuedWalk | None:
-    """The branch or curve that continues from an event at which another one ends; None if none is found.
+    """Return the branch or curve that continues past an event at which another one ends; None if no branch is found.
 
-    Nothing jumps if its own orbits, followed back, end at the same orbit of the same parameters.
+    The motion does not jump if the orbits beyond the event, followed back, end at the same orbit of the same
+    parameters.
     """
     for equations, X in orbits_beyond(walk.equations, event, bounds):
         seen = monitor_point(equations, X)
@@ -256,9 +297,12 @@ def _beyond(walk: PseudoArclength, event: Event, bounds: Array) -> _ContinuedWal
 
 
 def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Until | None) -> _StepOutcome | None:
-    """The result of the next step; None if it went too far, or slid onto another orbit, and can be shorter."""
+    """Take the next step and return its result.
+
+    Return None if the step went too far, or slid onto another orbit, and can be repeated with a shorter length.
+    """
     eq, here = walk.equations, walk.X
-    if not walk.advance():  # where a branch meets the orbit that it left the equations are singular
+    if not walk.advance():  # the equations are singular where a branch meets the orbit that it left
         return _meeting(ContinuationStep(eq, here, here)) or _corner(ContinuationStep(eq, here, here))
     there, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
@@ -278,22 +322,24 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
         passage = _meeting(step) or _meeting(ContinuationStep(eq, here, here)) or _StepOutcome(SHORTER)
     else:
         passage = _meeting(step) or _passage(step, seen, after, end, until)
-    if passage.end == INADMISSIBLE and may_repeat:  # it may have slid onto another root of an event
+    if passage.end == INADMISSIBLE and may_repeat:  # the step may have slid onto another root of an event
         return None
     accounted = _accounted_for(seen, passage)
     return accounted if may_repeat else accounted or passage
 
 
 def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcome | None:
-    """The result of a step on a branch whose last point is as stable as events leave it; None where they do not account
-    for all changes: two of one pair of multipliers may change no sign together.
+    """Return the result of a step with a last point that is as stable as its events leave it.
+
+    Return None if the events do not account for all changes of stability. Two multipliers of one pair that change
+    together need not change a sign.
     """
     if before.equations.conditions:
         return passage
     count = before.point.unstable
     for event in passage.events:
         if event.conditions[-1].kind not in OWN_MULTIPLIERS:
-            return passage  # where it ceases a multiplier may be infinite
+            return passage  # a multiplier may be infinite where the orbit ceases
         own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
         if count not in (others, others + own):
             return None
@@ -310,13 +356,13 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
 
 
 def _corner(step: ContinuationStep) -> _StepOutcome:
-    """The end where a branch goes no further: at an event that is lost, or none is known."""
+    """Return the end of a branch that continues no further: an event is lost there, or STALLED."""
     met = nearly_lost(step)
     return _StepOutcome(STALLED) if met is None else _StepOutcome(met.event.kind, (met.event,), (met.event.point,))
 
 
 def _meeting(step: ContinuationStep) -> _StepOutcome | None:
-    """The end where a branch meets the orbit that it left; None where it does not."""
+    """Return the end of a branch at the orbit that it left; None if the branch does not meet that orbit on the step."""
     to = halves_met(step)
     if to is None:
         return None
@@ -327,7 +373,10 @@ def _meeting(step: ContinuationStep) -> _StepOutcome | None:
 def _passage(
     step: ContinuationStep, before: MonitoredPoint, after: MonitoredPoint, end: str, until: Until | None
 ) -> _StepOutcome:
-    """The events of a step and its last point, at which the direction has this ``end``, unless it ends before that."""
+    """Return the events of a step and its last point.
+
+    The direction has this ``end`` at the last point, unless it ends before.
+    """
     events, limit, last = list[LocatedEvent](), math.inf, after.point
     if after.fault is not None:
         ceases = leaving(step, after.fault)
@@ -345,6 +394,6 @@ def _passage(
 
 
 def _ends_pair(equations: ExtendedSystem, event: Event) -> bool:
-    """Whether a curve of pairs on the unit circle ends: beyond kappa = 1 or -1 they are real."""
+    """Return True if a curve of pairs on the unit circle ends at the event: the pairs are real beyond kappa = +-1."""
     pair = bool(equations.conditions) and equations.conditions[0].kind == PAIR
     return pair and any(c.kind == ANGLE and abs(c.kappa) == 1.0 for c in event.conditions)

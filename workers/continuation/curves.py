@@ -21,17 +21,26 @@ def curve(
     resolution: float = RESOLUTION,
     budget: int = MAX_POINTS,
 ) -> BranchRun:
-    """The curve of an event in the plane of a family's two free parameters, in both directions from ``values`` (2,).
+    """Return the curve of an event in two free parameters, in both directions from ``values`` (2,).
 
-    event    one located on a branch, or any Event with conditions, orbit, contact times and kappa near a solution
-    window   bounds of both parameters by name
-    Where an impact is lost, the orbit without it grazes; that orbit is followed, since its multipliers stay finite. The
-    orbit whose friction begins to stick at no rate is followed itself.
-    Its events are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
-    graze_fold and the like, double_graze. It continues through points where the event itself continues, and where the
-    contacts or slides of its orbit change though neither the motion nor, if it asks for multipliers, its derivative
-    jumps. It ends at the window's edge, where it closes, where its orbits cease to be admissible (at another graze), at
-    kappa = 1 or -1, or after ``budget`` points per direction, and the result says which. Raises as ``branch``.
+    family      machines over two free parameters
+    event       an event of a branch, or any Event with conditions, orbit, contact times and kappa near a solution
+    values      (2,) parameters of the event
+    window      bounds of both parameters, by name
+    resolution  longest step, as a share of the window
+    budget      maximum number of points of either direction
+
+    Where an impact is lost, the orbit without the impact grazes. That orbit is followed, since its multipliers stay
+    finite. An orbit whose friction begins to stick at zero rate is followed itself.
+
+    The events of the curve are its points of codimension two: cusp, fold_flip, resonance_1_1 to resonance_1_4,
+    graze_fold and the like, double_graze. The curve continues through points at which the event itself continues. It
+    also continues where the contacts or slides of its orbit change without a jump of the motion; on a curve with a
+    condition on multipliers the derivative must not jump either. It ends at the edge of the window, where it closes,
+    where its orbits cease to be admissible (at another graze), at kappa = 1 or -1, or after ``budget`` points per
+    direction. The result contains the reason.
+
+    Raise ValueError as ``branch``.
     """
     if len(family.free) != 2 or len(event.conditions) != 1:
         raise ValueError(f"a curve needs two free parameters and one condition, found {family.free}, {event.kind}")
@@ -45,16 +54,19 @@ def curve(
     equations = ExtendedSystem(family, orbit, (condition,), values, bounds[1] - bounds[0])
     X = equations.pack(orbit, contacts, np.asarray(values, dtype=np.float64))
     equations = equations.rebordered(X)
-    # the nearest point of the curve: across its tangent as it is known there
+    # the nearest point of the curve: across its tangent at X
     tangent = tangent_at(equations, equations.with_jacobian(X[None])[1][0], np.ones(len(X)))
     solved = solve(equations, X, tangent / equations.scale)
     if not solved.converged:
-        raise ValueError(f"Newton's method finds no {event.kind} there")
+        raise ValueError(f"Newton's method finds no {event.kind} near the given parameters")
     return follow_both_ways(equations, solved.X, bounds, resolution, budget, None)
 
 
 def is_impact_loss(event: Event) -> bool:
-    """Whether an event is where an impact has no speed; a slide that ends at no rate has the same condition."""
+    """Return True if an impact of the event's orbit has zero speed.
+
+    A slide that ends at zero rate has the same condition.
+    """
     condition = event.conditions[0]
     if condition.kind != SPEED:
         return False
@@ -63,7 +75,7 @@ def is_impact_loss(event: Event) -> bool:
 
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
-    """The orbit without an impact whose speed is zero, its graze there, and the time of that."""
+    """Return an orbit without an impact whose speed is zero, the condition of the graze there, and its time (1,)."""
     kept, own = [i for i in range(len(orbit.times)) if i != impact], orbit.itinerary
     ((leg,), time) = own.chains[impact], orbit.times[impact : impact + 1]
     still = (leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0),)

@@ -2,9 +2,10 @@
 
     sign z(L) - z(0) = 0,  r_1(z(0)) = its end,  r_i(z(t_i^-)) = its end
 
-The equations of ``motion`` with the frequency whose period the cycle lasts: no force sees it, so that it is nothing but
-that length. Unknown are the state z(0) just before the first event, the length L of a turn and the times t_2 ... t_m.
-A disturbance along the motion lasts: its multiplier is exactly 1, and no unknown of the section of the first event.
+The equations are those of ``shooting``, with the frequency whose period is the period of the cycle. No force depends on
+the frequency, so that it only determines that length. The unknowns are the state z(0) just before the first event, the
+length L of a turn and the times t_2 ... t_m. A disturbance along the motion lasts: its multiplier is exactly 1, and it
+is no unknown of the section of the first event.
 """
 
 from typing import NamedTuple
@@ -21,13 +22,16 @@ from workers.model.family import OrbitMachines
 from workers.model.oscillator import Array, Rows
 
 FARTHEST = 0.5
-"""Newton's first step at most, relative to the motion and to the length of a turn."""
+"""Maximum length of Newton's first step, relative to the motion and to the length of a turn."""
 
 
 class LimitCycle(NamedTuple):
-    """A cycle: its motion, its period, and ln|mu| of all multipliers but the 1 along it, largest first.
+    """A limit cycle.
 
-    These are -inf where a direction is lost. ``error``: of ln|mu| near 0, by how far the 1 is missed.
+    motion  its motion
+    period  its period
+    logs    ln|mu| of all multipliers but the 1 along the cycle, largest first; -inf if a direction is lost
+    error   error of ln|mu| near 0: the deviation of the multiplier along the cycle from 1
     """
 
     motion: OrbitMotion
@@ -37,8 +41,9 @@ class LimitCycle(NamedTuple):
 
 
 def cycle_near(machine: OrbitMachines, orbit: Orbit) -> LimitCycle | None:
-    """The cycle of one machine near an orbit, whose events begin at time 0; None where Newton's method finds none that
-    is admissible.
+    """Return the cycle of one machine near an orbit whose events begin at time 0.
+
+    Return None if Newton's method finds no admissible cycle.
     """
     itinerary, first = orbit.itinerary, motion_of(machine, many_orbits([orbit]))
     scale = np.concatenate([first.scale()[0], np.repeat(first.span[:, None], len(itinerary.sides), axis=1)], axis=1)
@@ -61,9 +66,9 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> LimitCycle | None:
 
 
 def cycle_through(machine: OrbitMachines, orbit: Orbit) -> LimitCycle:
-    """The cycle of one machine by the events of an orbit as they are, which closes to rounding already.
+    """Return the cycle of one machine with the events of an orbit that closes to rounding already.
 
-    Newton's method finds none where a multiplier is 1: its matrix is singular there.
+    Newton's method cannot find a cycle with another multiplier 1: its matrix is singular there.
     """
     with np.errstate(all="ignore"):
         return _cycle_of(motion_of(machine, many_orbits([orbit])))

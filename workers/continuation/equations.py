@@ -1,4 +1,4 @@
-"""Orbits for which the equations hold; motions of unknowns, or of the times of events alone."""
+"""Motions of orbits from their unknowns, or from the times of their events alone, and checks of the equations."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,47 +15,55 @@ from workers.model.oscillator import Array, Mask
 
 
 def check_orbits(machines: OrbitMachines, itinerary: Itinerary) -> None:
-    """ValueError, in one line, where these equations hold for no machine: see ``admit``."""
+    """Raise ValueError, in one line, if the equations of the itinerary hold for no machine: see ``admit``."""
     for wrong, why in _faults(machines, itinerary):
         if np.all(wrong):
             raise ValueError(why)
 
 
 def admit(machines: OrbitMachines, itinerary: Itinerary) -> Mask:
-    """For which machines (N,) these equations hold: not for false symmetry, rebounds with R = 0, missing stops."""
+    """Return the mask (N,) of machines for which the equations hold.
+
+    They do not hold for false symmetry, rebounds with R = 0, and missing stops.
+    """
     return ~np.any([np.broadcast_to(wrong, machines.omega.shape) for wrong, _ in _faults(machines, itinerary)], axis=0)
 
 
 def _faults(machines: OrbitMachines, itinerary: Itinerary) -> Iterator[tuple[Mask, str]]:
-    """The machines (N,) for which the equations do not hold, with the reasons."""
+    """Yield masks (N,) of machines for which the equations do not hold, each with its reason."""
     unknown = itinerary.periods < (0 if itinerary.sides else 1)
     unknown |= not itinerary.legs and any(side not in (1, -1) for side in itinerary.sides)
     yield np.array(unknown), f"itinerary {itinerary}: sides must be +1 or -1 and periods at least 1"
     even = itinerary.symmetric and itinerary.periods % 2 == 0 and not itinerary.is_cycle
-    yield np.array(even), f"a symmetric orbit takes an odd number of periods, found {itinerary.periods}"
+    yield np.array(even), f"periods of a symmetric orbit: found {itinerary.periods}, must be odd"
     if itinerary.symmetric:
         uneven = "a symmetric orbit needs equal stops, odd harmonics only, no constant load and no moving belt"
         yield ~machines.mirrored, uneven
     if unknown:
         return
-    slow = "this orbit leaves a stop at once after an impact without rebound, where others rest"
+    slow = "this orbit leaves a stop at once after an impact without rebound, instead of resting"
     reached = plan_of(machines, itinerary).reached
     rebounds = reached[reached[:, ACT] == REBOUNDS]
     for signal, end in {(signal, end) for signal, end in rebounds[:, [SIGNAL, END]].tolist()}:
         contact, name = signal // SIGNALS, ("lower", "upper")[end]
-        yield machines.elements.R[:, contact] <= 0.0, f"R = 0: {slow}; take R > 0"
+        yield machines.elements.R[:, contact] <= 0.0, f"R: found 0, must be positive: {slow}"
         stop = machines.elements.stops[:, contact, end]
-        yield ~np.isfinite(stop), f"an impact at the {name} stop, which is not there: b_{name} = {abs(stop[0])}"
+        yield (
+            ~np.isfinite(stop),
+            f"b_{name}: found {abs(stop[0])}, must be finite: the orbit has impacts at the {name} stop",
+        )
 
 
 def at_lengths(machines: OrbitMachines, itinerary: Itinerary, lengths: Array) -> OrbitMachines:
-    """Machines without a force, of such a frequency that turns of this itinerary have these lengths (N,): nothing in
-    them depends on it."""
+    """Return machines without a force with frequencies at which turns of this itinerary have these lengths (N,).
+
+    Nothing else in the machines depends on the frequency.
+    """
     return replace(machines, omega=2.0 * np.pi * itinerary.turn / lengths, known=machines.known)
 
 
 def motion_of_unknowns(machines: OrbitMachines, itinerary: Itinerary, X: Array) -> OrbitMotion:
-    """Motions of unknowns X (N, ...), of which states and times come first; see ``Orbit.unknown_times``."""
+    """Return the motions of unknowns X (N, ...), of which states and times come first; see ``Orbit.unknown_times``."""
     size = machines.dimension
     start, times = np.split(X[:, : size + len(itinerary.sides)], [size], axis=1)
     if itinerary.is_cycle:
@@ -65,9 +73,9 @@ def motion_of_unknowns(machines: OrbitMachines, itinerary: Itinerary, X: Array) 
 
 
 def motion_of(machines: OrbitMachines, orbits: Orbit) -> OrbitMotion:
-    """Motions with events at the times of a record of many orbits, and the states that solve the equations best.
+    """Return the motions of a batch of orbits: events at their times, and the states that solve the equations best.
 
-    For given times these are linear in the state, 2n + m equations for 2n numbers.
+    For given times these equations are linear in the state, 2n + m equations for 2n numbers.
     """
     times, size = np.ascontiguousarray(orbits.times), machines.dimension
     if orbits.itinerary.is_cycle:

@@ -1,10 +1,10 @@
 """Equilibria of machines without a force along a parameter, in closed form, and their Hopf points.
 
-In its mode the flow is linear, x'' = A x + B x' + a, and what rigid contacts hold is at their stops, G x = s:
+In its mode the flow is linear, x'' = A x + B x' + a, and sticking rigid contacts are at their stops, G x = s:
 
     [A; G] x = [-a; s],  x' = 0;    exponents: the eigenvalues of [[0, 1], [A, B]] where G x = G x' = 0
 
-The sliding velocity decides the segment of a friction law, the depth the segment of a spring or soft contact: an
+The sliding velocity decides the segment of a friction law, the depth the segment of a spring or soft contact. An
 equilibrium continues from segment to segment, and its exponents jump there.
 """
 
@@ -26,23 +26,29 @@ from workers.model.system import System
 from workers.orbit.recorded_legs import mode_code_of_state
 
 HOPF, FOLD, BORDER = "hopf", "fold", "border"
-"""Kinds of events: a pair of exponents crosses the imaginary axis; one exponent crosses 0; the equilibrium ends, since
-contacts or friction have no mode in which it continues."""
+"""Kinds of events. HOPF: a pair of exponents crosses the imaginary axis. FOLD: one exponent crosses 0. BORDER: the
+equilibrium ends, since contacts or friction have no mode in which it continues."""
 
 OF_EQUILIBRIA = HOPF, FOLD, BORDER
 
-HELD = "friction holds it, as one equilibrium of a continuum, which is no branch"
+HELD = "found one of a continuum of equilibria at which friction sticks, must be an isolated equilibrium"
 
 MAX_MODES = 200
-"""Modes that are tried for an equilibrium."""
+"""Maximum number of modes that are tried for an equilibrium."""
 
 HALVINGS = 60
-"""Halvings of a step that locate an event: to rounding."""
+"""Number of halvings of a step that locate an event to rounding."""
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium at parameters (free,): its mode, its state (2n,), its exponents per unit of time, fastest growth
-    first, and the frequency of the machine's natural period."""
+    """An equilibrium of a machine.
+
+    values     (free,) parameters
+    code       mode of the equilibrium
+    state      (2n,) its state
+    exponents  exponents per unit of time, fastest growth first
+    omega      frequency of the machine's natural period
+    """
 
     values: Array
     code: ModeCode
@@ -52,25 +58,31 @@ class Equilibrium(NamedTuple):
 
     @property
     def unstable(self) -> int:
-        """The number of exponents that grow."""
+        """Number of exponents that grow."""
         return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
-        """The equilibrium as a point of a branch: an orbit without events, with multipliers over a natural period."""
+        """Return the equilibrium as a solution point.
+
+        Its orbit has no events, and its multipliers are those over a natural period.
+        """
         lost = np.zeros(len(self.state) - len(self.exponents))
         multipliers = np.concatenate([np.exp(self.exponents * 2.0 * np.pi / self.omega), lost])
         return SolutionPoint(self.values, _orbit(self.code), np.zeros(0), multipliers, unstable)
 
 
 class EquilibriumBranch(NamedTuple):
-    """A branch of equilibria as any other, and the states (N, 2n) of its points."""
+    """A branch of equilibria: ``run`` as of any other branch, and the ``states`` (N, 2n) of its points."""
 
     run: BranchRun
     states: Array
 
 
 def equilibrium_of(system: System, values: Mapping[str, float], state: Array) -> Orbit:
-    """The equilibrium whose state (2n,) a cell has, as an orbit without events. ValueError where friction holds it."""
+    """Return the equilibrium of a cell with state (2n,), as an orbit without events.
+
+    Raise ValueError if friction that sticks keeps the machine there.
+    """
     code = mode_code_of_state(machine_of(system, values).elements, state)
     if 0 in code.slips:
         raise ValueError(HELD)
@@ -78,12 +90,12 @@ def equilibrium_of(system: System, values: Mapping[str, float], state: Array) ->
 
 
 def is_equilibrium(orbit: Orbit, system: System) -> bool:
-    """Whether an orbit of a system is an equilibrium: nothing moves where no event ever comes and no force acts."""
+    """Return True if an orbit of a system is an equilibrium: it has no events, and no force acts on the system."""
     return system.definition.unforced and not orbit.itinerary.sides
 
 
 def code_of(orbit: Orbit) -> ModeCode:
-    """The mode of an equilibrium."""
+    """Return the mode of an equilibrium."""
     return orbit.itinerary.chains[0][0].code
 
 
@@ -93,8 +105,10 @@ def _orbit(code: ModeCode) -> Orbit:
 
 
 def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibrium | None:
-    """The equilibrium at parameters (free,), in this mode or in one that leads on from it; None where
-    there is none without friction that sticks, or that turns round."""
+    """Return the equilibrium at parameters (free,), in the given mode or in a mode that leads on from it.
+
+    Return None if there is no equilibrium without friction that sticks or turns round.
+    """
     lin = family.model(values[None])
     own, tried, signs = lin.elements, set[ModeCode](), np.sign(code.slips)
     rigid = own.soft[0] == 0.0
@@ -127,8 +141,11 @@ def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibri
 
 
 def _mode_at(code: ModeCode, shown: ModeCode, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> ModeCode:
-    """The mode of an equilibrium that was solved in one mode: laws decide; a rigid contact is held if beyond its stop,
-    and released if it would have to pull."""
+    """Return the mode of an equilibrium that was solved in the mode ``code``.
+
+    Laws decide the segments. A rigid contact sticks if its displacement is beyond its stop, and opens if it would have
+    to pull.
+    """
     contacts = list(shown.contacts)
     for c in np.flatnonzero(rigid).tolist():
         value, (low, high), held = signals[SIGNALS * c], ends[SIGNALS * c], code.contacts[c]
@@ -143,10 +160,17 @@ def _mode_at(code: ModeCode, shown: ModeCode, rigid: NDArray[np.bool_], signals:
 def equilibria(
     family: Family, orbit: Orbit, value: float, window: tuple[float, float], *, resolution: float = RESOLUTION
 ) -> EquilibriumBranch:
-    """The branch of the equilibrium at a value of a family's one free parameter, in both directions, with its events.
+    """Return the branch of an equilibrium in a family's one free parameter, in both directions, with its events.
 
-    They are located to rounding: Hopf points, folds where an exponent crosses 0, also where these jump from one segment
-    of a law to the next, and where the equilibrium ends. ValueError where there is none, or friction holds it.
+    family      machines over one free parameter
+    orbit       the equilibrium, see ``equilibrium_of``
+    value       parameter of the start
+    window      (low, high) of the parameter
+    resolution  longest step, as a share of the window
+
+    Events are located to rounding. They are Hopf points, folds at which an exponent crosses 0, and the end of the
+    equilibrium. Hopf points and folds may lie where exponents jump from one segment of a law to the next. Raise
+    ValueError if there is no equilibrium, or if friction that sticks keeps the machine there.
     """
     bounds = bounds_of(family.free, dict.fromkeys(family.free, window))[:, 0]
     first = equilibrium_near(family, np.array([value]), code_of(orbit))
@@ -170,7 +194,7 @@ def equilibria(
 
 
 def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, SolutionPoint, str]]:
-    """The equilibria on the way over values, with their points and the kinds of their events."""
+    """Yield the equilibria along ``values``, with their solution points and the kinds of their events."""
     here = first
     for value in values.tolist():
         there = equilibrium_near(family, np.array([value]), here.code)
@@ -190,7 +214,7 @@ def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tupl
 def _halved(
     family: Family, here: Equilibrium, there: Equilibrium | None, value: float
 ) -> tuple[Equilibrium, Equilibrium | None]:
-    """The first change of stability on a step: the last equilibrium before it, and the next one, None if it ends."""
+    """Return the last equilibrium before the first change of stability on a step, and the next one, None if it ends."""
     for _ in range(HALVINGS):
         middle = 0.5 * (here.values + value)
         if middle[0] in (here.values[0], value):
@@ -204,7 +228,7 @@ def _halved(
 
 
 def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:
-    """The point of an event: at a Hopf point the length of the orbit is that of the cycle which begins there."""
+    """Return the solution point of an event. At a Hopf point its orbit has the length of the cycle beginning there."""
     point = equilibrium.point(unstable)
     if not frequency:
         return point

@@ -1,4 +1,4 @@
-"""The orbit without an event that is lost."""
+"""Orbits without an event that is lost."""
 
 import math
 
@@ -7,11 +7,11 @@ import numpy as np
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 
 LOST_AT_ONCE = 3
-"""Events that an orbit may lose together: a soft contact is reached, pushes no more, and opens."""
+"""Maximum number of events that an orbit may lose together: a soft contact is reached, pushes no more, and opens."""
 
 
 def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
-    """The same orbit from its event k on."""
+    """Return the same orbit from its event k on."""
     (sides, periods, symmetric, legs), sign = orbit.itinerary, orbit.itinerary.sign
     turned = tuple(sign * side for side in sides[:k])
     itinerary = Itinerary(sides[k:] + turned, periods, symmetric, legs[k:] + orbit.itinerary.legs_after(0, sign)[:k])
@@ -20,14 +20,14 @@ def rotated(orbit: Orbit, k: int, span: float) -> Orbit:
 
 
 def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, float] | None:
-    """The orbit without an event, and without others at the same time if its mode returns only after them.
+    """Return the orbit without an event, and without others at the same time if its mode returns only after them.
 
-    With the leg that began with the event, whose signal grazes instead, and the time of the graze. None if the rest is
-    no orbit.
+    Also return the leg that began with the event, whose signal grazes instead, and the time of the graze. Return None
+    if the remaining events are no orbit.
     """
     m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):
-        place = int(m > count)  # an event is left before the lost ones
+        place = int(m > count)  # an event remains before the lost ones
         for first in range(event - count + 1, event + 1):
             other = rotated(orbit, (first - place) % m, span)
             lost = slice(place, place + count)
@@ -49,12 +49,12 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
 
 
 def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
-    """The legs that end at an event."""
+    """Return the legs that end at an event."""
     return orbit.itinerary.legs[event - 1] if event else orbit.itinerary.legs_after(0, orbit.itinerary.sign)[-1]
 
 
 def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
-    """The orbit without some events; ``before`` are the legs that end at the first of them."""
+    """Return the orbit without some events; ``before`` are the legs that end at the first of these."""
     sides, periods, symmetric, legs = orbit.itinerary
     kept = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
     chain = before + legs[lost][-1][1:]
@@ -64,7 +64,7 @@ def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
 
 
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:
-    """The legs of a turn without events, which begins with the first phase."""
+    """Return the legs of a turn without events, which begins with the first phase."""
     first = next((k for k, leg in enumerate(chain) if leg.code.phase == 0), 0)
     turn = (chain[first:] + chain[:first])[: max(1, len(chain) - 1)]
     return tuple(leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0) for leg in turn)

@@ -1,4 +1,4 @@
-"""Properties of points of branches and curves, and events between two points as solutions of square systems."""
+"""Test functions at points of branches and curves, and events between two points as solutions of square systems."""
 
 import math
 from typing import NamedTuple
@@ -41,17 +41,17 @@ STICK_ONSET, STICK_END, GRAZING_SLIDING, EXCHANGE = "stick_onset", "stick_end", 
 """Kinds of events with one condition."""
 
 ANGLES = {1.0: "resonance_1_1", -1.0: "resonance_1_2", -0.5: "resonance_1_3", 0.0: "resonance_1_4"}
-"""Strong resonances by cos theta."""
+"""Names of the strong resonances by cos theta."""
 
 NEAR_HALVES = 1e-2
-"""Difference of both halves, in radians of the force and relative speeds, below which a branch that stalls meets the
-orbit of half the turn."""
+"""Maximum difference of both halves of an orbit at which a stalled branch counts as meeting the orbit of half the turn.
+The unit is radians of the force for times; speeds are relative."""
 
 SURE = 1e-3
-"""Distance of a multiplier from 1 or -1 within which it is the one of a fold or of a doubling."""
+"""Distance of a multiplier from 1 or -1 within which it is the multiplier of a fold or of a doubling."""
 
 TRIES = 4
-"""Halvings of a step that help to locate where a test function is zero."""
+"""Maximum number of halvings of a step that help to locate the zero of a test function."""
 
 
 BORDERS = (GRAZE, SPEED, ONSET, ENDS, MEETS)
@@ -59,11 +59,13 @@ BORDERS = (GRAZE, SPEED, ONSET, ENDS, MEETS)
 
 
 class SolutionPoint(NamedTuple):
-    """One orbit of a branch or curve, at parameters (free,).
+    """One orbit of a branch or curve.
 
-    contacts (G,)      times of its grazes
-    multipliers (2n,)  of a turn, half of a symmetric orbit; unstable: how many have a modulus above 1, without the
-                       multipliers that the event fixes
+    values       (free,) parameters
+    orbit        the orbit
+    contacts     (G,) times of its grazes
+    multipliers  (2n,) multipliers of a turn, which is half of a symmetric orbit
+    unstable     number of multipliers with a modulus above 1, without the multipliers that the event fixes
     """
 
     values: Array
@@ -74,7 +76,12 @@ class SolutionPoint(NamedTuple):
 
 
 class TestFunction(NamedTuple):
-    """A number that changes sign at an event, as its sign and the logarithm of its modulus; the event's conditions."""
+    """The value of a test function, a number that changes sign at an event.
+
+    sign        sign of the value
+    log         logarithm of its modulus
+    conditions  conditions of the event
+    """
 
     sign: float
     log: float
@@ -82,7 +89,13 @@ class TestFunction(NamedTuple):
 
 
 class MonitoredPoint(NamedTuple):
-    """The test functions at a point, by name; the equations as they are bordered there; why it is not admissible."""
+    """A solution point with its test functions.
+
+    equations  extended system, bordered at the point
+    point      the solution point
+    functions  test functions by name
+    fault      why the orbit is not admissible; None if it is
+    """
 
     equations: ExtendedSystem
     point: SolutionPoint
@@ -91,7 +104,7 @@ class MonitoredPoint(NamedTuple):
 
 
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
-    """The point of unknowns X (N,), and its finite multipliers without the multipliers that the conditions fix."""
+    """Return the solution point of unknowns X (N,), and the finite multipliers not fixed by the conditions."""
     mu = multipliers(equations.motion(X))[0]
     left = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
@@ -105,7 +118,7 @@ def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]
 
 
 def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
-    """The test functions at unknowns X (N,) that solve equations, which are bordered there first."""
+    """Return the test functions at unknowns X (N,) that solve the equations, which are bordered at X first."""
     equations = equations.rebordered(X)
     (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
     kind = own[0].kind if own else None
@@ -131,7 +144,10 @@ def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
 
 
 def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
-    """Why the orbit at unknowns X (N,) is not admissible, its own grazes and lost impacts allowed; None if it is."""
+    """Return why the orbit at unknowns X (N,) is not admissible; None if it is.
+
+    Its own grazes and lost impacts are allowed.
+    """
     if not equations.family.certified:
         return None
     lost = next((c.impact for c in equations.conditions if c.kind == SPEED), -1)
@@ -139,13 +155,13 @@ def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
 
 
 def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
-    """The grazes of a solution."""
+    """Return the grazes of a solution X (N,)."""
     own = (condition for condition in equations.conditions if condition.kind == GRAZE)
     return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), own, strict=True)]
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
-    """The name of an event with these conditions, one or two."""
+    """Return the name of an event with these conditions, one or two."""
     kinds = [condition.kind for condition in conditions]
     if ANGLE in kinds:
         return ANGLES[conditions[kinds.index(ANGLE)].kappa]
@@ -167,7 +183,7 @@ def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
 
 
 def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:
-    """prod (mu_i mu_j - 1) over all pairs of multipliers: zero where one lies on the unit circle."""
+    """Return prod (mu_i mu_j - 1) over all pairs of multipliers: zero if a pair lies on the unit circle."""
     i, j = np.triu_indices(len(others), 1)
     with np.errstate(all="ignore"):
         products = others[i] * others[j]
@@ -188,9 +204,13 @@ def _function(value: float, conditions: tuple[Condition, ...]) -> TestFunction:
 
 
 class Event(NamedTuple):
-    """An event: its kind, its conditions, and the point; kappa = cos theta of a pair on the unit circle, else NaN.
+    """An event of a branch or curve.
 
-    ``last``: the kind of its last condition alone, such as "graze" of a graze_fold that a curve of folds meets.
+    kind        kind of the event
+    conditions  conditions that its orbit meets
+    point       solution point of the event
+    kappa       cos theta of a pair on the unit circle, else NaN
+    last        kind of the last condition alone, such as "graze" of a graze_fold on a curve of folds
     """
 
     kind: str
@@ -201,23 +221,24 @@ class Event(NamedTuple):
 
 
 class LocatedEvent(NamedTuple):
-    """An event at a share of a step."""
+    """An event and the ``share`` of the step at which it lies."""
 
     share: float
     event: Event
 
 
 def sign_changes(before: MonitoredPoint, after: MonitoredPoint) -> list[str]:
-    """The test functions that changed their sign."""
+    """Return the names of the test functions that changed their sign."""
     return [name for name, b in after.functions.items() if before.functions[name].sign * b.sign < 0.0]
 
 
 def locate_event(
     step: ContinuationStep, before: MonitoredPoint, after: MonitoredPoint, name: str, exists: bool = False
 ) -> LocatedEvent | None:
-    """The event at which a test function changed its sign; None at a pole, at a real pair of product 1.
+    """Return the event at which the test function ``name`` changed its sign.
 
-    exists: its orbit has to be admissible, since orbits cease on the step.
+    Return None at a pole, and at a real pair of product 1. With ``exists`` the orbit of the event must be admissible,
+    since orbits cease on the step.
     """
     a, b = before.functions[name], after.functions[name]
     low, high, guess = 0.0, 1.0, 1.0 / (1.0 + math.exp(min(b.log - a.log, 50.0)))
@@ -236,8 +257,10 @@ def locate_event(
 
 
 def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
-    """The symmetry breaking or period doubling at which a branch becomes an orbit of half the turn, of that itinerary;
-    on a curve of grazes too. None on other curves, and where it is not found.
+    """Return the symmetry breaking or period doubling at which a branch becomes an orbit of half the turn.
+
+    ``to`` is the itinerary of that orbit. The search also works on a curve of grazes. Return None on other curves, and
+    if the event is not found.
     """
     eq = step.equations
     own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
@@ -250,9 +273,10 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
 
 
 def halves_met(step: ContinuationStep) -> Itinerary | None:
-    """The itinerary of the orbit of half the turn that is passed on a step: both halves exchange their parts there.
+    """Return the itinerary of the orbit of half the turn that is passed on a step.
 
-    Where no step converged, so that ``here`` is ``there``, the itinerary of the orbit that is nearest.
+    Both halves of the turn exchange their roles there. If no step converged, so that ``here`` is ``there``, return the
+    itinerary of the nearest such orbit. Return None if there is no such orbit.
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:
@@ -269,9 +293,15 @@ def solve_on_step(
     contact: tuple[float, ...] = (),
     exists: bool = False,
 ) -> LocatedEvent | None:
-    """The event with these conditions near a guess, if on the step; ``contact``: the time of a new graze.
+    """Return the event with these conditions near a guess; None if it is not on the step.
 
-    The orbit of one at which orbits cease, its own grazes allowed, has to be admissible.
+    step        step on which the event lies
+    guess       (N,) unknowns near the event
+    conditions  conditions of the event
+    contact     time of a new graze, empty if there is no new graze
+    exists      True if the orbit must be admissible
+
+    At an event at which orbits cease the orbit must be admissible in any case; its own grazes are allowed.
     """
     eq = step.equations
     solved = solution(eq, eq.orbit(guess), conditions, np.append(eq.contacts(guess), contact), guess)
@@ -288,9 +318,9 @@ def solve_on_step(
 
 
 def _has_multiplier(square: ExtendedSystem, X: Array) -> bool:
-    """Whether 1 or -1, as the last condition of a solution has it, is a multiplier of its orbit.
+    """Return True if 1 or -1, as in the last condition of a solution, is a multiplier of its orbit.
 
-    Where friction begins to stick at no rate the equations are singular too, and no multiplier is.
+    If friction begins to stick at zero rate, the equations are singular too, although no multiplier has this value.
     """
     motion, value = square.motion(X), 1.0 if square.conditions[-1].kind == UNIT else -1.0
     return bool(np.min(np.abs(multipliers(motion)[0] - value)) < SURE)
@@ -299,7 +329,10 @@ def _has_multiplier(square: ExtendedSystem, X: Array) -> bool:
 def solution(
     equations: ExtendedSystem, orbit: Orbit, conditions: tuple[Condition, ...], contacts: Array, guess: Array
 ) -> tuple[ExtendedSystem, Array] | None:
-    """The square system of these conditions and its solution near an orbit and the parameters of a guess."""
+    """Return the square system of these conditions, and its solution near an orbit and the parameters of a guess.
+
+    Return None if Newton's method does not converge.
+    """
     values = equations.values(guess)
     square = ExtendedSystem(equations.family, orbit, conditions, values, equations.width)
     X = square.pack(orbit, contacts, values)
@@ -312,7 +345,7 @@ def solution(
 
 
 def event_of(square: ExtendedSystem, X: Array) -> Event:
-    """The event that unknowns X of a square system are."""
+    """Return the event at unknowns X (N,) of a square system."""
     totals = (total for c, total in zip(square.conditions, square.totals, strict=True) if c.kind == PAIR)
     conditions, symmetric, motion = square.conditions, square.itinerary.symmetric, square.motion(X)
     last = name_of(conditions[-1:], symmetric)

@@ -1,9 +1,10 @@
-"""Orbits with conditions on them as one square system: events with one free parameter, curves and points with two.
+"""Extended systems: an orbit with conditions as one square system of equations.
 
     (state, t_1..t_m, contact times, parameters) -> (orbit, conditions)
 
-The residual is exact. Its derivatives by state and times are exact too, all others central differences, so that
-Newton's method still gains six digits or more a step.
+Events have one free parameter; curves and their points have two. The residual is exact. Its derivatives by state and
+times are exact too. All other derivatives are central differences, with which Newton's method still gains six digits or
+more in each step.
 """
 
 import math
@@ -27,30 +28,37 @@ DIFFERENCE = 6e-6
 """Half the length of a central difference, in units of an unknown's scale: about the cube root of rounding."""
 
 CURVED = 1e-4
-"""The same where a second derivative is differenced."""
+"""Half the length of a central difference of a derivative, in units of an unknown's scale."""
 
 FOLLOWS = 4.0
-"""How many times its size counts as one unit of a state: a step is as long as times and parameters make it, from which
-the state follows."""
+"""Size of a state's unit, in multiples of the size of the motion. The length of a step is set by times and parameters,
+from which the state follows."""
 
 REMEMBERED = 8
-"""Oscillators, and motions, that are kept, since one point is asked several things."""
+"""Maximum number of machines, and of motions, in the cache: several properties of one point are computed in turn."""
 
 SAME_EVENT = 1e-2
-"""Share of a turn within which an event of an orbit is that of another one with other events too."""
+"""Share of a turn within which an event of an orbit is identified with an event of another orbit with additional
+events."""
 
 UNIT, MINUS_ONE, PAIR, ANGLE, GRAZE, SPEED, CUSP, ONSET, ENDS, MEETS = (
     "unit", "minus_one", "pair", "angle", "graze", "speed", "cusp", "onset", "ends", "meets",
 )  # fmt: skip
-"""Conditions: a multiplier 1; a multiplier -1; a pair of product 1; of sum 2 kappa; y = stop and y' = 0 at a contact
-time, or another signal at an end of its range; v_i = 0; a fold without curvature; the force that would
-hold friction where it turns round, or the force that holds it where it begins to stick, is its static level; another
-signal reaches an end of its range at an event."""
+"""Conditions. UNIT: a multiplier is 1. MINUS_ONE: a multiplier is -1. PAIR: a pair has product 1. ANGLE: a pair has sum
+2 kappa. GRAZE: y = stop and y' = 0 at a contact time, or another signal touches an end of its range. SPEED: v_i = 0.
+CUSP: a fold without curvature. ONSET: the force that would hold friction where it turns round is at its static level.
+ENDS: the force that holds friction where it begins to stick is at its static level. MEETS: another signal reaches an
+end of its range at an event."""
 
 
 class Condition(NamedTuple):
-    """One condition: its kind, the side of a graze, the event ``impact`` of a speed, the kappa of an angle, and the
-    signal that grazes an end of its range, or that is at one at an event.
+    """One condition on an orbit.
+
+    kind    one of the conditions above
+    side    side of a graze, or end of the range that is reached
+    impact  index of the event
+    kappa   kappa of an angle
+    signal  signal that grazes an end of its range, or that is at an end at an event
     """
 
     kind: str
@@ -63,9 +71,9 @@ class Condition(NamedTuple):
 def conditions_on(
     orbit: Orbit, conditions: tuple[Condition, ...], former: Orbit, span: float
 ) -> tuple[Condition, ...] | None:
-    """Conditions on a former orbit, as conditions on an orbit with other events but about the same times.
+    """Return conditions on the orbit ``former`` as conditions on an orbit with other events but about the same times.
 
-    None where the event of a condition is gone.
+    ``span`` is the length of a turn. Return None if the event of a condition is gone.
     """
     kept, later = [], time_shift(orbit, former, span)
     for condition in conditions:
@@ -80,8 +88,9 @@ def conditions_on(
 
 
 def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
-    """The shift of the times of a former orbit in an orbit with other events too: it brings their events nearest to
-    each other. Times of cycles count from their first event.
+    """Return the shift of the times of ``former`` that brings its events nearest to those of ``orbit``.
+
+    ``span`` is the length of a turn. Only times of cycles are shifted, since they count from the first event.
     """
     if not (orbit.itinerary.is_cycle and former.itinerary.is_cycle):
         return 0.0
@@ -95,8 +104,11 @@ def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:
 
 
 def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Array, Array]:
-    """How far the events of an orbit (m,) are from those of another one (k,), (m, k), in turns, infinite for other
-    kinds of events; and -1 where the one is the mirror image of the other."""
+    """Return the distances (m, k), in turns, of the events of an orbit (m,) from those of another orbit (k,).
+
+    Distances are infinite for events of different kinds. The second result (m, k) is -1 if the one event is compared
+    with the mirror image of the other.
+    """
     turns = (orbit.times[:, None] - (former.times + later)) / span
     flips = np.where(np.round(turns) % 2 == 0, 1, orbit.itinerary.sign)
     alike = flips * np.array(orbit.itinerary.sides)[:, None] == np.array(former.itinerary.sides)
@@ -106,9 +118,15 @@ def _apart(orbit: Orbit, former: Orbit, span: float, later: float) -> tuple[Arra
 class ExtendedSystem:
     """The equations of orbits of one itinerary with conditions, over the free parameters of a family.
 
-    ``scale`` (unknowns,) makes unknowns comparable, ``unit`` (2n + m,) residuals of the orbit; ``width`` (free,) is the
-    scale of the parameters; ``states`` of the unknowns are the state and the times of the orbit. ``at`` takes the
-    vectors that border singular matrices from a solution, and the sum of the pair that is asked for.
+    scale   (unknowns,) scale that makes unknowns comparable
+    unit    (2n + m,) scale of the residuals of the orbit
+    width   (free,) scale of the parameters
+    m       number of events
+    states  number of unknowns that are the state and the times of the orbit
+    grazes  number of contact times among the unknowns
+    free    number of free parameters
+
+    ``rebordered`` sets the vectors that border singular matrices, and the sum of a pair of multipliers, at a solution.
     """
 
     def __init__(
@@ -135,41 +153,41 @@ class ExtendedSystem:
         self.borders = [(np.zeros(1), np.zeros(1))] * len(conditions)
 
     def model(self, values: Array) -> OrbitMachines:
-        """The oscillator at parameters (free,), as the only one of a record of many."""
+        """Return the machine at parameters (free,), as the only row of a batch."""
         return self._model(*values.tolist())
 
     def pack(self, orbit: Orbit, contacts: Array, values: Array) -> Array:
-        """The unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
+        """Return the unknowns (N,) of an orbit with contact times (G,) at parameters (free,)."""
         motion = motion_of(self.model(values), many_orbits([orbit]))
         return np.concatenate([motion.unknowns[0], contacts, values])
 
     def contacts(self, X: Array) -> Array:
-        """The contact times (..., G) of unknowns (..., N)."""
+        """Return the contact times (..., G) of unknowns (..., N)."""
         return X[..., self.states : self.states + self.grazes]
 
     def values(self, X: Array) -> Array:
-        """The parameters (..., free) of unknowns (..., N)."""
+        """Return the parameters (..., free) of unknowns (..., N)."""
         return X[..., X.shape[-1] - self.free :]
 
     def motion(self, X: Array) -> OrbitMotion:
-        """Oscillator, itinerary and impacts of unknowns (N,), as one of many."""
+        """Return the motion of unknowns (N,), as the only row of a batch: machine, itinerary, event times and start."""
         return self._motion(*X.tolist())
 
     def orbit(self, X: Array) -> Orbit:
-        """The orbit of unknowns (N,)."""
+        """Return the orbit of unknowns (N,)."""
         return self.motion(X).orbits.at_rows(0)
 
     def residual(self, X: Array, _: Rows | None = None) -> Array:
-        """All equations (1, equations) at unknowns (1, N), exact."""
+        """Return all equations (1, equations) at unknowns (1, N), exactly."""
         return self._all(X, self.motion(X[0]))
 
     def with_jacobian(self, X: Array, _: Rows | None = None) -> tuple[Array, Array]:
-        """All equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
+        """Return all equations (1, equations) and their derivatives (1, equations, N) at unknowns (1, N)."""
         N = X.shape[1]
         columns = np.arange(0 if self.conditions else N - self.free, N)
         steps = np.diag(DIFFERENCE * self.scale)[columns]
         rows = np.concatenate([X, X + steps, X - steps])
-        # those with other parameters, and one for all with the same
+        # machines of the rows with other parameters, and one machine for all other rows
         places = 1 + np.concatenate([k * len(columns) - 1 - np.arange(self.free)[::-1] for k in (1, 2)])
         lin = self.family.model(self.values(rows[np.append(0, places)]))
         if len(columns) > self.free:
@@ -179,15 +197,16 @@ class ExtendedSystem:
         motion = motion_of_unknowns(lin, self.itinerary, rows)
         base, ahead, behind = np.split(self._all(rows, motion), [1, 1 + len(columns)])
         J = np.zeros((base.shape[1], N))
-        with np.errstate(invalid="ignore"):  # both may be infinite, and Newton's method fails then
+        with np.errstate(invalid="ignore"):  # residuals may be infinite; Newton's method fails then
             J[:, columns] = ((ahead - behind) / (2.0 * DIFFERENCE * self.scale[columns, None])).T
         J[: self.states, : self.states] = motion.linearised()[0]
         J[: self.states, self.states : N - self.free] = 0.0
         return base, J[None]
 
     def rebordered(self, X: Array) -> "ExtendedSystem":
-        """The same equations, bordered with null vectors at X in the directions of the former ones, with the pair of a
-        condition at X.
+        """Return the same equations, bordered with null vectors at X (N,) in the directions of the former ones.
+
+        The sum of the pair of a condition PAIR is taken at X, too.
         """
         renewed, motion = copy(self), self.motion(X)
         renewed.borders, renewed.totals = list(self.borders), list(self.totals)
@@ -202,7 +221,7 @@ class ExtendedSystem:
         return renewed
 
     def _all(self, X: Array, motion: OrbitMotion) -> Array:
-        """All equations (B, equations) at unknowns (B, N), which are these motions."""
+        """Return all equations (B, equations) at unknowns (B, N), whose motions are given."""
         contacts, graze, parts = self.contacts(X), 0, [motion.turn.residuals]
         for i, condition in enumerate(self.conditions):
             if condition.kind == GRAZE:
@@ -222,10 +241,11 @@ class ExtendedSystem:
         return np.concatenate(parts, axis=1)
 
     def _bordered_matrix(self, condition: Condition, motion: OrbitMotion) -> Array:
-        """J_z of a condition on a multiplier where all events are impacts, else DP - z, each in units of the unknowns.
+        """Return the matrix of a condition on a multiplier, in units of the unknowns, to be bordered.
 
-        J_z has no poles where an impact has no speed. Where a soft contact is hardly touched, J_z is nearly singular
-        for any multipliers, and DP is not; but DP of a cycle always has the multiplier 1, and J_1 has not.
+        If all events are impacts, the matrix is J_z, which has no poles where an impact has zero speed. Otherwise it is
+        DP - z: J_z is nearly singular for any multipliers if a soft contact is hardly touched, and DP is not. The
+        matrix of a cycle is always J_z, since DP of a cycle always has the multiplier 1 and J_1 does not.
         """
         z = 1.0 if condition.kind == UNIT else -1.0
         if motion.plan.impacts or motion.itinerary.is_cycle:
@@ -234,12 +254,14 @@ class ExtendedSystem:
         return np.asarray((motion.turn.maps - z * np.eye(len(size))) * size / size[:, None])
 
     def critical(self, X: Array) -> Array:
-        """The direction (states,) of state and times, in units of the scale, in which a multiplier is that of the
-        first condition at unknowns X (N,)."""
+        """Return the direction (states,) of the multiplier in the first condition, at unknowns X (N,).
+
+        The direction is one of state and times, in units of the scale.
+        """
         return self._of_unknowns(self.motion(X), self.rebordered(X).borders[0][1][None])[0]
 
     def _of_unknowns(self, motion: OrbitMotion, along: Array) -> Array:
-        """The direction (B, states) of unknowns that a null vector of ``_bordered_matrix`` is, in units of scale."""
+        """Return the direction (B, states) of a null vector of ``_bordered_matrix``, in units of the scale."""
         if motion.plan.impacts or motion.itinerary.is_cycle:
             return along
         size = self.scale[: motion.start.shape[1]]
@@ -247,7 +269,10 @@ class ExtendedSystem:
         return np.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
     def _solved(self, i: int, motion: OrbitMotion) -> Array:
-        """(w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1): g vanishes where J_z is singular, along w."""
+        """Return (w, g) (B, M + 1) of [[J_z, left], [right, 0]] (w, g) = (0, 1).
+
+        g vanishes where J_z is singular, along w.
+        """
         J = self._bordered_matrix(self.conditions[i], motion)
         size = J.shape[1]
         matrix = np.zeros((len(J), size + 1, size + 1))
@@ -257,7 +282,7 @@ class ExtendedSystem:
         return np.asarray(apply_stacked(np.linalg.solve, right.shape, matrix, right)[..., 0])
 
     def curvature(self, motion: OrbitMotion) -> Array:
-        """The derivative (B,) of a fold's g along its null vector: zero where the fold is a cusp."""
+        """Return the derivative (B,) of a fold's g along its null vector: zero if the fold is a cusp."""
         fold = next(i for i, condition in enumerate(self.conditions) if condition.kind == UNIT)
         along = self._of_unknowns(motion, self._solved(fold, motion)[:, :-1]) * self.scale[: self.states]
         ends = (motion.unknowns + sign * CURVED * along for sign in (1.0, -1.0))
@@ -266,9 +291,10 @@ class ExtendedSystem:
 
 
 def solve(equations: ExtendedSystem, X: Array, row: Array | None = None) -> NewtonResult:
-    """Newton's method from X; ``row`` (N,) is a direction in which nothing changes, where one unknown is free.
+    """Return the result of Newton's method from unknowns X (N,).
 
-    It fails as ``newton``, and where there is no oscillator.
+    ``row`` (N,) is a direction in which nothing changes; it is needed if there is one unknown more than equations. The
+    result has not converged if ``newton`` fails or if there is no oscillator at the parameters.
     """
     try:
         forced = equations.motion(X).forced_sizes

@@ -1,6 +1,6 @@
 """Families of machines over free parameters.
 
-Each field has an axis of N machines in front: a step of Newton's method asks for several machines at once.
+Each field has an axis of N machines in front, since a step of Newton's method needs several machines at once.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,9 +15,11 @@ from workers.results import NO_REASON, REASONS
 
 
 class Family(NamedTuple):
-    """Machines over some free parameters, by name: ``model`` makes N of them of rows of values (N, free).
+    """Machines over some free parameters.
 
-    ``certified``: whether orbits have to be admissible, by certified crossings of the guards.
+    free       names of the free parameters
+    model      function from parameters (N, free) to the N machines
+    certified  True if orbits must be admissible, by certified crossings of the guards
     """
 
     free: tuple[str, ...]
@@ -26,10 +28,14 @@ class Family(NamedTuple):
 
 
 def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]) -> Family:
-    """A system over some of its parameters, the others fixed at ``values`` or at their defaults.
+    """Return the family of a system over some of its parameters.
 
-    Raises KeyError for unknown names, ValueError where a coordinate drifts; its model raises NoOscillatorError where
-    there is none.
+    system  mechanical system
+    values  fixed parameters by name; the others have their defaults
+    free    names of the free parameters
+
+    Raise KeyError for unknown names, and ValueError if a coordinate drifts. The model of the family raises
+    NoOscillatorError at parameters without an oscillator.
     """
     for name in (*values, *free):
         system.parameter(name)
@@ -48,10 +54,10 @@ def family_of(system: System, values: Mapping[str, float], free: tuple[str, ...]
 
 
 def machine_of(system: System, values: Mapping[str, float]) -> OrbitMachines:
-    """The machine of values of parameters, as the only one of a record of many; raises as ``family_of``."""
+    """Return the machine at these parameters as the only row of a batch. Raise errors as ``family_of``."""
     return family_of(system, values, ()).model(np.zeros((1, 0)))
 
 
 def has_images(system: System, values: Mapping[str, float]) -> bool:
-    """Whether the mirror image of each orbit of a machine, half a period later, is one of its orbits too."""
+    """Return True if the mirror image of each orbit of a machine, half a period later, is one of its orbits too."""
     return bool(machine_of(system, values).mirrored[0])

@@ -10,9 +10,10 @@ from workers.model.oscillator import Array, take_one
 
 
 def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
-    """Multipliers (N, 2n) of a turn, the largest modulus first; of symmetric orbits the multipliers of D_G.
+    """Return the multipliers (N, 2n) of a turn, the largest modulus first; for symmetric orbits those of D_G.
 
-    Infinite if an impact has no speed, and exactly 0 in lost directions. Of a cycle all (N, 2n - 1) but the 1 along it.
+    They are infinite if an impact has zero speed, and exactly 0 in lost directions. For a cycle return all (N, 2n - 1)
+    but the 1 along it.
     """
     maps: Array = _across(motion) if motion.itinerary.is_cycle else motion.turn.maps
     values = np.full(maps.shape[:2], np.inf, dtype=np.complex128)
@@ -25,7 +26,7 @@ def multipliers(motion: OrbitMotion) -> NDArray[np.complex128]:
 
 
 def _across(motion: OrbitMotion) -> Array:
-    """The maps (N, 2n - 1, 2n - 1) of a turn of cycles, for disturbances across the motion f.
+    """Return the maps (N, 2n - 1, 2n - 1) of a turn of cycles, for disturbances across the direction f of the motion.
 
     The whole map takes f to itself, so that these maps have all its other multipliers.
     """
@@ -39,7 +40,7 @@ def _across(motion: OrbitMotion) -> Array:
 
 
 def _along(motion: OrbitMotion) -> Array:
-    """The motion f (N, 2n) of cycles just before their first event."""
+    """Return the direction f (N, 2n) of the motion of cycles just before their first event."""
     mode, f = motion.plan.reached[0, MODE], np.empty_like(motion.start)
     for r, start in enumerate(motion.start):
         right_hand_side(take_one(motion.pieces, r), mode, start, harmonics_at(0.0, motion.pieces.waves.shape[3]), f[r])
@@ -47,9 +48,9 @@ def _along(motion: OrbitMotion) -> Array:
 
 
 def error_along(motion: OrbitMotion) -> Array:
-    """How far (N,) the maps of a turn of cycles miss the motion along itself, relative to it.
+    """Return the deviation (N,) of the image of f under the map of a turn of cycles from f itself, relative to f.
 
-    Its multiplier is exactly 1, so that this is an error of the others as well.
+    The multiplier along f is exactly 1, so that this is an error of the other multipliers as well.
     """
     f = _along(motion)
     missed = (motion.turn.maps @ f[..., None])[..., 0] - f
@@ -57,12 +58,13 @@ def error_along(motion: OrbitMotion) -> Array:
 
 
 def pair_near(values: NDArray[np.complex128], total: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Sum and product (N,) of the pair of multipliers (N, 2n) nearest to sum ``total`` (N,) and product 1; its places.
+    """Return sum and product (N,) of the pair of multipliers (N, 2n) nearest to sum ``total`` and product 1.
 
-    Sum and product are smooth also where the pair is real and double, unlike the multipliers themselves.
+    The third result (N, 2) are the indices of the pair. Sum and product are smooth even if the pair is real and double,
+    unlike the multipliers themselves.
     """
     pairs = np.stack(np.triu_indices(values.shape[1], 1), axis=1)
-    with np.errstate(invalid="ignore"):  # infinite ones, where an impact has no speed
+    with np.errstate(invalid="ignore"):  # multipliers are infinite if an impact has zero speed
         sums, products = np.sum(values[:, pairs], axis=2), np.prod(values[:, pairs], axis=2)
     distance = np.abs(sums - total[:, None]) + np.abs(products - 1.0)
     pick = np.argmin(np.where(np.isfinite(distance), distance, np.inf), axis=1)

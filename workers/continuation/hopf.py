@@ -1,8 +1,8 @@
 """Curves of Hopf points of equilibria in two parameters.
 
-On a circle about a point of the curve, as large as a step, the equilibrium changes its stability where the curve
-crosses: there, to rounding, is its next point. No derivative is asked for, so that the curve turns round the corners
-that it has where segments of laws meet.
+The equilibrium changes its stability where the curve crosses a circle about a point of it, with the step as radius. The
+crossing, located to rounding, is the next point. The method needs no derivative, so that the curve can turn round its
+corners at the segments of laws.
 """
 
 import math
@@ -28,13 +28,13 @@ from workers.model.oscillator import Array
 
 ANGLES = 24
 STEP = 2.0 * math.pi / ANGLES
-"""Angle between the points of a circle at which the equilibrium is looked at before a crossing is halved."""
+"""Angle between the points of a circle at which the equilibrium is solved before a crossing is located by halving."""
 
 SHARP = 1e-13
-"""Angle to which a crossing is halved."""
+"""Angle at which the halving of a crossing ends."""
 
 BACK = 0.75 * math.pi
-"""The most that a curve turns by in a step."""
+"""Maximum angle by which a curve turns in a step."""
 
 
 def hopf_curve(
@@ -46,13 +46,19 @@ def hopf_curve(
     resolution: float = RESOLUTION,
     budget: int = MAX_POINTS,
 ) -> BranchRun:
-    """The curve of a Hopf point in the plane of a family's two free parameters, in both directions from values (2,).
+    """Return the curve of a Hopf point in two free parameters, in both directions from ``values`` (2,).
 
-    orbit    the equilibrium there, see ``equilibria.equilibrium_of``
-    window   bounds of both parameters by name
-    Orbits of its points have the length of the cycle that begins there. It ends at the window's edge, where it closes,
-    at a point where a real exponent crosses 0 instead ("fold"), where the equilibrium ends ("inadmissible"), or after
-    ``budget`` points per direction. ValueError where nothing changes around ``values``.
+    family      machines over two free parameters
+    orbit       the equilibrium there, see ``equilibria.equilibrium_of``
+    values      (2,) parameters of the Hopf point
+    window      bounds of both parameters, by name
+    resolution  length of a step, as a share of the window
+    budget      maximum number of points of either direction
+
+    Orbits of its points have the length of the cycle that begins there. The curve ends at the edge of the window, where
+    it closes, or after ``budget`` points per direction. It also ends where a real exponent crosses 0 instead ("fold"),
+    and where the equilibrium ends ("inadmissible"). Raise ValueError if the stability changes nowhere around
+    ``values``.
     """
     walk = _HopfCurveWalk(family, orbit, bounds_of(family.free, window), resolution)
     ways = walk.begin(np.asarray(values, dtype=np.float64))
@@ -72,7 +78,7 @@ class _HopfCurveWalk:
         self.least = 0
 
     def begin(self, values: Array) -> list[float]:
-        """The directions, as angles, in which the curve leaves the point from which it is followed."""
+        """Return the directions, as angles, in which the curve leaves its first point."""
         self.start = (values - self.low) / self.width
         counts = [here.unstable for angle in self._circle() if (here := self._seen(self.start, angle)) is not None]
         if len(set(counts)) < 2:
@@ -81,12 +87,12 @@ class _HopfCurveWalk:
         ways = self._crossings(self.start)
         point = self._point(self.start, ways[0]) if ways else None
         if point is None:
-            raise ValueError("no pair of exponents crosses the imaginary axis there")
+            raise ValueError("no pair of exponents crosses the imaginary axis around the Hopf point")
         self.first = point._replace(values=values)
         return ways
 
     def along(self, angle: float, budget: int) -> tuple[list[SolutionPoint], str]:
-        """The points of one direction, and why it ends."""
+        """Return the points of one direction, and why it ends."""
         here, points = self.start, list[SolutionPoint]()
         while len(points) < budget:
             there = here + self.length * np.array([math.cos(angle), math.sin(angle)])
@@ -118,7 +124,7 @@ class _HopfCurveWalk:
         return [STEP * (k + 0.5) for k in range(ANGLES)]
 
     def _crossings(self, center: Array) -> list[float]:
-        """The angles at which the curve crosses the circle about a place."""
+        """Return the angles at which the curve crosses the circle about a center (2,)."""
         angles = self._circle()
         stable = [self._is_stable(self._seen(center, angle)) for angle in angles]
         return [
@@ -128,7 +134,7 @@ class _HopfCurveWalk:
         ]
 
     def _onward(self, center: Array, angle: float) -> float | None:
-        """The angle nearest to one at which the curve crosses the circle; None where it would turn back."""
+        """Return the angle of the crossing nearest to ``angle``; None if the curve would turn back."""
         ends = [angle - 0.5 * STEP, angle + 0.5 * STEP]
         stable = [self._is_stable(self._seen(center, end)) for end in ends]
         if stable[0] != stable[1]:
@@ -142,7 +148,10 @@ class _HopfCurveWalk:
         return None
 
     def _crossing(self, center: Array, low: float, stable: bool, high: float) -> float:
-        """The angle between two at which the curve crosses, to rounding; the equilibrium is ``stable`` at the first."""
+        """Return the angle of the crossing between two angles, to rounding.
+
+        ``stable`` is the stability at the first angle.
+        """
         while abs(high - low) > SHARP:
             middle = 0.5 * (low + high)
             if self._is_stable(self._seen(center, middle)) == stable:
@@ -152,7 +161,7 @@ class _HopfCurveWalk:
         return high
 
     def _point(self, center: Array, angle: float) -> SolutionPoint | None:
-        """The point of the curve at a crossing; None where no pair of exponents crosses the axis."""
+        """Return the point of the curve at a crossing; None if no pair of exponents crosses the imaginary axis."""
         beside = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
         return self._between(beside, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
@@ -164,7 +173,7 @@ class _HopfCurveWalk:
         return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + place * self.width)
 
     def _at_edge(self, here: Array, there: Array) -> SolutionPoint | None:
-        """The point at which the curve leaves the window between two places; None where it is not found."""
+        """Return the point at which the curve leaves the window between two points; None if it is not found."""
         axis = int(np.argmax(np.maximum(-there, there - 1.0)))
         edge, other = float(np.clip(there[axis], 0.0, 1.0)), 1 - axis
         share = (edge - here[axis]) / (there[axis] - here[axis])

@@ -1,4 +1,4 @@
-"""Itineraries: the events in order, length and modes that stay fixed along a branch."""
+"""Itineraries: the events of an orbit in order, its length and its modes, which stay fixed along a branch."""
 
 import math
 from collections import Counter
@@ -12,19 +12,22 @@ from workers.model.hybrid_modes import FLYING, OPEN, SIGNALS, ModeCode
 from workers.model.oscillator import Array
 
 HIT, MOVES, SLIDES, STICKS = range(4)
-"""What reaches the end of its range: an open contact; another one; friction that slides; friction that sticks."""
+"""What reaches the end of its range: an open contact, another contact, friction that slides, or friction that sticks.
+"""
 
 
 def mirror_sign(signal: int, contacts: int) -> int:
-    """-1 where the mirror image of a motion has minus its signal; 1 of the pushes of its soft contacts."""
+    """Return the factor of a signal under mirroring: -1, but 1 for the pushes of soft contacts."""
     return 1 if signal in range(1, SIGNALS * contacts, SIGNALS) else -1
 
 
 class Leg(NamedTuple):
-    """The flow of a mode from an event, or from where the phase changes, to the next one.
+    """The flow of a mode from an event, or from a change of phase, to the next one.
 
-    begun (G,): how the signals of the mode start, see hybrid.events; signal, side: what reached which end of its range
-    at the event, -1 and 0 where the phase changes.
+    code    the mode
+    begun   (G,) how the signals of the mode start, see hybrid.events
+    signal  signal that reaches an end of its range at the event; -1 if the phase changes
+    side    which end the signal reaches; 0 if the phase changes
     """
 
     code: ModeCode
@@ -34,14 +37,17 @@ class Leg(NamedTuple):
 
     @property
     def mirrored(self) -> "Leg":
-        """The same of the mirror image, see ``mirror_sign``."""
+        """The leg of the mirror image, see ``mirror_sign``."""
         phase, contacts, slips = self.code
         code = ModeCode(phase, tuple(-number for number in contacts), tuple(-number for number in slips))
         begun = tuple(mirror_sign(g, len(contacts)) * number for g, number in enumerate(self.begun))
         return Leg(code, begun, self.signal, mirror_sign(self.signal, len(contacts)) * self.side)
 
     def label(self, before: ModeCode) -> int:
-        """The event as a number, of the other sign in the mirror image: +-1 where the first contact is reached."""
+        """Return the event as a number, which has the other sign in the mirror image.
+
+        It is +-1 if the first contact is reached. ``before`` is the mode before the event.
+        """
         contact, friction = self.signal // SIGNALS, self.signal - SIGNALS * len(before.contacts)
         if friction >= 0:
             return self.side * (1 + 4 * self.signal + (SLIDES if before.slips[friction] else STICKS))
@@ -51,13 +57,14 @@ class Leg(NamedTuple):
 
 
 class Itinerary(NamedTuple):
-    """Events in order, and length.
+    """The events of an orbit in order, and its length.
 
-    sides    (m,) in one turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
-    periods  of the force in the whole orbit; 0 of a cycle without a force, whose length is its own
-    symmetric  a turn is half the orbit
-    legs     from each event to the next one; without events, of the turn; none where all are flights from impact to
-             impact with a lone rigid contact, see ``chains``
+    sides      (m,) labels of the events of a turn, see Leg.label: +1 for an impact at the upper stop, -1 at the lower
+    periods    forcing periods of the whole orbit; 0 for a cycle without a force, whose length is its own
+    symmetric  True if a turn is half the orbit
+    legs       legs from each event to the next one; without events, the legs of the turn
+
+    ``legs`` is empty if all legs are flights from impact to impact with a lone rigid contact, see ``chains``.
     """
 
     sides: tuple[int, ...]
@@ -67,76 +74,83 @@ class Itinerary(NamedTuple):
 
     @property
     def sign(self) -> int:
-        """What the motion is multiplied by from turn to turn: -1 for symmetric orbits, else +1."""
+        """Factor of the motion from turn to turn: -1 for symmetric orbits, else +1."""
         return -1 if self.symmetric else 1
 
     @property
     def chains(self) -> tuple[tuple[Leg, ...], ...]:
-        """``legs``, also where they are left out."""
+        """The legs from each event to the next one, also if ``legs`` is empty."""
         if self.legs:
             return self.legs
         return tuple((Leg(FLYING, (side, 0), 0, side),) for side in self.sides) or ((Leg(FLYING, (0, 0), -1, 0),),)
 
     @property
     def bare(self) -> "Itinerary":
-        """The same with no legs where ``chains`` tells them."""
+        """The same itinerary, with empty ``legs`` if ``chains`` can restore them."""
         other = self._replace(legs=())
         return other if other.chains == self.legs else self
 
     @property
     def is_cycle(self) -> bool:
-        """Whether its length is its own, since no force tells it."""
+        """True for a cycle of a machine without a force, whose length is not given by a force."""
         return self.periods == 0 and bool(self.sides)
 
     @property
     def turn(self) -> float:
-        """The length of a turn in periods of the machine, one of which a whole cycle takes."""
+        """Length of a turn in periods of the machine; a whole cycle takes one of these."""
         return (0.5 if self.symmetric else 1.0) * (self.periods or 1)
 
     def span(self, machines: OrbitMachines) -> Array:
-        """The length (N,) of a turn of machines."""
+        """Return the length (N,) of a turn of machines."""
         length: Array = self.turn * 2.0 * math.pi / machines.omega
         return length
 
     @property
     def sections(self) -> int:
-        """How many sections the whole orbit has: periods of the force, or passages of the rarest event of a cycle."""
+        """Number of sections of the whole orbit: forcing periods, or passages of the rarest event of a cycle."""
         if not self.is_cycle:
             return self.periods
         whole = self.twice if self.symmetric else self
         return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in whole.chains).values())
 
     def impacts(self, side: int) -> int:
-        """How often a stop on this side is reached in the whole orbit."""
+        """Return how often a stop on this side is reached in the whole orbit."""
         hits = [label for label in self.sides if (abs(label) - 1) % 4 == HIT]
         return len(hits) if self.symmetric else sum(label * side > 0 for label in hits)
 
     def legs_after(self, first: int, sign: int) -> tuple[tuple[Leg, ...], ...]:
-        """The legs from an event on, their mirror images for sign -1."""
+        """Return the legs from event ``first`` on; for sign -1 their mirror images."""
         kept = self.legs[first:]
         return kept if sign > 0 else tuple(tuple(leg.mirrored for leg in legs) for legs in kept)
 
     @property
     def twice(self) -> "Itinerary":
-        """Two turns as one: of symmetric orbits the whole of it."""
+        """The itinerary of two turns as one, which is the whole of a symmetric orbit."""
         sides = self.sides + tuple(self.sign * side for side in self.sides)
         legs = self.legs + self.legs_after(0, self.sign)
         return Itinerary(sides, self.periods if self.symmetric else 2 * self.periods, legs=legs)
 
     def repeats(self, k: int, sign: int) -> bool:
-        """Whether each event is the k-th before it, or its mirror image for sign -1, and what follows."""
+        """Return True if each event, and what follows it, equals the k-th event before.
+
+        For sign -1 it equals the mirror image of that event.
+        """
         here, before = (self.sides[k:], self.sides[: len(self.sides) - k])
         same = all(a == sign * b for a, b in zip(here, before, strict=True))
         return same and self.legs_after(k, 1) == self.legs_after(0, sign)[: max(0, len(self.legs) - k)]
 
 
 class Orbit(NamedTuple):
-    """A periodic orbit: times (m,) of its events in one turn after a section, signed speeds (m,) before them.
+    """A periodic orbit: the times and speeds of its events.
 
-    The times alone define it, see ``equations.motion_of``; the speeds distinguish orbits. They are the rates of the
-    signals that reach the end of their range, with the signs of the labels. Times of a cycle are counted from its first
-    event, and ``length`` is that of a turn; NaN where the force tells it. Many orbits of one itinerary are one record
-    with another axis in front of all.
+    itinerary  its events and modes
+    times      (m,) times of the events in one turn after a section; of a cycle, after its first event
+    speeds     (m,) signed speeds before the events
+    length     length of a turn of a cycle; NaN if the force determines it
+
+    The times alone define the orbit, see ``equations.motion_of``; the speeds distinguish orbits. The speeds are the
+    rates of the signals that reach the end of their range, with the signs of the labels. A batch of orbits of one
+    itinerary has another axis in front of all fields.
     """
 
     itinerary: Itinerary
@@ -145,22 +159,22 @@ class Orbit(NamedTuple):
     length: Array = np.array(np.nan)
 
     def at_rows(self, rows: Any) -> "Orbit":
-        """These rows of a record of many, in their order; of a number, that one orbit."""
+        """Return these rows of a batch, in their order; for a number, that one orbit."""
         fields = self.times, self.speeds, np.broadcast_to(self.length, self.times.shape[:1])
         return Orbit(self.itinerary, *(np.take(field, rows, axis=0) for field in fields))
 
     @property
     def unknown_times(self) -> Array:
-        """The times that are unknown: of a cycle the length of a turn in place of the first one, which is 0."""
+        """The times that are unknown. A cycle has the length of a turn in place of the first time, which is 0."""
         if not self.itinerary.is_cycle:
             return self.times
         return np.concatenate([np.asarray(self.length)[..., None], self.times[..., 1:]], axis=-1)
 
     def span(self, machines: OrbitMachines) -> float:
-        """The length of a turn of this one orbit of one machine."""
+        """Return the length of a turn of this one orbit of one machine."""
         return float(self.length if self.itinerary.is_cycle else self.itinerary.span(machines)[0])
 
 
 def many_orbits(orbits: Sequence[Orbit]) -> Orbit:
-    """Orbits of one itinerary as one record."""
+    """Return orbits of one itinerary as one batch."""
     return Orbit(orbits[0].itinerary, *(np.array(fields) for fields in list(zip(*orbits, strict=True))[1:]))

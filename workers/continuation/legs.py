@@ -1,7 +1,7 @@
 """One turn of an orbit over its legs and events, with its tangents, for single shooting.
 
-A turn begins just before its first event, and each leg ends at one, or where the phase changes. States are physical,
-z = (x, v), between legs and in blocks within one. Everywhere N machines of K modes and L legs.
+A turn begins just before its first event. Each leg ends at an event or at a change of phase. States are physical, z =
+(x, v), between legs, and in blocks within a leg. N is the number of machines, K of modes and L of legs.
 """
 
 import math
@@ -27,21 +27,27 @@ from workers.kernel.motion import NOTHING_COUNTED, RUNNING, STATUS, WORK, WORK_O
 from workers.model.hybrid_modes import SIGNALS
 
 MODE, EVENT, SIGNAL, END, ACT, PLAN = range(6)
-"""Of a leg: its mode, by its place; the event at its end, NO_EVENT where the phase changes or the turn ends; the signal
-that reaches an end there, 0 the lower one; and the act of the event on the velocity."""
+"""Columns of a leg in a plan. MODE: index of its mode. EVENT: the event at its end, NO_EVENT if the phase changes or
+the turn ends. SIGNAL: signal that reaches an end there. END: which end, 0 for the lower one. ACT: act of the event on
+the velocity. PLAN: number of columns."""
 
 NO_EVENT = -1
 
 AT_ONCE = 4.0 * float(np.finfo(np.float64).eps)
-"""Rounding of times, as a share of them: turns are added to them and taken off again."""
+"""Rounding of times, as a share of them: turns are added to times and subtracted again."""
 
 NOTHING, REBOUNDS, RESTS, SLOWS = range(4)
-"""Acts of an event on the velocity: nothing; a rigid contact rebounds, or comes to rest; friction begins to stick."""
+"""Acts of an event on the velocity: none, a rigid contact rebounds, a rigid contact comes to rest, friction begins to
+stick."""
 
 
 @kernel
 def fly_leg(modes, k, s, before, after, z, W, h, V):
-    """Take a state z (2n,) and tangents W (m, 2n) on by s in mode k; how the force turns then, see hybrid.turned."""
+    """Advance a state z (2n,) and tangents W (m, 2n) by s in mode k, in place.
+
+    ``before`` and ``after`` are the harmonics of the force at both ends, see hybrid.state.harmonics_at; h and V are
+    scratch arrays.
+    """
     if s != 0.0:
         enter(modes, k, z, W, before, h, V)
         flow_with_tangent(modes.blocks[k, 0], s, h, V)
@@ -50,7 +56,7 @@ def fly_leg(modes, k, s, before, after, z, W, h, V):
 
 @kernel
 def act_on(elements, r, act, signal, z, W):
-    """What an event does to a velocity, and to tangents W (m, 2n), in place."""
+    """Apply an event to a velocity and to tangents W (m, 2n), in place."""
     n = elements.row.shape[2]
     if act in (REBOUNDS, RESTS):
         c = signal // SIGNALS
@@ -68,10 +74,11 @@ def act_on(elements, r, act, signal, z, W):
 
 @kernel
 def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
-    """Take tangents D (m, 2n) at a time through the event at the end of a leg, S w = R w + (f+ - R f-) (r . w) / r'.
+    """Apply the saltation of the event at the end of a leg to tangents D (m, 2n) at a fixed time, in place.
 
-    All is taken where the guard is at its end, next to z if z is not: the map of a turn is smooth off the orbit too,
-    however slowly a contact is reached. P (3, 2n) is room. S = R where friction begins to stick at a rate below least.
+    S w = R w + (f+ - R f-) (r . w) / r'. All terms are taken where the guard is at its end, next to z if z itself is
+    not there. The map of a turn is thus smooth off the orbit too, however slowly a contact is reached. P (3, 2n) is
+    scratch space. S = R if friction begins to stick at a rate below ``minimum``.
     """
     k, g, act, n = plan[leg, MODE], plan[leg, SIGNAL], plan[leg, ACT], len(z) // 2
     row, at, f, late = modes.rows[k, g, : 2 * n], P[0], P[1:2], P[2]
@@ -93,14 +100,18 @@ def saltate(modes, elements, plan, leg, r, omega, z, turn, minimum, D, P):
 
 @kernel
 def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, minimum):
-    """Turns from ``start`` (N, 2n) over events at times t (N, m); plan (L, PLAN): the legs, which end at ends (N, L).
+    """Return the results of turns from ``start`` (N, 2n) over events at times t (N, m).
 
-    signals (N, 3, m)  each guard's value, its rate, and the rate after the event; states (N, L, 2n) where legs begin
-    residuals (N, M)   sign z(end) - start and how far each guard is from its end, M = 2n + m
-    tangents (N, M, M) their derivatives [[sign V, sign U], [Hz, Ht]] by start and times, but for what a later end and
-                       the start itself add to the first rows: -shifts (N, M, M)
-    maps (N, 2n, 2n)   of a turn, of the state at the time of the first event; least (N, m): see saltate
-    A turn begins and ends with its first event, later if that is later; sign is -1 for symmetric orbits.
+    signals    (N, 3, m) value of each guard, its rate, and the rate after the event
+    states     (N, L, 2n) states at which legs begin
+    residuals  (N, M) sign z(end) - start, and distance of each guard from its end, M = 2n + m
+    tangents   (N, M, M) derivatives [[sign V, sign U], [Hz, Ht]] of the residuals by start and times
+    shifts     (N, M, M) see below
+    maps       (N, 2n, 2n) of a turn, of the state at the time of the first event
+
+    plan (L, PLAN) are the legs, which end at ends (N, L). ``tangents`` lack the contribution of a later end and of the
+    start itself to the first rows: -shifts. For ``minimum`` (N, m) see ``saltate``. A turn begins and ends with its
+    first event, later if the event is later; sign is -1 for symmetric orbits.
     """
     (N, m), size, legs = t.shape, start.shape[1], len(plan)
     n, M = size // 2, size + m
@@ -157,10 +168,10 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, min
 
 @kernel
 def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal, mirror, s):
-    """States (N, K, 2n) at times s (N, K), and a signal there, its rate and its ends (4, N, K), in the mode there.
+    """Return the states (N, K, 2n) at times s (N, K), and a signal, its rate and its ends (4, N, K), in the mode there.
 
-    begins (N, L) of the legs of a turn and their states; an event at such a time, to rounding, counts as past.
-    sign and mirror: what states and the signal are multiplied by from turn to turn.
+    ``begins`` (N, L) are the times at which the legs of a turn begin, ``states`` their states. An event at such a time,
+    up to rounding, counts as past. States and signal are multiplied by ``sign`` and ``mirror`` from turn to turn.
     """
     (N, K), legs, size = s.shape, len(plan), states.shape[2]
     moments, values = np.empty((N, K, size)), np.empty((4, N, K))
@@ -194,8 +205,10 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
 
 @kernel
 def event_of_leg(pieces, r, k, z, phase, signal_starts, H):
-    """(time, signal, side) of the first guard that is reached within H from a state z in mode k; signal -1 for none, -2
-    where that is undecidable."""
+    """Return (time, signal, side) of the first guard that is reached within H from a state z in mode k.
+
+    The signal is -1 if no guard is reached, and -2 if that is undecidable.
+    """
     modes, n = row_in(by_reference(pieces), r), len(z) // 2
     h, V, none, tally = np.empty((n, 2)), np.empty((0, n, 2)), np.empty((0, 2 * n)), NOTHING_COUNTED.copy()
     tally[WORK] = WORK_OF_A_TRIAL
@@ -206,7 +219,10 @@ def event_of_leg(pieces, r, k, z, phase, signal_starts, H):
 
 @kernel
 def beyond_range(pieces, r, k, signal_starts, z, phase, share):
-    """(signal, side) of the first one that is beyond its range by a share of its terms in mode k; (-1, 0) for none."""
+    """Return (signal, side) of the first signal that is beyond its range in mode k, by a ``share`` of its terms.
+
+    Return (-1, 0) if no signal is.
+    """
     modes = row_in(by_reference(pieces), r)
     turn = harmonics_at(phase, modes.waves.shape[2])
     for g in range(modes.ends.shape[1]):

@@ -1,4 +1,4 @@
-"""Newton's method on a stack of N problems of one kind; one problem is N = 1."""
+"""Newton's method on a stack of N problems of one kind; a single problem is N = 1."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,21 +11,27 @@ from workers.model.oscillator import Array, Rows
 NEWTON_STEPS = 12
 
 DONE, ROUNDING = 1e-14, 1e-10
-"""Expected distance from the solution at which Newton's method ends; largest step that may be rounding. In units of the
-scale, as all lengths here."""
+"""Expected distance from the solution at which Newton's method ends; longest step that may be rounding. Both are in
+units of the scale, as all lengths in this module."""
 
 BACKWARD = 16.0 * float(np.finfo(np.float64).eps)
-"""Share of its terms' size below which a residual is rounding; steps of ill-conditioned problems are longer then."""
+"""Share of the size of its terms below which a residual is rounding; steps of ill-conditioned problems are longer then.
+"""
 
 UNCERTAIN = 1e-7
-"""Step from which on a solution is not known, even if residuals are rounding: other orbits may be as near."""
+"""Length of a step from which on a solution is not certain, even if residuals are rounding: other orbits may be as
+near."""
 JACOBIAN_REUSE_STEP = 1e-4
-"""Step after which the Jacobian is kept."""
+"""Length of a step up to which the Jacobian is kept."""
 
 
 class NewtonResult(NamedTuple):
-    """Outcomes of Newton's method: unknowns (N, U), Jacobians near them (N, E, U), the number of steps, and a mask of
-    problems that converged (N,). Of one problem without the first axis.
+    """The result of Newton's method; for one problem without the first axis.
+
+    X          (N, U) unknowns
+    jacobian   (N, E, U) Jacobians near them
+    steps      number of steps
+    converged  (N,) mask of problems that converged
     """
 
     X: Array
@@ -43,16 +49,18 @@ def newton(
     farthest: float = 1.0,
     sizes: Array | None = None,
 ) -> NewtonResult:
-    """Newton's method from X (N, U).
+    """Return the result of Newton's method from X (N, U).
 
-    values, with_jacobian  residuals (B, E) at unknowns (B, U) of problems (B,), and their derivatives (B, E, U)
-    scale (N, U)           of the unknowns
-    row (U,)               a direction in which nothing changes, where there is one unknown more than equations
-    farthest               first step from which on no solution is looked for: it would hardly be the one near X
-    sizes (N, E)           of terms of the residuals that no unknown tells, whose rounding they have
-    A Jacobian is kept for a step where the last one gained two digits. A problem ends where its next step would be
-    below DONE, or where steps no longer shrink because steps or residuals are rounding. It fails where steps do
-    not shrink otherwise or stay UNCERTAIN, and at a singular matrix.
+    values         function: residuals (B, E) at unknowns (B, U) of the problems (B,)
+    with_jacobian  function: residuals, and their derivatives (B, E, U)
+    scale          (N, U) scale of the unknowns
+    row            (U,) direction in which nothing changes, if there is one unknown more than equations
+    farthest       length of the first step from which on the search fails: a solution would hardly be the one near X
+    sizes          (N, E) sizes of terms of the residuals that depend on no unknown, for the rounding of residuals
+
+    A Jacobian is kept for a step if the last step gained two digits. A problem ends if its next step would be below
+    DONE, or if steps no longer shrink because steps or residuals are rounding. It fails if steps do not shrink for
+    another reason or stay UNCERTAIN, and at a singular matrix.
     """
     X, last, converged = X.copy(), np.full(len(X), np.inf), np.zeros(len(X), dtype=np.bool_)
     rows, step = np.arange(len(X)), 0
@@ -82,7 +90,7 @@ def newton(
 
 
 def _solved(J: Array, right: Array, row: Array | None, scale: Array) -> Array:
-    """The steps (N, U) of each system, in units of the scale; NaN where it is singular."""
+    """Return the steps (N, U) of each system, in units of the scale; NaN for a singular system."""
     if row is not None:
         J = np.concatenate([J, (row * scale)[:, None]], axis=1)
         right = np.concatenate([right, np.zeros((len(right), 1))], axis=1)

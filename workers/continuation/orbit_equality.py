@@ -10,15 +10,16 @@ from workers.continuation.shooting import OrbitMotion
 from workers.model.oscillator import Array
 
 SAME_ORBIT = 1e-7
-"""Difference of times, in radians of the force, and of speeds, relative, below which two orbits are the same."""
+"""Maximum difference of times, in radians of the force, and of speeds, relative, of equal orbits."""
 
 
 def distance(one: Orbit, other: Orbit, omega: float) -> float:
-    """The largest difference between two orbits at the same parameters, of times in radians of the force and of speeds
-    relative to the fastest impact; over all phases and both mirror images the smallest. Infinite for other itineraries.
+    """Return the distance of two orbits at the same parameters, the smallest over all phases and both mirror images.
 
-    Cycles may begin at any time, and their times count in radians of their own turn. Mirror images are
-    compared for every machine: the image of an orbit is no orbit of a machine that is not symmetric.
+    The distance is the largest difference of times, in radians of the force, and of speeds, relative to the fastest
+    impact. It is infinite for different itineraries. Cycles may begin at any time, and their times count in radians of
+    their own turn. Mirror images are compared for every machine: the image of an orbit is no orbit of a machine that is
+    not symmetric.
     """
     a, b = one.itinerary, other.itinerary
     if (a.periods, a.symmetric, len(a.sides)) != (b.periods, b.symmetric, len(b.sides)):
@@ -36,7 +37,7 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     best, longer = np.inf if m else 0.0, omega * abs(whole - float(one.length)) if a.is_cycle else 0.0
     for mirror, turn in product((1, -1), range(m)):
         if np.array_equal(mirror * np.roll(others, -turn), sides):
-            # whole forcing periods apart, an image half a period more
+            # a whole number of forcing periods, plus a half for mirror images
             later = omega * (times[turn : turn + m] - one.times) - (0.0 if mirror > 0 else np.pi)
             later -= np.mean(later) if a.is_cycle else 2.0 * np.pi * np.round(np.mean(later) / (2.0 * np.pi))
             speeds = mirror * np.roll(other.speeds, -turn) - one.speeds
@@ -45,12 +46,12 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
 
 
 def is_same_orbit(one: Orbit, other: Orbit, omega: float, tolerance: float = SAME_ORBIT) -> bool:
-    """Whether two orbits at the same parameters are the same up to phase and mirror image."""
+    """Return True if two orbits at the same parameters are equal up to phase and mirror image."""
     return distance(one, other, omega) < tolerance
 
 
 def double_orbit(orbit: Orbit, span: float) -> Orbit:
-    """Two turns of length ``span`` of an orbit as one: of a symmetric orbit the whole of it, of others it twice."""
+    """Return two turns of length ``span`` as one orbit: the whole of a symmetric orbit, else the orbit twice."""
     times = np.append(orbit.times, orbit.times + span)
     speeds = np.append(orbit.speeds, orbit.itinerary.sign * orbit.speeds)
     return Orbit(orbit.itinerary.twice, times, speeds, 2.0 * orbit.length)
@@ -58,9 +59,10 @@ def double_orbit(orbit: Orbit, span: float) -> Orbit:
 
 @cache
 def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
-    """The events of an orbit from which on its events and modes are in the order of another itinerary.
+    """Return the events of an orbit from which on its events and modes are in the order of another itinerary.
 
-    Events of the second half of a symmetric orbit are counted on. None where events differ; 0 where there are none.
+    Indices of events in the second half of a symmetric orbit follow those of the first. The result is empty if the
+    events differ, and (0,) if there are no events.
     """
     if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
         return ()
@@ -75,7 +77,7 @@ def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:
 
 
 def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> Orbit:
-    """The same orbit, of turns of length ``span``, from one of its ``beginnings`` on, as one of that itinerary."""
+    """Return the same orbit, of turns of length ``span``, from one of its ``beginnings`` on, with that itinerary."""
     turns, events = np.divmod(first + np.arange(len(orbit.times)), max(1, len(orbit.times)))
     times = orbit.times[events] + turns * span
     speeds = orbit.speeds[events] * np.where(turns % 2 == 0, 1.0, itinerary.sign)
@@ -84,9 +86,9 @@ def begun_with(orbit: Orbit, first: int, itinerary: Itinerary, span: float) -> O
 
 @cache
 def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
-    """The shorter or symmetric orbits whose sides and length allow them to be repeated as this one."""
+    """Return the itineraries of shorter or symmetric orbits that may be repeated as this one, by sides and length."""
     sides, m, shorter = itinerary.sides, len(itinerary.sides), list[Itinerary]()
-    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn, which a cycle has not
+    halves = itinerary.periods * (1 if itinerary.symmetric else 2)  # half periods of a turn; 0 for a cycle
     for parts in (parts for parts in range(2, m + 1) if m % parts == halves % parts == 0):
         k, length = m // parts, halves // parts
         for sign in (1, -1):
@@ -98,7 +100,10 @@ def reductions(itinerary: Itinerary) -> tuple[Itinerary, ...]:
 
 
 def difference(motion: OrbitMotion, to: Itinerary) -> Array:
-    """How one orbit differs from a shorter one repeated: (m,) times in radians of the force, (m,) speeds, relative."""
+    """Return the differences (2m,) of an orbit from a shorter one repeated: of times, then of speeds.
+
+    Times are in radians of the force; speeds are relative to the fastest one.
+    """
     itinerary, t, v, _ = motion.orbits.at_rows(0)
     k, span = len(to.sides), motion.span[0]
     later = np.concatenate([t[k:], t[:k] + span]) - t - span / (len(t) // k)
@@ -107,12 +112,12 @@ def difference(motion: OrbitMotion, to: Itinerary) -> Array:
 
 
 def is_minimal(motion: OrbitMotion) -> bool:
-    """Whether an orbit is no repetition of a shorter orbit that its itinerary allows."""
+    """Return True if an orbit is no repetition of a shorter orbit that its itinerary allows."""
     return all(np.max(np.abs(difference(motion, to))) > SAME_ORBIT for to in reductions(motion.itinerary))
 
 
 def reduce_orbit(orbit: Orbit, to: Itinerary) -> Orbit:
-    """The shorter or symmetric orbit next to one that is nearly that orbit repeated."""
+    """Return the shorter or symmetric orbit next to an orbit that is nearly that orbit repeated."""
     k = len(to.sides)
     length = orbit.length * k / len(orbit.times)
     return Orbit(to, orbit.times[:k].copy(), orbit.speeds[:k].copy(), length)

@@ -1,4 +1,4 @@
-"""The events and modes of an orbit, recorded along its motion."""
+"""Orbits recorded along a motion: the events and modes of its turn."""
 
 from collections.abc import Sequence
 
@@ -11,22 +11,28 @@ from workers.model.oscillator import Array
 from workers.orbit.recorded_legs import RecordedLeg, record_legs
 
 ALIKE, ASKED = 1e-6, 1e-2
-"""Share of a turn by which the events of both halves may differ and be mirror images; the same of an orbit that is said
-to be symmetric."""
+"""Share of a turn by which the events of both halves may differ and still be mirror images, in general and for an orbit
+that is known to be symmetric."""
 
 
 def record_orbit(
     machine: OrbitMachines, state: Array, periods: int, symmetric: bool = False, cycle: float | None = None
 ) -> Orbit:
-    """The orbit of one machine as its events are passed in some periods from a physical section state; or in the
-    period of a ``cycle`` without a force from any of its states.
+    """Return the orbit of one machine whose events occur in some periods from a physical section state.
 
-    A symmetric one where the second half is the mirror image of the first. ValueError where it cannot be followed.
+    machine    the machine
+    state      (2n,) physical section state; of a cycle, any of its states
+    periods    forcing periods of the orbit
+    symmetric  True if the orbit is known to be symmetric
+    cycle      period of a cycle without a force; None for an orbit with a force
+
+    The orbit is symmetric if its second half is the mirror image of the first. Raise ValueError if the motion cannot be
+    followed.
     """
     state = state - machine.rest[0]
     if cycle is not None:
         return reduce_symmetry(machine, _cycle(machine, state, cycle), ASKED if symmetric else ALIKE)
-    phases = machine.elements.starts.shape[1] > 2  # the section is nothing to a machine without them
+    phases = machine.elements.starts.shape[1] > 2  # without phases, the section is no event
     motions = record_legs(machine.oscillators, state, periods)
     if not phases and all(motion.code == FLYING for motion in motions):
         motions = _between_impacts(machine, state, periods)
@@ -41,8 +47,10 @@ def record_orbit(
 
 
 def _between_impacts(machine: OrbitMachines, state: Array, periods: int) -> list[RecordedLeg]:
-    """The impacts of flights in some periods from the middle of the longest flight of the first one on, in order of
-    their phase, after the start. Of an impact at the section itself rounding would count none or two.
+    """Return the impacts of flights in some periods, in order of their phase, after the start.
+
+    The periods begin in the middle of the longest flight of the first period. Otherwise rounding could count an impact
+    at the section twice or not at all.
     """
     start, *motions = record_legs(machine.oscillators, state, periods + 1)
     period = 2.0 * np.pi / float(machine.omega[0])
@@ -54,13 +62,16 @@ def _between_impacts(machine: OrbitMachines, state: Array, periods: int) -> list
 
 
 def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
-    """A cycle from the event after its longest leg on, in whose middle it is cut: it may not close quite yet."""
+    """Return a cycle from the event after its longest leg on.
+
+    The recorded motion is cut in the middle of that leg, since it may not close exactly yet.
+    """
     own = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
     motions = [motion for motion in record_legs(own.oscillators, state, 3) if motion.signal >= 0]
     times = np.array([motion.time for motion in motions])
     lengths = np.diff(times)[: np.sum(times < 1.5 * period)]
     if not len(lengths):
-        raise ValueError(f"nothing happens in {period:g} units of time, the period of the cycle")
+        raise ValueError(f"no event occurs in {period:g} units of time, the period of the cycle")
     longest = int(np.argmax(lengths))
     ends = 0.5 * (times[longest] + times[longest + 1]) + period
     turn = [
@@ -72,7 +83,13 @@ def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
 
 
 def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int, length: float = np.nan) -> Orbit:
-    """The orbit of a turn from its first event on, in a mode until then; of periods 0 a cycle of a length."""
+    """Return the orbit of a turn of legs, which begins with an event.
+
+    turn     recorded legs of the turn
+    before   mode before the first event
+    periods  forcing periods of the orbit; 0 for a cycle
+    length   length of a cycle
+    """
     chains, sides, times, speeds = list[list[Leg]](), list[int](), list[float](), list[float]()
     for motion in turn:
         leg = Leg(motion.code, motion.begun, motion.signal, motion.side)
@@ -88,7 +105,7 @@ def orbit_from_turn(turn: Sequence[RecordedLeg], before: ModeCode, periods: int,
 
 
 def reduce_symmetry(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) -> Orbit:
-    """The half of an orbit of one machine whose other half is its mirror image; else the orbit itself.
+    """Return the half of an orbit of one machine whose other half is its mirror image; else the orbit itself.
 
     Times of events of both halves may differ by the share ``alike`` of a turn.
     """

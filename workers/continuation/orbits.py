@@ -1,4 +1,4 @@
-"""Orbits from a cell's section state, many at once from neighbours, and back to section states."""
+"""Orbits from a cell's section state, many at once from neighbouring cells, and section states of orbits."""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -22,23 +22,31 @@ from workers.model.system import System
 from workers.orbit.section import AT_SECTION
 
 FARTHEST = 0.5
-"""Newton's first step at most, in radians of the force and relative to the motion and its fastest impact."""
+"""Maximum length of Newton's first step, in radians of the force and relative to the motion and its fastest impact."""
 
 
 class OrbitBatch(NamedTuple):
-    """N orbits of one itinerary at parameters (N, free), and a mask of those to which Newton's method ``converged``."""
+    """N orbits of one itinerary.
+
+    orbits     the orbits, as a batch
+    values     (N, free) parameters
+    converged  (N,) mask of orbits to which Newton's method converged
+    """
 
     orbits: Orbit
     values: Array
     converged: Mask
 
     def orbit(self, k: int) -> Orbit:
-        """Orbit k."""
+        """Return orbit k."""
         return self.orbits.at_rows(k)
 
 
 def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
-    """The places of equal keys, in the order in which the keys are met; without places of None."""
+    """Return the indices of equal keys, one array per key, in the order in which the keys occur.
+
+    Keys of None are left out.
+    """
     places_of: dict[Hashable, list[int]] = {}
     for place, key in enumerate(keys):
         if key is not None:
@@ -47,14 +55,15 @@ def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
 
 
 def many_of(orbits: list[Orbit], values: Array) -> OrbitBatch:
-    """Orbits of one itinerary as one record."""
+    """Return orbits of one itinerary as one batch, with their parameters (N, free)."""
     return OrbitBatch(many_orbits(orbits), values, np.ones(len(orbits), dtype=bool))
 
 
 def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatch:
-    """The orbits near these at other parameters (N, free), by Newton's method on each from impacts at the same phases.
+    """Return the orbits near these at other parameters (N, free), by Newton's method on each.
 
-    It fails where steps do not shrink or are long: the orbit found would hardly be the same one.
+    Newton's method starts from impacts at the same phases. It fails if steps do not shrink or are long, since the orbit
+    found would hardly be the same one.
     """
     lin, itinerary = family.model(values), orbits.orbits.itinerary
     check_orbits(lin, itinerary)
@@ -88,7 +97,10 @@ def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatc
 
 
 def attract(family: Family, orbits: OrbitBatch) -> Mask:
-    """Mask of orbits that attract: all multipliers inside the unit circle, admissible, no shorter orbit repeated."""
+    """Return the mask of orbits that attract.
+
+    All their multipliers lie inside the unit circle; they are admissible, and none is a shorter orbit repeated.
+    """
     good = orbits.converged.copy()
     rows = np.flatnonzero(good)
     if not len(rows):
@@ -109,14 +121,19 @@ def orbit_from_state(
     symmetric: bool = False,
     cycle: float | None = None,
 ) -> Orbit:
-    """The periodic orbit through (or next to) a physical section state, by Newton's method.
+    """Return the periodic orbit through a physical section state, or next to it, by Newton's method.
 
-    values   parameters by name; those left out have their defaults
-    periods  of the force in the whole orbit; ``cycle``: the period of a cycle without a force
-    Raises ValueError where the motion leaves a stop at once after an impact with R = 0, or no orbit is found.
+    system     mechanical system
+    values     parameters by name; the others have their defaults
+    state      (2n,) physical section state
+    periods    forcing periods in the whole orbit
+    symmetric  True if the orbit is known to be symmetric: its halves then need to agree less exactly
+    cycle      period of a cycle without a force; None for an orbit with a force
+
+    Raise ValueError if the motion leaves a stop at once after an impact with R = 0, or if no orbit is found.
     """
     if periods < 1:
-        raise ValueError(f"periods: found {periods}, an orbit takes 1 or more")
+        raise ValueError(f"periods: found {periods}, must be 1 or more")
     family, none = family_of(system, values, ()), np.zeros(0)
     machine = family.model(none[None])
     orbit = refine_orbit(family, record_orbit(machine, state, periods, symmetric, cycle), none)
@@ -125,15 +142,18 @@ def orbit_from_state(
 
 
 def refine_orbit(family: Family, orbit: Orbit, values: Array) -> Orbit:
-    """The orbit near one, at parameters (free,), to rounding. ValueError where Newton's method finds none."""
+    """Return the orbit near the given one, at parameters (free,), to rounding.
+
+    Raise ValueError if Newton's method finds no orbit.
+    """
     many = continued_to(family, many_of([orbit], values[None]), values[None])
     if not many.converged[0]:
-        raise ValueError("Newton's method finds no orbit there")
+        raise ValueError("Newton's method finds no orbit near the given one")
     return many.orbit(0)
 
 
 def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> Array:
-    """The physical state (2n,) of an orbit at the section, t = 0."""
+    """Return the physical state (2n,) of an orbit at the section, t = 0."""
     state: Array = section_states(system, {name: np.array([value]) for name, value in values.items()}, [orbit])[0, 0]
     return state
 
@@ -141,12 +161,16 @@ def section_state(system: System, values: Mapping[str, float], orbit: Orbit) -> 
 def section_states(
     system: System, values: Mapping[str, Array], orbits: Sequence[Orbit], shift: float = 0.0, known: bool = False
 ) -> Array:
-    """The physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
+    """Return the physical states (N, n, 2d) of N orbits of one itinerary at the n sections t = k T of a turn.
 
-    values   parameters (N,) by name; those left out have their defaults
-    shift    of the section, in forcing periods: -states at 1/2 are those of the mirror images in a symmetric machine
-    known    of cycles, the states after all events, see ``comparison_states``
-    An event at a section counts as past, also one that rounding puts up to AT_SECTION T after it.
+    system  mechanical system
+    values  parameters (N,) by name; the others have their defaults
+    orbits  N orbits of one itinerary
+    shift   shift of the section, in forcing periods
+    known   True for the states of cycles after all events, see ``comparison_states``
+
+    In a symmetric machine, the negative states at a shift of 1/2 are the section states of the mirror images. An event
+    at a section counts as past, also if rounding delays it by up to AT_SECTION T.
     """
     rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
     machines, _ = machines_over(system, {}, tuple(values))(rows)
@@ -154,10 +178,11 @@ def section_states(
 
 
 def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
-    """The physical states (N, n, 2d) of orbits at the sections of a turn: see ``section_states``.
+    """Return the physical states (N, n, 2d) of orbits at the sections of a turn, see ``section_states``.
 
-    Sections of a cycle are the passages of its rarest event, just after it; of several the first by signal, side and
-    mode. With a ``shift`` they are the passages of that event of the mirror images.
+    The sections of a cycle are the passages of its rarest event, just after the event. If several events are rarest,
+    the first by signal, side and mode is taken. With a ``shift`` the sections are the passages of that event of the
+    mirror images.
     """
     if many.itinerary.is_cycle:
         return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
@@ -169,14 +194,17 @@ def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0)
 
 
 def comparison_states(machines: OrbitMachines, many: Orbit, shift: float = 0.0) -> Array:
-    """Physical states (N, K, 2d) that two orbits share if they are one: at sections; of cycles after all events."""
+    """Return the physical states (N, K, 2d) that two orbits share if they are equal.
+
+    The states are those at sections; the states of cycles are those after all events.
+    """
     if not many.itinerary.is_cycle:
         return states_at_sections(machines, many, shift)
     return _states_after(machines, many, range(len(many.itinerary.sides) * (1 + many.itinerary.symmetric)))
 
 
 def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -> Array:
-    """The states just after some events of a whole cycle, its second half included if it is symmetric."""
+    """Return the states just after some events of a whole cycle, its second half included if the cycle is symmetric."""
     motion, m = motion_of(machines, many), len(many.itinerary.sides)
     legs = 1 + np.searchsorted(np.cumsum(motion.plan.table[:, EVENT] != NO_EVENT), np.arange(1, m + 1))
     after = motion.turn.states[:, legs]
@@ -184,7 +212,10 @@ def _states_after(machines: OrbitMachines, many: Orbit, events: Sequence[int]) -
 
 
 def _rarest(machines: OrbitMachines, itinerary: Itinerary, mirrored: bool) -> list[int]:
-    """The sections of a cycle among its events, see ``states_at_sections``; or of the mirror image."""
+    """Return the indices of those events of a cycle that are its sections, see ``states_at_sections``.
+
+    With ``mirrored`` they are the sections of its mirror image.
+    """
     chains = (itinerary.twice if itinerary.symmetric else itinerary).chains
     legs = [leg.mirrored if mirrored else leg for leg, *_ in chains]
     keys = [(leg.signal, leg.side, leg.code.number_of(*machines.machines.segments)) for leg in legs]

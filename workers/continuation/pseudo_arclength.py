@@ -12,25 +12,31 @@ from workers.continuation.orbit_equality import beginnings, begun_with
 from workers.model.oscillator import Array
 
 TARGET_ANGLE, MAX_ANGLE = 0.1, 0.35
-"""Angle in radians by which the tangent turns in a step: wanted, and at most."""
+"""Angle, in radians, by which the tangent turns in a step: target and maximum."""
 
 FEW_STEPS = 3
-"""Newton steps up to which a step may grow."""
+"""Maximum number of Newton steps after which the next step may be longer."""
 
 MIN_STEP = 1e-6
-"""The shortest step, in units of the longest."""
+"""Shortest step, in units of the longest."""
 
 
 BESIDE, SAME = 0.1, 1e-6
-"""How far off a step, in its length, its curve may pass the start; and difference of solutions that are one, in units
-of the scale."""
+"""Distance from a step, in step lengths, at which its curve may pass the start; and maximum difference of equal
+solutions, in units of the scale."""
 
 
 class PseudoArclength:
-    """A place on a curve of solutions: unknowns X, unit tangent in units of the scale, length of the next step.
+    """A place on a curve of solutions, from which the next step is taken.
 
-    ``advance`` goes one step on; ``back`` returns to where the last one began, so that a shorter one can be tried.
-    ``equations`` may be bordered anew between steps. ``start``: the equations and the unknowns where it may close.
+    equations  extended system; it may be bordered anew between steps
+    X          (N,) unknowns
+    tangent    (N,) unit tangent, in units of the scale
+    length     length of the next step
+    longest    maximum length of a step
+    start      equations and unknowns at which the curve may close
+
+    ``advance`` takes a step; ``step_back`` returns to where the last step began, so that a shorter one can be tried.
     """
 
     def __init__(self, equations: ExtendedSystem, X: Array, longest: float, direction: Array) -> None:
@@ -42,9 +48,9 @@ class PseudoArclength:
         self.newton_steps = 0
 
     def advance(self) -> bool:
-        """One step on, as long as the last one suggests, shorter where it does not converge or turns too much.
+        """Take one step, as long as the last one suggests, and shorter if it does not converge or turns too much.
 
-        False where no step is possible, also where the parameter's window is so narrow that a step is rounding.
+        Return False if no step is possible, for example if the parameter's window is so narrow that a step is rounding.
         """
         while self.length >= MIN_STEP * self.longest:
             solved = solve(self.equations, self._predicted(), self.tangent / self.equations.scale)
@@ -64,16 +70,16 @@ class PseudoArclength:
         return False
 
     def step_back(self) -> None:
-        """Return to where the last step began, to take one of half its length."""
+        """Return to where the last step began, to take a step of half its length."""
         assert self.former is not None
         self.X, self.tangent, length = self.former
         self.former = None
         self.length = 0.5 * length
 
     def closes(self) -> Array | None:
-        """The start as unknowns (N,) of these equations, if the last step passed it; None if not.
+        """Return the start as unknowns (N,) of these equations if the last step passed it; None if it did not.
 
-        Its events may be whole periods later by now, or begin with another one of them: it is the same orbit.
+        The same orbit may have events that are whole periods later by now, or may begin with another one of its events.
         """
         assert self.former is not None
         eq, here, (of, start) = self.equations, self.former[0], self.start
@@ -90,7 +96,10 @@ class PseudoArclength:
         return None
 
     def _predicted(self) -> Array:
-        """The next solution as the tangent has it, or the cubic through the last two solutions and their tangents."""
+        """Return a prediction of the next solution.
+
+        It lies on the tangent, or on the cubic through the last two solutions with their tangents.
+        """
         eq = self.equations
         if self.former is None:
             return self.X + self.length * self.tangent * eq.scale
@@ -105,14 +114,16 @@ class PseudoArclength:
 
 
 def tangent_at(equations: ExtendedSystem, jacobian: Array, direction: Array) -> Array:
-    """The unit tangent of the solutions, in units of the scale, on the side of a direction in these units."""
+    """Return the unit tangent of the solutions, in units of the scale, on the side of a direction in these units."""
     tangent = np.linalg.qr((jacobian * equations.scale).T, mode="complete")[0][:, -1]
     return np.asarray(tangent * np.copysign(1.0, tangent @ direction))
 
 
 def _as_unknowns(equations: ExtendedSystem, X: Array, other: ExtendedSystem, near: Array) -> Iterator[Array]:
-    """The solution X of equations as unknowns of other ones, near unknowns of these in time; from each event on from
-    which its events and modes are theirs."""
+    """Yield the solution X of one extended system as unknowns of another one, near the unknowns ``near`` in time.
+
+    There is one result for each event from which on the events and modes of both systems agree.
+    """
     orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
     lin, own, times = equations.model(values), other.itinerary, other.orbit(near).times
     span, period = orbit.span(lin), 2.0 * math.pi / float(lin.omega[0])
@@ -139,24 +150,27 @@ class ContinuationStep(NamedTuple):
     there: Array
 
     def guess(self, share: float) -> Array:
-        """The unknowns (N,) at this share of the chord."""
+        """Return the unknowns (N,) at this share of the chord."""
         return self.here + share * (self.there - self.here)
 
     def solution(self, share: float) -> NewtonResult:
-        """The solution at this share of the step, on the plane across it."""
+        """Return the solution at this share of the step, on the plane across the step."""
         eq = self.equations
         chord = (self.there - self.here) / eq.scale
         return solve(eq, self.guess(share), chord / eq.scale / np.linalg.norm(chord))
 
     def at_value(self, index: int, value: float) -> NewtonResult:
-        """The solution at which parameter ``index`` has this value."""
+        """Return the solution at which parameter ``index`` has this value."""
         eq, place = self.equations, len(self.here) - self.equations.free + index
         guess = self.guess((value - self.here[place]) / (self.there[place] - self.here[place]))
         guess[place] = value
         return solve(eq, guess, np.eye(1, len(guess), place)[0] / eq.scale)
 
     def share_of(self, X: Array) -> float | None:
-        """The share of the step at which a solution X of other equations lies, without contact times; None if far."""
+        """Return the share of the step at which a solution X of other equations lies; None if it is far from the step.
+
+        Contact times are ignored.
+        """
         eq = self.equations
         here, there, place, scale = (
             np.concatenate([field[: eq.states], field[len(field) - eq.free :]])
@@ -169,8 +183,10 @@ class ContinuationStep(NamedTuple):
         return share if near else None
 
     def is_near(self, guess: Array, values: Array, near: float = 0.0) -> bool:
-        """Whether parameters (free,) of a solution of other equations lie within the step's length, or ``near``, of a
-        guess."""
+        """Return True if parameters (free,) of a solution of other equations lie near a guess.
+
+        The maximum distance is the length of the step, or ``near`` if that is larger.
+        """
         eq = self.equations
         length = float(np.linalg.norm((self.there - self.here) / eq.scale))
         return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, near, 1e-6))

@@ -2,10 +2,10 @@
 
     sign z(t_0 + L) - z(t_0) = 0,  r_i(z(t_i^-), t_i) = its end
 
-Unknown are the physical state z = (x, v) just before the first event, counted from where the machine rests, and the
-times t_i of all; of a cycle without a force L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) = -z(t),
-only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times, which
-are no unknowns.
+The unknowns are the physical state z = (x, v) just before the first event, relative to the rest of the machine, and the
+times t_i of all events. A cycle without a force has L in place of t_1, which is 0. Of a symmetric orbit, z(t + L/2) =
+-z(t), only the events of one half are unknown: a turn is half the orbit, and sign is -1. Phases change at given times,
+which are no unknowns.
 """
 
 import math
@@ -39,28 +39,29 @@ from workers.model.hybrid_modes import OPEN, SIGNALS, HybridModes, ModeCode
 from workers.model.oscillator import Array
 
 Table = NDArray[Any]
-"""Real numbers, complex ones where z is."""
+"""Real numbers, or complex numbers if z is complex."""
 
 LEAST = 1e-3
-"""The least size of a motion, as a share of what the force alone would move the masses by."""
+"""Minimum size of a motion, as a share of the displacement of the masses by the force alone."""
 
 NO_RATE = 1e-9
 """Rate of a signal, as a share of its size over one radian, that counts as 0."""
 
 PLANS = 256
-"""Plans that are kept: itineraries, one for all points of a branch, are few."""
+"""Maximum number of plans in the cache. Itineraries are few, since all points of a branch share one."""
 
 
 class TurnPlan(NamedTuple):
-    """What an itinerary alone decides of a turn.
+    """The properties of a turn that its itinerary alone determines.
 
-    legs     each with the event at its end, NO_EVENT for none; that before event 0 has no length
-    turning  events at which friction turns round, each with its signal and the mode in which it would stick
-    codes    the modes of the legs, and those in which friction that turns round would stick
-    table    the legs (L, PLAN) as ``turns_of_modes`` takes them; reached (m, PLAN): the legs that end at events
+    legs     legs, each with the event at its end, NO_EVENT if there is no event; the leg before event 0 has no length
+    turning  events at which friction turns round, each with its signal and the mode in which the friction would stick
+    codes    modes of the legs, and those in which friction that turns round would stick
+    table    (L, PLAN) legs as ``turns_of_modes`` takes them
+    reached  (m, PLAN) legs that end at events
     signs    (m,) factors on the rates of signals that give them the signs of the events' labels
-    impacts  whether all events are rebounds, with a flight from each to the next; slows whether friction begins to
-             stick at any
+    impacts  True if all events are rebounds, with a flight from each to the next
+    slows    True if friction begins to stick at any event
     """
 
     legs: tuple[tuple[Leg, int], ...]
@@ -74,13 +75,13 @@ class TurnPlan(NamedTuple):
 
 
 def plan_of(machines: OrbitMachines, itinerary: Itinerary) -> TurnPlan:
-    """The plan of an itinerary of machines."""
+    """Return the plan of an itinerary of machines."""
     return _plan_of(itinerary, tuple(machines.elements.soft[0].tolist()))
 
 
 @lru_cache(PLANS)
 def _plan_of(itinerary: Itinerary, soft: tuple[float, ...]) -> TurnPlan:
-    """The plan of an itinerary of machines, 1 for each of their contacts that is soft and 0 for others."""
+    """Return the plan of an itinerary of machines. ``soft`` is 1 for each of their contacts that is soft, else 0."""
     m, chains = len(itinerary.sides), itinerary.chains
     legs = [(leg, NO_EVENT) for leg in chains[0]]
     if m:
@@ -118,9 +119,9 @@ def _act(before: ModeCode, after: Leg, soft: tuple[float, ...]) -> int:
 
 
 class TurnResult(NamedTuple):
-    """What ``legs.turns_of_modes`` finds of N orbits: see there.
+    """The result of ``legs.turns_of_modes`` for N orbits; the fields are explained there.
 
-    maps are DP, products of flows and saltations; of symmetric orbits D_G = -DP of half, whose square is DP.
+    ``maps`` are DP, products of flows and saltations; for symmetric orbits D_G = -DP of half, whose square is DP.
     """
 
     signals: Array
@@ -133,9 +134,12 @@ class TurnResult(NamedTuple):
 
 @dataclass(frozen=True)
 class OrbitMotion:
-    """N orbits of one itinerary with their machines: times (N, m) of events, states (N, 2n) before the first of them.
+    """The motions of N orbits of one itinerary with their machines.
 
-    Without events the states are at time 0.
+    lin        the machines
+    itinerary  events and modes
+    times      (N, m) times of the events
+    start      (N, 2n) states before the first event; without events, at time 0
     """
 
     lin: OrbitMachines
@@ -145,12 +149,12 @@ class OrbitMotion:
 
     @property
     def span(self) -> Array:
-        """The length (N,) of a turn."""
+        """Length (N,) of a turn."""
         return self.itinerary.span(self.lin)
 
     @property
     def unknowns(self) -> Array:
-        """States, then times (N, 2n + m), see ``Orbit.unknown_times``."""
+        """Unknowns (N, 2n + m): states, then times, see ``Orbit.unknown_times``."""
         times = Orbit(self.itinerary, self.times, self.times, self.span).unknown_times
         return np.concatenate([self.start, times], axis=1)
 
@@ -161,13 +165,13 @@ class OrbitMotion:
 
     @property
     def orbits(self) -> Orbit:
-        """The orbits as a record of many."""
+        """The orbits as one batch."""
         speeds = self.plan.signs * self.turn.signals[:, 1]
         return Orbit(self.itinerary, self.times, speeds, *[self.span][: self.itinerary.is_cycle])
 
     @cached_property
     def pieces(self) -> HybridModes:
-        """The modes of the orbit, with an axis for them after the first."""
+        """The modes of the orbit, along an axis after the first."""
         made = [self.lin.mode(code) for code in self.plan.codes]
         if len(made) == 1:
             return HybridModes(*(field[:, None] for field in made[0]))
@@ -175,7 +179,7 @@ class OrbitMotion:
 
     @cached_property
     def ends(self) -> Array:
-        """When each leg ends (N, L)."""
+        """Time (N, L) at which each leg ends."""
         table, starts, period = self.plan.table, self.lin.elements.starts, 2.0 * math.pi / self.lin.omega
         times, events = np.empty((len(self.start), len(table))), table[:, EVENT] != NO_EVENT
         times[:, events] = self.times
@@ -184,7 +188,7 @@ class OrbitMotion:
         for k in np.flatnonzero(~events[:-1]).tolist():
             phase, before = self.plan.legs[k][0].code.phase, times[:, k - 1] if k else 0.0 * period
             low, high = starts[:, phase], starts[:, phase + 1]
-            if turns is None or events[k - 1]:  # of the phase that the event is in, or next to
+            if turns is None or events[k - 1]:  # turns of the phase of the event, or of the next phase
                 turns = np.round(before / period - 0.5 * (low + high))
             times[:, k] = (high + turns) * period
             turns = turns + (phase + 2 == starts.shape[1])
@@ -192,22 +196,22 @@ class OrbitMotion:
 
     @cached_property
     def begins(self) -> Array:
-        """When each leg begins (N, L)."""
+        """Time (N, L) at which each leg begins."""
         first = self.times[:, :1] if self.itinerary.sides else np.zeros((len(self.start), 1))
         return np.concatenate([first, self.ends[:, :-1]], axis=1)
 
     @cached_property
     def turn(self) -> TurnResult:
-        """One turn from the state just before the first event."""
+        """The result of one turn from the state just before the first event."""
         own, plan, sign = self.lin, self.plan.table, float(self.itinerary.sign)
         given = self.pieces, own.elements, plan, self.ends, own.tau, own.omega, sign, self.times, self.start
         return TurnResult(*turns_of_modes(*given, self._least))
 
     @property
     def _least(self) -> Array:
-        """Rates (N, m) of signals of events that count as 0: the guard changes as it would in 1 / NO_RATE radians.
+        """Rates (N, m) of signals of events that count as 0: the guard changes by its size in 1 / NO_RATE radians.
 
-        Friction that begins to stick so has f+ = R f-; of other events it is not asked.
+        Friction that begins to stick at such a rate has f+ = R f-. Other events do not need these rates.
         """
         if not self.plan.slows:
             return np.zeros_like(self.times)
@@ -220,15 +224,15 @@ class OrbitMotion:
 
     @property
     def _rows(self) -> Array:
-        """The weights (N, m, 2n) of states in the signals of events, as moduli."""
+        """Moduli (N, m, 2n) of the weights of states in the signals of events."""
         modes, signals = self.plan.reached[:, MODE], self.plan.reached[:, SIGNAL]
         return np.abs(self.pieces.rows[:, modes, signals, : self.start.shape[1]])
 
     @property
     def forced_sizes(self) -> Array:
-        """The sizes (N, M) of the forced parts that are taken off states and guards and added again: they round.
+        """Sizes (N, M) of the forced parts that are subtracted from states and guards and added again, with rounding.
 
-        Of light damping or a low frequency they are far larger than the motion.
+        With light damping or a low frequency the forced parts are far larger than the motion.
         """
         own, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
         blocks = np.abs(own.forced).sum(axis=(-2, -1)).reshape(*own.to_physical.shape[:-1], 1)
@@ -236,16 +240,16 @@ class OrbitMotion:
         return np.concatenate([states, np.abs(own.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
 
     def linearised(self, z: complex = 1) -> Table:
-        """J_z (N, M, M): the equations linearised for perturbations of states and times that grow by z a turn.
+        """Return J_z (N, M, M): the equations linearised for perturbations that grow by z in a turn.
 
-        z = 1 is the Jacobian of the residuals of ``turn``. With r'_i the rate of the signal that reaches event i, just
-        before it, v_i of an impact,
+        The perturbations are those of states and times. z = 1 gives the Jacobian of the residuals of ``turn``. With
+        r'_i the rate of the signal that reaches event i, just before the event (v_i for an impact),
 
-            det J_z = det(DP - z I) prod_i r'_i:
+            det J_z = det(DP - z I) prod_i r'_i.
 
-        zero where z is a multiplier, and without poles. Of a cycle 1 is one: for z = 1 the length of a turn is unknown
-        in place of the time of the first event, and the others are those of the map of its section,
-        det J_1 = -det(P - I) prod_i r'_i.
+        The determinant is zero if z is a multiplier, and has no poles. A cycle has the multiplier 1. For z = 1 the
+        length of its turn is unknown instead of the time of the first event. Its other multipliers are those of the map
+        of its section, det J_1 = -det(P - I) prod_i r'_i.
         """
         jacobian: Table = self.turn.tangents - z * self.turn.shifts
         if z == 1 and self.itinerary.is_cycle:
@@ -253,7 +257,7 @@ class OrbitMotion:
         return jacobian
 
     def states_at(self, s: Array, signal: int = 0) -> tuple[Array, Array]:
-        """States (N, K, 2n) at times s (N, K); of a signal its value, rate, lower and upper end (4, N, K).
+        """Return the states (N, K, 2n) at times s (N, K), and value, rate and ends (4, N, K) of a signal.
 
         An event at such a time counts as past.
         """
@@ -264,12 +268,15 @@ class OrbitMotion:
         return states, signals
 
     def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
-        """How far a signal is from an end (N, K) at times s (N, K), and its rate."""
+        """Return the distance (N, K) of a signal from an end at times s (N, K), and its rate."""
         _, (value, rate, low, high) = self.states_at(s, signal)
         return [value - (high if side > 0 else low), rate]
 
     def holding_margin(self, event: int, signal: int, side: int) -> Array:
-        """How far the force (N,) that holds friction just after an event is from an end of its range; or would be."""
+        """Return the distance (N,) of the force that holds friction just after an event from an end of its range.
+
+        If the friction does not stick there, the force is the one that would hold it.
+        """
         code = next((code for i, g, code in self.plan.turning if (i, g) == (event, signal)), None)
         leg = next(k for k, (_, i) in enumerate(self.plan.legs) if i == event)
         code = code or self.plan.legs[leg + 1][0].code
@@ -281,9 +288,9 @@ class OrbitMotion:
         return np.asarray(value - mode.ends[:, signal, 1 if side > 0 else 0])
 
     def unknowns_along(self, change: Array) -> Array:
-        """How the unknowns (N, 2n + m) of orbits change with the state (N, 2n) at the time of the first event.
+        """Return the change of the unknowns (N, 2n + m) with the state (N, 2n) at the time of the first event.
 
-        The state just before the event moves by f- with its time.
+        The state just before the event moves by f- with the event's time.
         """
         size, turn = change.shape[1], self.turn
         before, tangents = -turn.shifts[:, :size, size : size + 1], turn.tangents[:, size:]
@@ -295,23 +302,26 @@ class OrbitMotion:
 
     @property
     def n_zero_multipliers(self) -> int:
-        """How many multipliers are zero: the most dimensions that a mode of the orbit lacks."""
+        """Number of multipliers that are zero: the largest number of dimensions that a mode of the orbit lacks."""
         return int(max(self.lin.mode(leg.code).lost[0] for leg, _ in self.plan.legs))
 
     @cached_property
     def _pushed(self) -> Array:
-        """How far (N,) the force alone would move free masses; 1 without a force."""
+        """Displacement (N,) of free masses by the force alone; 1 without a force."""
         own = self.lin.machines
         force = np.hypot(own.force_sin, own.force_cos).max(axis=(1, 2))
         reach = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
         return np.where(reach > 0.0, reach, 1.0)
 
     def scale(self) -> tuple[Array, Array]:
-        """Scales that make unknowns comparable: of states (N, 2n) the largest displacement and the largest velocity of
-        any coordinate; of guards (N, m) the signals of such a state."""
+        """Return scales that make unknowns comparable.
+
+        The scale of states (N, 2n) is the largest displacement and the largest velocity of any coordinate. The scale of
+        guards (N, m) is the signals of such a state.
+        """
         states, n = np.abs(self.turn.states), self.start.shape[1] // 2
         omega = self.lin.omega
         size = np.maximum(states[:, :, :n].max(axis=(1, 2)), states[:, :, n:].max(axis=(1, 2)) / omega)
-        size = np.maximum(size, LEAST * self._pushed)  # it may be at rest
+        size = np.maximum(size, LEAST * self._pushed)  # the motion may be at rest
         sizes = np.repeat(np.stack([size, size * omega], axis=1), n, axis=1)
         return sizes, np.vecdot(self._rows, sizes[:, None])

@@ -25,17 +25,17 @@ from workers.model.hybrid_modes import SIGNALS
 from workers.model.oscillator import Array
 
 HALVINGS = 14
-"""Halvings of a step that help to locate where an orbit ceases to be admissible."""
+"""Maximum number of halvings of a step that help to locate where an orbit ceases to be admissible."""
 
 NEARLY = 1e-3
-"""Share of the window within which a curve that goes no further ends, and of its size the rate of the event that it
-loses there: rates fall faster than distances, to rounding.
-"""
+"""Share of the window within which a curve that continues no further ends at the loss of an event. The rate of that
+event is less than the same share of its size: rates fall faster than distances, to rounding."""
 
 
 def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """The event at which the orbit ceases to be admissible on a step, the first one; ``reason`` it is not at the
-    end.
+    """Return the first event on a step at which the orbit ceases to be admissible; None if no event is found.
+
+    ``reason`` is why the orbit is not admissible at the end of the step.
     """
     low, high, X = 0.0, 1.0, step.there
     for _ in range(HALVINGS):
@@ -55,8 +55,10 @@ def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent 
 
 
 def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
-    """Where an orbit loses its slowest event, if next to ``here``: a corner of a branch. None where all are impacts, of
-    which the equations are smooth beyond that."""
+    """Return the event at which an orbit loses its slowest event, if next to ``here``: a corner of a branch.
+
+    Return None if all events are impacts, since the equations are smooth beyond the loss of an impact.
+    """
     motion = step.equations.motion(step.here)
     if motion.plan.impacts:
         return None
@@ -67,7 +69,7 @@ def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
 
 
 def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> LocatedEvent | None:
-    """The graze, the lost event or the change of stick that a fault at X comes from."""
+    """Return the graze, the lost event or the change of stick that causes a fault at X; None if it is not found."""
     own, motion = step.equations.conditions, step.equations.motion(X)
     if reason.reason == ORDER:
         return None
@@ -80,8 +82,10 @@ def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> L
 def _of_holding(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault
 ) -> LocatedEvent | None:
-    """The point at which the force that would hold friction at an event equals its static level; or at which any other
-    signal reaches its end at an event: the two exchange their order there.
+    """Return the event at which the force that would hold friction at an event equals its static level.
+
+    For any other signal it is the event at which the signal reaches its end at an event: both exchange their order
+    there.
     """
     if reason.impact < 0:
         return None
@@ -97,7 +101,9 @@ def _of_holding(
 def _of_loss(
     step: ContinuationStep, X: Array, motion: OrbitMotion, reason: AdmissibilityFault, near: float = 0.0
 ) -> LocatedEvent | None:
-    """Where an event is lost: an impact, or a slide that sticks, has no speed there; of another the graze of the orbit
+    """Return the event at which an event of the orbit is lost.
+
+    A lost impact, or a lost slide that sticks, has zero speed there. Any other event is lost at the graze of the orbit
     without it, on the step or ``near`` it.
     """
     eq = step.equations
@@ -113,11 +119,11 @@ def _of_loss(
     conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
     contacts = np.append(eq.contacts(X) + time_shift(orbit, eq.orbit(X), float(motion.span[0])), time)
     if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
-        # of any number of periods it is the answer of one, which touches once in that
+        # the forced response of one period, which grazes once in that period
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
     solved = solution(eq, orbit, conditions, contacts, X)
     before, after = (eq.motion(end).turn.signals[0, 1, reason.impact] for end in (step.here, step.there))
-    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # of its rate
+    share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # where the rate is zero
     if (
         solved is None
         or not step.is_near(eq.values(step.guess(share)), solved[0].values(solved[1]), near)
@@ -129,5 +135,5 @@ def _of_loss(
         lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
         event = event._replace(last=lost, kind=event.kind if own else lost)
     if asks_multipliers(eq) and not is_smooth(motion.lin.machines, event):
-        return None  # those of the orbit with the event are others
+        return None  # the orbit with the event has other multipliers
     return LocatedEvent(share, event)

@@ -1,13 +1,15 @@
-"""The test that a motion near an orbit falls into it.
+"""The test that a motion near an orbit converges to the orbit.
 
 A turn takes h* + d to h* + J d + r, with r the deviation from the linear map. The multipliers of J are at most |mu| <
 1, but its energy norm may exceed 1: a deviation may grow for some turns. With every turn it shrinks in the norm
 
     |d|_P^2 = d.P d = sum_{k < K} |A^k d|^2,    A = J / q,    q = (1 + |mu|) / 2,    K a power of two with |A^K| <= 1,
 
-for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P. The motion converges to the orbit if
-|r|_P < (1 - q) |d|_P, that is r is less than half of the contraction 1 - |mu|, in each turn until it is nearer in the
-energy norm and stays so by J alone, and in one more turn: a single turn does not test r in the directions of J d.
+for |A d|_P^2 = |d|_P^2 - |d|^2 + |A^K d|^2 <= |d|_P^2, so that |J d|_P <= q |d|_P.
+
+The motion converges to the orbit if |r|_P < (1 - q) |d|_P, that is if r is less than half of the contraction 1 - |mu|.
+This must hold in each turn until the motion is nearer in the energy norm and stays so by J alone, and in one more turn:
+a single turn does not test r in the directions of J d.
 """
 
 import math
@@ -24,15 +26,15 @@ from workers.model.oscillator import COLUMN
 from workers.orbit.map import squares
 
 LOOKAHEAD_TURNS = 256
-"""Turns of the linear map after which a deviation that has not grown back counts as one that never will."""
+"""Number of turns of the linear map after which a deviation that has not grown back counts as one that never will."""
 
 MAX_DOUBLINGS = 30
-"""Largest K. More would take |mu| within 1e-9 of 1, where rounding decides."""
+"""Maximum number of doublings of K. Larger K would take |mu| within 1e-9 of 1, where rounding decides."""
 
 
 @inline_always
 def deviation(h, fixed):
-    """The difference (2n,) of two block states (n, 2)."""
+    """Return the difference (2n,) of two block states (n, 2)."""
     d = np.empty(h.size)
     for k in range(h.size):
         d[k] = h[k // 2, k % 2] - fixed[k // 2, k % 2]
@@ -41,7 +43,7 @@ def deviation(h, fixed):
 
 @kernel
 def add_product(target, left, right):
-    """Add the product of two square matrices to a third, in place."""
+    """Add the product of two square matrices to a third one, in place."""
     size = len(target)
     for i in range(size):
         for k in range(size):
@@ -53,7 +55,7 @@ def add_product(target, left, right):
 
 @kernel
 def shrinking_norm(blocks, J, contraction):
-    """P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN if none is found.
+    """Return P (2n, 2n) of the norm in which J (2n, 2n) shrinks every deviation; NaN if no such norm is found.
 
     contraction = 1 - |mu|.
 
@@ -83,7 +85,7 @@ def shrinking_norm(blocks, J, contraction):
 
 @inline_always
 def squared(P, d):
-    """d.P d."""
+    """Return d.P d."""
     total = 0.0
     for i in range(len(d)):
         for k in range(len(d)):
@@ -93,9 +95,9 @@ def squared(P, d):
 
 @external(FLOATS[2], FLOATS[2], types.float64, FLOATS[2], FLOATS[2], FLOATS[2], result=types.boolean)
 def falls_into(P, J, contraction, fixed, h, image):
-    """Whether a turn from block state h (n, 2) to ``image`` converges to the orbit through ``fixed``.
+    """Return True if a turn from block state h (n, 2) to ``image`` converges to the orbit through ``fixed``.
 
-    |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
+    The test is |r|_P < contraction / 2 |d|_P with d = h - h*, r = image - h* - J d; P as of ``shrinking_norm``.
     """
     P, J, fixed, h, image = by_value(P), by_value(J), by_value(fixed), by_value(h), by_value(image)
     d, r = deviation(h, fixed), deviation(image, fixed)
@@ -107,9 +109,9 @@ def falls_into(P, J, contraction, fixed, h, image):
 
 @external(FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], FLOATS[2], types.float64, result=types.boolean)
 def stays_nearer(blocks, P, J, fixed, h, begun):
-    """Whether a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so by J alone.
+    """Return True if a motion at block state h (n, 2) is nearer to an orbit than ``begun``, and stays so by J alone.
 
-    Certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
+    This is certain once the deviation is smaller in the norm of P, which never grows and is the larger of the two.
     """
     blocks, P, J = by_value(blocks), by_value(P), by_value(J)
     fixed, h = by_value(fixed), by_value(h)

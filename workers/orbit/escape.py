@@ -17,16 +17,17 @@ MARGIN = 1.0 + 1e-12
 
 
 REACHED, INSIDE, BEHIND = range(3)
-"""Future of a guard: uncertain; it stays between its ends; it moves away from its only end forever."""
+"""Future of a guard. REACHED: uncertain. INSIDE: it stays between its ends. BEHIND: it moves away from its only end
+forever."""
 
 
 @kernel
 def future_of(blocks, numbers, h, offset, low, high):
-    """The future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
+    """Return the future of a guard plus offset, with ends low and high, from block state h (n, 2) on.
 
-    BEHIND: the fastest growth a e^(r s), r real, moves it away from its only end, and the other terms are at most M
-    e^(m s): y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r >= M m.
-    INSIDE: no growth in it, m = 0 and a = 0, and M keeps it between its ends.
+    BEHIND: the fastest growth a e^(r s), r real, moves the guard away from its only end, and the other terms are at
+    most M e^(m s). Then y - end >= offset - end + a e^(r s) - M e^(m s) has no zero if it is positive at s = 0 and a r
+    >= M m. INSIDE: nothing grows in the guard, m = 0 and a = 0, and M keeps it between its ends.
     """
     first, r = 0, 0.0
     for j in range(len(blocks)):
@@ -78,7 +79,10 @@ def future_of(blocks, numbers, h, offset, low, high):
 
 @kernel
 def escaping(oscillators, motions, cells):
-    """Mask of motions at a section that grow and meet no guard again; of machines with modes, those of one phase."""
+    """Return the mask of motions at a section that grow and meet no guard again.
+
+    Of the machines with modes, only those with one phase are decided; others are False.
+    """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     escapes = np.zeros(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
@@ -95,7 +99,7 @@ def escaping(oscillators, motions, cells):
 
 @inline_always
 def escapes_in_modes(oscillator, h, mode):
-    """Whether a growing motion meets no guard of its mode again; false where phases change the mode."""
+    """Return True if a growing motion meets no guard of its mode again; False if phases change the mode."""
     table, pieces, at = oscillator.table, oscillator.table.pieces, np.zeros(h.shape)
     k = slot_of(table.codes, mode)
     if k < 0 or table.elements.starts.shape[0] > 2:

@@ -11,15 +11,18 @@ from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
 SETTLED = 1e-13
-"""Coupling up to which the Floquet frame has split into invariant subspaces."""
+"""Maximum coupling of the blocks of a Floquet frame that has split into invariant subspaces."""
 
 NARROW = 2.0
-"""Log-spread of multipliers up to which their block's product may be formed without loss of significant digits."""
+"""Maximum log-spread of the multipliers of a block whose product may be formed without loss of significant digits."""
 
 
 @kernel
 def overlaps(blocks, before, after, m):
-    """The energy products of the first m vectors of two frames: an orthogonal matrix if they span the same space."""
+    """Return the energy products of the first m vectors of two frames.
+
+    They are an orthogonal matrix if both frames span the same space.
+    """
     products = np.empty((m, m))
     for i in range(m):
         for k in range(m):
@@ -29,7 +32,7 @@ def overlaps(blocks, before, after, m):
 
 @kernel
 def block_ends(rotation):
-    """Ends of the diagonal blocks of an orthogonal matrix."""
+    """Return the ends of the diagonal blocks of an orthogonal matrix."""
     size = len(rotation)
     ends = np.empty(size, dtype=np.int64)
     count = 0
@@ -46,7 +49,7 @@ def block_ends(rotation):
 
 @kernel
 def spread_of(logs, ends):
-    """The largest difference of logarithms within one block."""
+    """Return the largest difference of logarithms within one block."""
     spread, start = 0.0, 0
     for end in ends:
         least = logs[start]
@@ -59,9 +62,9 @@ def spread_of(logs, ends):
 
 @kernel
 def block_logs(rotation, growth, triangle, ends, size):
-    """ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest modulus of them.
+    """Return ln|eigenvalues| of rotation diag(exp(growth)) triangle, block by block, and the largest of their moduli.
 
-    Scaled against overflow. Eigenvalues up to ``size`` give -infinity: lost directions.
+    The products are scaled against overflow. Missing eigenvalues up to ``size`` are -infinity: lost directions.
     """
     logs = np.full(size, -np.inf)
     largest, start = 0.0, 0
@@ -81,9 +84,11 @@ def block_logs(rotation, growth, triangle, ends, size):
 
 @inline_always
 def floquet(oscillator, point, steps, half, limit):
-    """(log moduli of the multipliers per turn, in any order; their rounding error; turns), 0 turns if ``limit`` < 2.
+    """Return the log moduli of the multipliers per turn, in any order, their rounding error, and the number of turns.
 
-    A frame is carried round the orbit until it splits into invariant subspaces; the factors of QR are kept as
+    0 turns if ``limit`` < 2, or if the frame cannot be carried round the orbit.
+
+    A frame is carried round the orbit until it splits into invariant subspaces. The factors of QR are kept as
     logarithms, so multipliers of any spread keep their digits. Blocks that do not split have multipliers of nearly
     equal modulus, and their product can be formed. Lost directions are -infinity: a turn that loses directions only
     shows the remaining ones, and another turn may lose more.

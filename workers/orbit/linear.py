@@ -1,6 +1,6 @@
 """Machines whose law changes with phases alone: their map z -> J z + c is affine, known for all states.
 
-Other machines count as such while their motion certainly meets no contact and phases change contacts alone.
+Other machines are treated so while their motion certainly meets no contact and phases change contacts alone.
 """
 
 import numpy as np
@@ -19,22 +19,24 @@ from workers.orbit.map import FixedPoint, map_with_jacobian
 from workers.orbit.newton import CYCLES, newton_step
 
 UNKNOWN, STAYS, GROWS = range(3)
-"""Fate of such a motion: unknown; it decays, comes to rest or continues forever; it grows."""
+"""Future of such a motion. UNKNOWN: undecided. STAYS: it decays, comes to rest or continues forever. GROWS: it grows.
+"""
 
 ELLIPTIC = 1.5e-8
-"""Largest logarithm of a multiplier of an undamped machine that counts as zero: they come in pairs m, 1/m, and two that
-meet on the unit circle are known to the square root of rounding."""
+"""Maximum logarithm of a multiplier of an undamped machine that counts as zero. Multipliers come in pairs m, 1/m, and
+two that meet on the unit circle are known to the square root of rounding."""
 
 SQUARINGS, LOOK = 60, 20
-"""Squarings of the map until damped parts are gone; growth of the remaining motion shows after LOOK of them."""
+"""Maximum number of squarings of the map until damped parts are gone, and number of squarings after which growth of the
+remaining motion shows."""
 
 SETTLED, BOUNDED = 1e-12, 1e3
-"""Relative change by another squaring of a settled map; and the growth up to which a map is bounded."""
+"""Relative change of a settled map by another squaring, and growth up to which a map is bounded."""
 
 
 @inline_always
 def meets_nothing(oscillator, h, mode):
-    """Whether this motion meets no contact forever and no phase changes it; true without contacts and friction."""
+    """Return True if this motion never meets a contact and no phase changes it; True without contacts and friction."""
     table, pieces, n = oscillator.table, oscillator.table.pieces, h.shape[0]
     C, F, P = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.elements.starts.shape[0] - 1
     if F > 0 or C == 0:
@@ -62,10 +64,10 @@ def meets_nothing(oscillator, h, mode):
 
 @inline_always
 def rates_if_undamped(oscillator, mode, logs):
-    """Write the exact logarithms of multipliers of a motion in this mode, if a block of it is not damped and no phase
-    changes it; returns their error, infinity if they stay as they are.
+    """Write the exact logarithms of multipliers if a block of this mode is not damped and no phase changes the mode.
 
-    Two multipliers that meet at 1, as of a free mass, are known to the square root of rounding by the map.
+    Return their error, infinity if the logarithms stay unchanged. Two multipliers that meet at 1, as of a free mass,
+    would be known only to the square root of rounding by the map.
     """
     table, T = oscillator.table, oscillator.head[HEAD.period]
     k = slot_of(table.codes, mode)
@@ -82,7 +84,7 @@ def rates_if_undamped(oscillator, mode, logs):
 
 @kernel
 def contact_free(oscillators, motions, cells):
-    """Mask of motions of machines with modes that never meet a contact, see meets_nothing."""
+    """Return the mask of motions of machines with modes that never meet a contact, see meets_nothing."""
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     free = np.empty(len(cells), dtype=np.bool_)
     for e in range(len(cells)):
@@ -94,10 +96,10 @@ def contact_free(oscillators, motions, cells):
 
 @kernel
 def linear_orbits(oscillators, motions, cells, orbits, spent):
-    """Verdict on each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
+    """Return the future of each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
 
-    The limit of the motion, or its own state if it continues forever, is written with its exponents into the rows of
-    ``orbits``, and the periods spent into spent (N,). Multipliers of one to rounding have exponents of 0.
+    Write the limit of the motion, or its own state if it continues forever, and its exponents into the rows of
+    ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of one to rounding have exponents of 0.
     """
     oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
     verdicts = np.empty(len(cells), dtype=np.int64)
@@ -108,7 +110,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
         verdicts[e] = UNKNOWN
         base = (
             np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start
-        )  # if that is the orbit, the result is exact
+        )  # if the start is the orbit, the result is exact
         first, J = map_with_jacobian(osc, base, mode, steps, half)
         if first.tally[STATUS] != RUNNING:
             continue
@@ -125,7 +127,7 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
                 neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
         largest = highest(logs, 0, len(logs))
         if largest > 0.0:
-            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would hold what grows
+            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would limit the growth
             verdicts[e] = UNKNOWN if stands else GROWS
             continue
         h = newton_step(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
@@ -144,9 +146,10 @@ def linear_orbits(oscillators, motions, cells, orbits, spent):
 
 @kernel
 def where_it_stays(J, base, image, h):
-    """Limit of block state h (n, 2) under z -> J z + c that takes ``base`` to ``image``, its largest multiplier one.
+    """Return the limit of block state h (n, 2) under the affine map z -> J z + c that takes ``base`` to ``image``.
 
-    h itself if the motion continues forever; NaN if it is unbounded, as for a free mass that moves.
+    The largest multiplier is one. Return h itself if the motion continues forever, and NaN if it is unbounded, as for a
+    free mass that moves.
     """
     size = h.size
     A, start, c, zero = J.copy(), h.ravel(), image.copy().ravel(), base.ravel()

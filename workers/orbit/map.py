@@ -17,7 +17,7 @@ from workers.model.oscillator import COLUMN, Array
 
 
 class FixedPoint(NamedTuple):
-    """A fixed point of some steps of the map: block state, its image, contact, Jacobian and |F(h) - h|."""
+    """A fixed point of some steps of the map: block state, its image, mode, Jacobian and residual |F(h) - h|."""
 
     h: Array
     image: Array
@@ -28,9 +28,9 @@ class FixedPoint(NamedTuple):
 
 @kernel
 def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
-    """The motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
+    """Return the motion after ``steps`` of the map, half or whole periods, from block state h; see motion_with.
 
-    Its status is not RUNNING if it cannot be followed.
+    Its status is not RUNNING if the motion cannot be followed.
     """
     motion = motion_with(h, mode, V, growth, triangle)
     for _ in range(steps):
@@ -44,13 +44,13 @@ def iterate(oscillator, h, mode, V, growth, triangle, steps, half):
 
 @kernel
 def iterate_alone(oscillator, h, mode, steps, half):
-    """The image of h alone, without tangent vectors."""
+    """Return the motion after ``steps`` of the map from block state h, without tangent vectors."""
     return iterate(oscillator, h, mode, np.zeros((0, h.shape[0], 2)), np.zeros(0), np.zeros((0, 0)), steps, half)
 
 
 @kernel
 def jacobian_of(V):
-    """The Jacobian (2n, 2n) with tangent vectors V (2n, n, 2) as columns."""
+    """Return the Jacobian (2n, 2n) with tangent vectors V (2n, n, 2) as columns."""
     J = np.empty((len(V), len(V)))
     for i in range(len(V)):
         for k in range(len(V)):
@@ -60,14 +60,14 @@ def jacobian_of(V):
 
 @kernel
 def map_with_jacobian(oscillator, h, mode, steps, half):
-    """The motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
+    """Return the motion after ``steps`` of the map from h, and the Jacobian (2n, 2n) of the map there."""
     motion = iterate(oscillator, h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)), steps, half)
     return motion, jacobian_of(motion.V)
 
 
 @inline_always
 def squares(values):
-    """The sum of the squares of all entries of an array."""
+    """Return the sum of the squares of all entries of an array."""
     total = 0.0
     for value in values.ravel():
         total += value * value
@@ -76,7 +76,7 @@ def squares(values):
 
 @kernel
 def separation(blocks, h, g):
-    """The energy norm of the difference of two block states (n, 2), see Block.metric."""
+    """Return the energy norm of the difference of two block states (n, 2), see Block.metric."""
     total = 0.0
     for j in range(len(blocks)):
         total += blocks[j, COLUMN.metric] * (h[j, 0] - g[j, 0]) ** 2 + (h[j, 1] - g[j, 1]) ** 2

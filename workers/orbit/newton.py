@@ -1,8 +1,8 @@
-"""Periodic orbits: near returns, Newton's method on the period map, attraction, symmetry.
+"""Periodic orbits of the stroboscopic map: near returns, Newton's method, attraction, symmetry.
 
-For a symmetric gap an orbit of odd period m is first sought as one of the half-period map G, G o G = P: an orbit that
-closes after m steps of G is symmetric with period m. The maps belong to a section near which the motion meets no stop,
-see ``orbit.section``; results refer to the section t = k T.
+For a symmetric gap an orbit of odd period m is first sought as an orbit of the half-period map G, G o G = P. An orbit
+that closes after m steps of G is symmetric with period m. The maps belong to a section near which the motion meets no
+stop, see ``orbit.section``; results refer to the section t = k T.
 """
 
 import math
@@ -26,33 +26,36 @@ from workers.orbit.section import back_at_section, quiet_section, seen_later
 
 PROOF_STEPS = 12
 CYCLES = 60
-"""Turns of the orbit within which the Floquet frame must settle."""
+"""Maximum number of turns of the orbit within which the Floquet frame must settle."""
 
 UNDERFLOWS = 1e-290
 """Spectral radius below which the product of an orbit's Jacobians has lost its digits."""
 
 HOPELESS = 30.0
-"""Spectral radius of the Jacobian from which on no stable orbit is near: chaos that returns close to itself."""
+"""Spectral radius of the Jacobian from which on no stable orbit is near: chaos returned close to itself."""
 
 ON_ORBIT = 1e-9
-"""Distance from an orbit, relative to the motion's scale, up to which a motion is on it."""
+"""Distance from an orbit, relative to the motion's scale, up to which a motion is on the orbit."""
 
 RESERVED_TURNS = 7
-"""Turns of the other tests of an orbit: divisors (less than three, or less than two and one under G), two of the
-motion, one for the error of the multipliers, one last count."""
+"""Number of turns reserved for the other tests of an orbit: divisors (less than three, or less than two and one under
+G), two of the motion, one for the error of the multipliers, one last count."""
 
 
 NOTHING, NEAR, SETTLED = range(3)
-"""Outcomes of the search: no stable orbit; a stable orbit not proved to attract the motion; an orbit that does."""
+"""Outcomes of the search. NOTHING: no stable orbit. NEAR: a stable orbit that is not proved to attract the motion.
+SETTLED: a stable orbit that is."""
 
 
 class PeriodicOrbit(NamedTuple):
     """A closed orbit of m steps of the map, with its multipliers.
 
-    h (n, 2), contact   section state on it
-    steps, half         m, and true if a step is half a period (map G)
-    exponents           (2n,) ln|mu| / period, in any order; -infinity where structurally lost
-    error               rounding error of the exponents
+    h          (n, 2) section state on the orbit
+    mode       number of its mode there
+    steps      m
+    half       True if a step is half a period (map G)
+    exponents  (2n,) ln|mu| / period, in any order; -infinity in directions that are structurally lost
+    error      rounding error of the exponents
     """
 
     h: Array
@@ -65,7 +68,10 @@ class PeriodicOrbit(NamedTuple):
 
 @kernel
 def newton_step(h, image, J):
-    """One step of Newton's method, h - (J - I)^-1 (F(h) - h); not finite where the matrix is singular."""
+    """Return the block state after one step of Newton's method, h - (J - I)^-1 (F(h) - h).
+
+    It is not finite if the matrix is singular.
+    """
     matrix, better = J.copy(), h.copy()
     for k in range(len(J)):
         matrix[k, k] -= 1.0
@@ -77,16 +83,16 @@ def newton_step(h, image, J):
 
 @kernel
 def is_hopeless(J):
-    """Whether the spectral radius is HOPELESS or more; mostly its bound, the Frobenius norm, suffices."""
+    """Return True if the spectral radius is HOPELESS or more; mostly its bound, the Frobenius norm, suffices."""
     return not squares(J) < HOPELESS * HOPELESS and not spectral_radius(J) < HOPELESS
 
 
 @inline_always
 def newton(oscillator, start, mode, steps, half, scale, limit):
-    """The fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
+    """Return the fixed point of the map near block state ``start``, to rounding, and the number of Newton steps.
 
-    h <- h - (J - I)^-1 (F(h) - h), at most ``limit`` times, until the residual stops falling. It must end below 1e-10
-    of ``scale``; without a fixed point the residual is infinite.
+    h <- h - (J - I)^-1 (F(h) - h) is repeated, at most ``limit`` times, until the residual stops falling. The residual
+    must end below 1e-10 of ``scale``; without a fixed point it is infinite.
     """
     h = start.copy()
     blocks = oscillator.gap.blocks
@@ -111,9 +117,9 @@ def newton(oscillator, start, mode, steps, half, scale, limit):
 
 @inline_always
 def least_turn(oscillator, point, steps, half, scale):
-    """(steps, half) of the shortest turn of an orbit that closes after these, and half periods flown to find it.
+    """Return (steps, half) of the shortest turn of an orbit that closes after these, and half periods flown.
 
-    Motion returns only after several turns if an impact alternates between both sides of the section t = k T.
+    A motion returns only after several turns if an impact alternates between both sides of the section t = k T.
     """
     spent = 0
     for fewer in range(1, steps + 1):
@@ -132,10 +138,10 @@ def least_turn(oscillator, point, steps, half, scale):
 
 @inline_always
 def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
-    """Whether a motion at block state h converges to an orbit, judged in at most ``limit`` turns; and these turns.
+    """Return whether a motion at block state h converges to an orbit, and the turns taken, at most ``limit``.
 
-    Every turn must pass the test of ``orbit.attraction`` until the motion is nearer for good, and one more turn, or
-    until it is on the orbit.
+    Every turn must pass the test of ``orbit.attraction`` until the motion stays nearer to the orbit, and in one more
+    turn. A motion that reaches the orbit passes as well.
     """
     blocks, norm = oscillator.gap.blocks, shrinking_norm(oscillator.gap.blocks, point.jacobian, contraction)
     begun, at, nearer = separation(blocks, h, point.h), h, False
@@ -153,7 +159,7 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
 
 @inline_always
 def find_orbit(oscillator, h, mode, steps, half, scale, budget):
-    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
+    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
     The orbit closes after ``steps`` or a divisor of them.
     """
@@ -197,10 +203,10 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
 
 @kernel
 def recurrence(blocks, sections, near, longest):
-    """Periods p <= longest after which the last of the sections (K, n, 2) nearly returned, the closest first.
+    """Return the periods p <= longest after which the last section nearly returned, the closest first.
 
-    The return is within ``near`` in the energy norm and ten times closer than for any shorter p; at most three.
-    settle() decides whether it is an orbit.
+    The sections are (K, n, 2). A return is within ``near`` in the energy norm and ten times closer than for any shorter
+    p. There are at most three. ``settle`` decides whether a return belongs to an orbit.
     """
     closest = np.empty(3, dtype=np.int64)
     count, last = 0, len(sections) - 1
@@ -218,7 +224,7 @@ def recurrence(blocks, sections, near, longest):
 
 @kernel
 def far_from_closing(blocks, h, sections, cells, returns, limit):
-    """Mask of cells of which none of the ``returns`` sections before the last lies within ``limit`` of it.
+    """Return the mask of cells with none of the ``returns`` sections before the last within ``limit`` of the last one.
 
     ``limit`` is relative to the motion's scale. The number of returns is fixed, since on a torus more returns come
     nearer.
@@ -236,14 +242,18 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 @inline_always
 def settle(oscillator, motion, sections, near, longest, budget):
-    """(NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent): the stable orbit to which the motion converges.
+    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent) of a motion.
+
+    SETTLED: the motion converges to that stable orbit.
 
     NEAR: its sections recur near a stable orbit, but convergence is not proved.
 
-    The proof: a fixed point (Newton's method) on the section t = (k + shift) T, minimal (no shorter turn closes), all
-    multipliers inside the unit circle, and the motion either on it or so near that its deviation shrinks: see
-    ``orbit.attraction``. Sections recur if the last one has returned within ``near`` of the motion's scale, after at
-    most ``longest`` periods. At most ``budget`` periods are spent.
+    The proof has four parts. Newton's method finds a fixed point on the section t = (k + shift) T. The orbit is
+    minimal: no shorter turn closes. All multipliers lie inside the unit circle. The motion is on the orbit, or so near
+    that its deviation shrinks: see ``orbit.attraction``.
+
+    Sections recur if the last one has returned within ``near`` of the motion's scale, after at most ``longest``
+    periods. At most ``budget`` periods are spent.
     """
     scale = scale_of(oscillator.gap.blocks, motion.h)
     returns = recurrence(oscillator.gap.blocks, sections, near * scale, longest)
@@ -270,9 +280,15 @@ def settle(oscillator, motion, sections, near, longest, budget):
 class PeriodicOrbits(NamedTuple):
     """Periodic orbits of N cells: the fields of PeriodicOrbit needed in results, and the counts of one turn.
 
-    h (N, n, 2), contact (N, 1) at t = k T, after an impact at that time; period (N,), symmetric (N,), exponents (N, 2n)
-    largest first, error (N,), tally (N, TALLIES): see Motion. shift (N,): of the section of the proof, in periods. near
-    (N,): true if the motion ever came near a stable orbit and left it again.
+    h          (N, n, 2) block states at t = k T, after an impact at that time
+    mode       (N, 1) numbers of the modes there
+    period     (N,) forcing periods of a turn
+    symmetric  (N,) mask of symmetric orbits
+    exponents  (N, 2n) exponents, largest first
+    error      (N,) rounding error of the exponents
+    tally      (N, TALLIES) counts of one turn, see Motion
+    shift      (N,) shift of the section of the proof, in periods
+    near       (N,) mask of motions that ever came near a stable orbit and left it again
     """
 
     h: Array
@@ -287,7 +303,7 @@ class PeriodicOrbits(NamedTuple):
 
 
 def no_orbits(count: int, n: int) -> PeriodicOrbits:
-    """Room for the orbits of ``count`` cells of n blocks."""
+    """Return empty orbits of ``count`` cells of n blocks, to be filled in."""
     return PeriodicOrbits(
         h=np.zeros((count, n, 2)),
         mode=np.full((count, 1), FLIGHT),
@@ -303,10 +319,10 @@ def no_orbits(count: int, n: int) -> PeriodicOrbits:
 
 @kernel
 def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
-    """``settle`` for these cells, with the last ``kept`` (N,) of the sections (N, K, n, 2) known; near (N,).
+    """Apply ``settle`` to these cells, with the last ``kept`` (N,) of the sections (N, K, n, 2) known; near (N,).
 
-    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Writes the rows of
-    orbits and spent (N,) of these cells; returns a mask of proved orbits.
+    An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Write the rows of
+    ``orbits`` and ``spent`` (N,) of these cells, and return the mask of cells with a proved orbit.
     """
     oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
     settled = np.empty(len(cells), dtype=np.bool_)

@@ -14,7 +14,7 @@ from workers.model.mode_table import ContactElements, ModeTable
 from workers.model.oscillator import Array, Oscillator, Rows, take_one
 
 RECORD = 512
-"""Most events of one period that are recorded."""
+"""Maximum number of events recorded in one period."""
 
 AT_REST = 1e-10
 """Share of the largest displacement or velocity up to which a state counts as on a stop, or as not sliding."""
@@ -23,9 +23,12 @@ AT_REST = 1e-10
 class RecordedLeg(NamedTuple):
     """The motion in one mode, and the event that begins it.
 
-    Its time after the first section; the signal that reaches an end of its range, and the end, -1 or 1: signal -1 and
-    end 0 where the phase changes or the motion begins; the rate of the signal; the mode and the beginning of its
-    signals.
+    time    time of the event after the first section
+    signal  signal that reaches an end of its range; -1 if the phase changes or the motion begins
+    side    end that the signal reaches, -1 or 1; 0 if the phase changes or the motion begins
+    rate    rate of the signal
+    code    mode after the event
+    begun   how the signals of the mode start
     """
 
     time: float
@@ -37,9 +40,13 @@ class RecordedLeg(NamedTuple):
 
 
 def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[RecordedLeg]:
-    """Events of a single machine with modes, in a record of many, from a physical section state (2n,), its start first.
+    """Return the legs of a motion of a single machine with modes, its start first.
 
-    ValueError if it cannot be followed.
+    oscillators  the machine, in a batch
+    state        (2n,) physical section state
+    periods      number of periods
+
+    Raise ValueError if the motion cannot be followed.
     """
     state = np.array(state, dtype=np.float64)
     shown = mode_code_of_state(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
@@ -48,16 +55,19 @@ def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[Rec
 
 
 def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: Array | None = None) -> Iterator[Array]:
-    """The legs, see notes.LegRecord, of each period of a single oscillator, in a record of many.
+    """Yield the legs, see leg_record.LegRecord, of each period of a motion of a single oscillator.
 
-    Times are counted from the first section. The motion starts at a physical state (2n,) in the mode of this number.
-    Its evaluations are taken off the work that ``tally`` (TALLIES,) has left, if given.
-    ValueError if it cannot be followed, or no work is left.
+    oscillators  the oscillator, in a batch
+    state        (2n,) physical state at the start
+    number       number of the mode there
+    tally        (TALLIES,) counts of a motion; evaluations are subtracted from its remaining work
+
+    Times are counted from the first section. Raise ValueError if the motion cannot be followed, or no work remains.
     """
     table = take_one(oscillators, 0).table
     for k in count():
         if tally is not None and tally[WORK] < 0.0:
-            raise ValueError("the work allowed to this motion is spent")
+            raise ValueError("the evaluations allowed for this motion are spent")
         rows, state, number, work = _one_period(oscillators, table, state, number)
         if tally is not None:
             tally[WORK] -= work
@@ -66,7 +76,7 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: A
 
 
 def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
-    """A leg in the form of Passed, for a single oscillator in a record of many."""
+    """Return a row of legs as a RecordedLeg, for a single oscillator in a batch."""
     own = oscillators.table.machines
     begun = tuple(map(int, row[LEG_STATE + own.dimension :]))
     code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
@@ -76,7 +86,10 @@ def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
 
 
 def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
-    """The mode of a state of one machine, in its first phase; rest and sticking up to rounding count as such."""
+    """Return the mode of a state of one machine, in its first phase.
+
+    A state that rests or sticks up to rounding counts as resting or sticking.
+    """
     n = len(z) // 2
     x, v = z[:n], z[n:]
     far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
@@ -96,15 +109,16 @@ def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
 
 
 def _segment(starts: Array, at: float) -> int:
-    """The segment of a law at an argument, for segments that begin at ``starts`` (S,)."""
+    """Return the index of the segment of a law at an argument, for segments that begin at ``starts`` (S,)."""
     return max(0, int(np.sum(starts < at)) - 1)
 
 
 def _one_period(
     oscillators: Oscillator, table: ModeTable, state: Array, number: int
 ) -> tuple[Array, Array, int, float]:
-    """The legs of one period, state and mode after it, and the evaluations that it took; modes missing from the
-    ``table`` are built.
+    """Return the legs of one period, the state and mode after it, and the number of evaluations.
+
+    Modes missing from the ``table`` are built.
     """
     legs = np.empty((RECORD, LEG_STATE + len(state) + table.pieces.ends.shape[1]))
     W, growth, triangle, hits = np.zeros((0, len(state))), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3))
@@ -118,7 +132,7 @@ def _one_period(
     z, code, tally = oscillators.with_modes(followed, np.zeros(1, dtype=np.int64))
     known = legs[~np.isnan(legs[:, LEG.start])]
     if len(known) == RECORD:
-        raise ValueError(f"found {RECORD} events or more in one period of the motion, followed are orbits with fewer")
+        raise ValueError(f"events in one period of the motion: found {RECORD} or more, must be fewer")
     if tally[STATUS] != RUNNING:
         raise ValueError("the motion cannot be followed through one period of the force")
     return known, z, int(code[0]), float(WORK_OF_A_TRIAL - tally[WORK])

@@ -13,21 +13,22 @@ from workers.model.hybrid_modes import ON
 from workers.orbit.map import separation, squares
 
 FOLLOWED = 1e10
-"""Largest growth of a disturbance from a release to the next rest, by the norm of all tangent vectors: rounding is
-still small beside the motion."""
+"""Maximum growth of a disturbance from a release to the next rest, by the norm of all tangent vectors. Rounding is
+still small compared with the motion then."""
 
 SAME_RELEASE = 1e-6
-"""Relative distance, in units of the motion's scale, of two sections after the same release."""
+"""Maximum distance, in units of the motion's scale, of two sections after the same release."""
 
 RELEASES = 16
-"""Releases compared with a section: as many as phases at which the load on a stop ends."""
+"""Maximum number of releases compared with a section: as many as phases at which the load on a stop ends."""
 
 
 @inline_always
 def pass_period(oscillator, motion, rests):
-    """Advance a motion by a period: whether it rests at its end, and whether that is the first section after a rest.
+    """Advance a motion by a period, in place.
 
-    ``rests``: whether it rested before. At a section after a rest the tangent vectors are reset to the block axes.
+    Return whether it rests at the end of the period, and whether that is the first section after a rest. ``rests`` is
+    True if the motion rested before. At a section after a rest the tangent vectors are reset to the block axes.
     """
     motion.tally[LOST] = 0.0
     advance(oscillator, motion)
@@ -40,7 +41,7 @@ def pass_period(oscillator, motion, rests):
 
 @inline_always
 def is_followed(oscillator, h, mode, periods):
-    """Whether disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
+    """Return True if disturbances grow less than FOLLOWED times between a release and the next rest of this orbit."""
     motion = motion_with(h, mode, axes(h.shape[0]), np.zeros(0), np.zeros((0, 0)))
     rests = begun = False
     for _ in range(2 * periods):
@@ -55,9 +56,14 @@ def is_followed(oscillator, h, mode, periods):
 def rest_to_rest(oscillators, motions, cells, sections, kept):
     """Advance these motions of one mass, in place, to a section after a release that repeats an earlier one.
 
-    sections (N, K, n, 2) keep the states between the two, ``kept`` (N,) of them at the end of each row; 0 if a motion
-    does not reach such a section in K - 1 periods, or if a disturbance grows FOLLOWED times on the way, so that doubles
-    cannot decide. Returns the periods flown (N,).
+    oscillators  N machines
+    motions      their motions
+    cells        rows of the motions to advance
+    sections     (N, K, n, 2) written: states between the two releases, at the end of each row
+    kept         (N,) written: number of these states
+
+    ``kept`` is 0 if a motion does not reach such a section in K - 1 periods. It is also 0 if a disturbance grows
+    FOLLOWED times on the way, so that doubles cannot decide. Return the number of periods flown (N,).
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
     flown = np.zeros(len(sections), dtype=np.int64)

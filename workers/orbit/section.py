@@ -1,6 +1,6 @@
 """The section of an orbit's proof: t = (k + shift) T, near which the motion meets no stop and leaves none.
 
-Results refer to the section t = k T. An orbit may impact there, as many closed forms do: then rounding decides, in each
+Results refer to the section t = k T. An orbit may impact there, as many closed forms do. Rounding then decides, in each
 turn, whether the impact comes before or after the section, and the map is not smooth. Period, impacts and multipliers
 of an orbit are the same on every section.
 """
@@ -20,7 +20,7 @@ MARGIN = 1.0 / 1024.0
 """Share of a period before and after a section that must be free of events."""
 
 MAX_ATTEMPTS = 4
-"""Most sections tried; the last one is taken in any case."""
+"""Maximum number of sections tried; the last one is taken in any case."""
 
 AT_SECTION = 1e-12
 """Share of a period after the section t = k T within which an impact counts as past."""
@@ -28,13 +28,13 @@ AT_SECTION = 1e-12
 
 @inline_always
 def seen_later(oscillator, shift):
-    """The oscillator as seen from the section t = shift T; with modes from t = 0, where its phases begin."""
+    """Return the oscillator as seen from the section t = shift T; with modes from t = 0, where its phases begin."""
     return with_phase(oscillator, oscillator.tau + 2.0 * math.pi * shift)
 
 
 @kernel
 def motion_after(oscillator, h, mode, shift):
-    """The motion from block state h (n, 2) after ``shift`` < 1 periods."""
+    """Return the motion from block state h (n, 2) after ``shift`` < 1 periods."""
     motion = motion_alone(h, mode)
     propagate(oscillator, motion, shift * oscillator.head[HEAD.period])
     return motion
@@ -42,9 +42,9 @@ def motion_after(oscillator, h, mode, shift):
 
 @kernel
 def quiet_section(oscillator, h, mode):
-    """(shift, h (n, 2), contact, periods flown): a section of a motion without events nearby.
+    """Return (shift, h (n, 2), mode, periods flown): a section of a motion without events nearby.
 
-    Takes the block state at t = 0 and returns the block state at t = shift T; with modes that is t = 0.
+    The block state given is that at t = 0, the one returned that at t = shift T; with modes both are at t = 0.
     """
     if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
@@ -65,7 +65,7 @@ def quiet_section(oscillator, h, mode):
 
 @inline_always
 def back_at_section(oscillator, shift, h, mode):
-    """The motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
+    """Return the motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
     An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
     """

@@ -128,5 +128,5 @@ def test_tables_have_the_frequency_of_a_hopf_point_and_the_period_of_the_cycle_t
 def test_what_friction_holds_is_no_branch() -> None:
     friction = {"name": "ground", "row": [1.0], "kinetic": 0.4}
     block = machine(damping=[[0.1]], friction=[friction], parameters={"k": 0.5})
-    with pytest.raises(InputError, match="this cell: friction holds it, as one equilibrium of a continuum"):
+    with pytest.raises(InputError, match="this cell: found one of a continuum of equilibria at which friction sticks"):
         atlas.branch({"x": 0.1}, along="k", window=(0.2, 0.8), system=block)
