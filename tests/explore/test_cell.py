@@ -184,7 +184,9 @@ def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_doc
 ) -> None:
     works, made, of_cell = list[Any](), list[BasinGrid](), BasinGrid.from_cell
     background = SimpleNamespace(deferred_call=lambda act: act, run=lambda work, refuse: works.append(work))
-    wanted = SimpleNamespace(request=lambda who, jobs, keep_earlier=False: made.extend(job.question.argument[0] for job in jobs))
+    wanted = SimpleNamespace(
+        request=lambda who, jobs, keep_earlier=False: made.extend(job.question.argument[0] for job in jobs)
+    )
     panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
     panel.set_topic(cell_at(subject, 4.0, 0.1))
     monkeypatch.setattr(BasinGrid, "from_cell", pytest.fail)
