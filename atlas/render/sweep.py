@@ -102,7 +102,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     shown = PlottedValues.resolve(request.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
-        raise InputError("kind 'hysteresis' needs 'section' or 'largest', and one of the atlases has neither")
+        raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
     (first, x), (second, _) = (line(ds, [*names, *held(hysteresis.COMPARED, *atlases)]) for ds in atlases)
     outcome = hysteresis.compare(first, second)
 
