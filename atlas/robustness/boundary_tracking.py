@@ -90,7 +90,7 @@ def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
     saddles, troubles = list[Saddle](), list[str]()
     if len(table.attractors) < 2:
         count = len(table.attractors)
-        troubles.append(f"between basins: found {count} attractors, must be two or more")
+        troubles.append(f"between basins: number of attractors: found {count}, must be 2 or more")
     for own, other in permutations(range(len(table.attractors)), 2):
         tracker = _Tracker(table, own, weights)
         saddle = tracker.track(points[own, 0], points[other, 0])

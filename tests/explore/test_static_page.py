@@ -412,7 +412,7 @@ def test_one_plane_of_a_stack_is_shown_and_a_whole_stack_is_refused(stack: Path,
 def test_a_line_and_exponents_in_another_unit_are_refused(opened: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a page shows two axes, found one \(omega\)"):
         opened.isel(b=0).atlas.to_html(tmp_path / "page.html")
-    with pytest.raises(InputError, match="pictures draw exponents per forcing period"):
+    with pytest.raises(InputError, match="pictures need exponents per forcing period"):
         opened.atlas.per_unit_time().atlas.to_html(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 

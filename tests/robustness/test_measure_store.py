@@ -345,7 +345,7 @@ def fails(*words: str) -> str:
 def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Path) -> None:
     path = copied(plane, tmp_path)
     store = str(path)
-    assert "has no curves to measure margins to" in fails(store, "--margin")
+    assert "found no curves, which margins need" in fails(store, "--margin")
     assert "shocks need an atlas of all, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
     assert "--scale needs --margin" in fails(store, "--scale", "b=1")
