@@ -1,1 +1,1 @@
-"""A stored cell as an orbit; branches, curves and labels of orbits."""
+"""Stored cells as orbits; branches, curves and labels of these orbits."""

@@ -1,4 +1,4 @@
-"""Finished stores: the results and the parameters of their cells as columns, and rows of these that may be orbits."""
+"""The cells or attractors of a finished store as columns of results and parameters; rows may be orbits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,9 +27,16 @@ Mask = NDArray[np.bool_]
 class OrbitTable:
     """Cells or attractors of a store, N rows.
 
-    axes, fixed   the names of the axes, and all other parameters by name
-    regime, period, impacts_upper, impacts_lower, symmetric (N,), state (N, 2n)   as the store has them
-    cycle_period (N,)   the periods of cycles, NaN of other motion; None where there is a force
+    system              system of the store
+    axes                names of the axes
+    fixed               all other parameters by name
+    regime (N,)         regime, as the store has it
+    period (N,)         period in forcing periods
+    impacts_upper (N,)  impacts at the upper stop
+    impacts_lower (N,)  impacts at the lower stop
+    symmetric (N,)      mask of orbits that are their own mirror images
+    state (N, 2n)       section state
+    cycle_period (N,)   periods of cycles, NaN for other motion; None with a force
     """
 
     system: System
@@ -45,11 +52,11 @@ class OrbitTable:
 
     @property
     def proven(self) -> Mask:
-        """Which rows (N,) have a periodic orbit."""
+        """The mask (N,) of rows with a periodic orbit."""
         raise NotImplementedError
 
     def values(self, rows: Rows) -> Array:
-        """The parameters (R, axes) of these rows."""
+        """Return the parameters (R, axes) of rows."""
         raise NotImplementedError
 
     @cached_property
@@ -60,18 +67,18 @@ class OrbitTable:
 
 
 def must_be_finished(handle: AtlasStore) -> None:
-    """InputError, with what to do, where a tile of a store is not done."""
+    """Raise InputError, with the remedy, if a tile of a store is unfinished."""
     missing = handle.tiling.count - len(done_tiles(handle))
     if missing:
-        raise InputError(f"{handle.backend}: {plural(missing, 'tile')} not done; complete it with atlas run first")
+        raise InputError(f"{handle.backend}: {plural(missing, 'tile')} unfinished; complete the store with atlas run")
 
 
 def current_group(
     handle: AtlasStore, group: str, version: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """The arrays and the attributes of a group that methods of this version and this solver have written.
+    """Return the arrays and the attributes of a group, if written by this version of the method and of the solver.
 
-    None where there is none, also where it is damaged: it is found anew.
+    Return None if there is no such group, or it is damaged: the group is then computed again.
     """
     try:
         stored = read_group(handle, group)
@@ -84,11 +91,11 @@ def current_group(
 def columns_of(
     handle: AtlasStore, names: Sequence[str], tile: tuple[int, ...] | None = None
 ) -> dict[str, NDArray[Any]]:
-    """Results (cells, keep, ...) of a store's cells, or of those of a tile, in C order; keep is 1 for one attractor.
+    """Return results (cells, keep, ...) of a store's cells, or of those of a tile, in C order; keep is 1 for one
+    attractor.
 
-    Whole numbers are int64.
-
-    InputError for a result that the store does not have, ChunkError where a chunk is missing or damaged.
+    Integers are int64. Raise InputError for a result that the store does not have, and ChunkError if a chunk is missing
+    or damaged.
     """
     check_names("result of this atlas", names, [variable.name for variable in handle.variables])
     if tile is None:
@@ -105,7 +112,7 @@ def columns_of(
 
 
 def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, NDArray[np.float64]]:
-    """The value (cells,) of every parameter in a block of cells, by default in all, in C order."""
+    """Return the value (cells,) of every parameter in a block of cells, by default in all, in C order."""
     block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
     given, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
     return {

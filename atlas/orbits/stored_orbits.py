@@ -1,6 +1,6 @@
 """Stored cells as orbits: the one way from the results of periodic cells to the equations of their impacts.
 
-An orbit is recorded in one turn of the motion from its stored state, and then found by Newton's method, all of one
+An orbit is recorded over one turn of the motion from its stored state. Newton's method then solves all orbits of one
 itinerary together.
 """
 
@@ -19,11 +19,11 @@ from workers.model.family import NoOscillatorError
 from workers.results import CYCLE_PERIOD, NO_IMPACT, REGIME
 
 NEEDED = (REGIME.name, "period", "symmetric", "state")
-"""The variables that an orbit is made of, besides the cell's parameters; without a force also CYCLE_PERIOD."""
+"""Variables from which an orbit is made, besides the cell's parameters; without a force also CYCLE_PERIOD."""
 
 
 class StoredOrbits:
-    """The orbits of rows of a store, each found once, and followed to other parameters."""
+    """The orbits of rows of a store, each solved once, and followed to other parameters."""
 
     def __init__(self, rows: OrbitTable) -> None:
         self.rows = rows
@@ -31,19 +31,21 @@ class StoredOrbits:
         self._known: dict[int, Orbit | None] = {}
 
     def family_along(self, axis: int, values: Array) -> Family:
-        """The family over one axis, by its number, through a point (axes,)."""
+        """Return the family of orbits along one axis, by its index, through a point (axes,)."""
         own = self.rows
         others = {name: float(value) for name, value in zip(own.axes, values, strict=True) if name != own.axes[axis]}
         return family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
 
     def orbit_of_row(self, row: int) -> Orbit | None:
-        """The orbit of a row; None without a proven one, or where Newton's method finds none, such as for R = 0."""
+        """Return the orbit of a row; None without a proven one, or if Newton's method finds none, for example for R =
+        0.
+        """
         if row not in self._known:
             self.find([row])
         return self._known[row]
 
     def find(self, rows: Iterable[int]) -> None:
-        """Find the orbits of rows, which is quicker for many at once."""
+        """Solve for the orbits of rows; many rows at once are faster."""
         own, known = self.rows, self._known
         wanted = np.array([row for row in dict.fromkeys(map(int, rows)) if row not in known], dtype=np.int64)
         known.update(dict.fromkeys(wanted.tolist()))
@@ -58,11 +60,11 @@ class StoredOrbits:
         known.update((row, orbit) for row, orbit in pairs if isinstance(orbit, Orbit))
 
     def are_still(self, rows: Rows) -> Mask:
-        """Which of these rows stand still, without a force: their orbits are equilibria."""
+        """Return the mask of rows that stand still, without a force: their orbits are equilibria."""
         return np.asarray((self.rows.regime[rows] == NO_IMPACT) & self.rows.system.definition.unforced)
 
     def _equilibrium(self, row: int) -> Orbit | None:
-        """The equilibrium of a row; None where friction holds it."""
+        """Return the equilibrium of a row; None if friction makes it stick."""
         own, (values,) = self.rows, self.rows.values(np.array([row]))
         given = {**own.fixed, **dict(zip(own.axes, values.tolist(), strict=True))}
         try:
@@ -71,7 +73,9 @@ class StoredOrbits:
             return None
 
     def group_by_itinerary(self, rows: Rows) -> Iterator[tuple[Rows, list[Orbit]]]:
-        """The places of rows whose orbits have one itinerary, and these orbits; rows without an orbit are left out."""
+        """Yield the indices of rows whose orbits have one itinerary, with these orbits; rows without an orbit are left
+        out.
+        """
         self.find(rows)
         orbits = [self.orbit_of_row(int(row)) for row in rows]
         for places in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
@@ -80,10 +84,11 @@ class StoredOrbits:
     def continue_orbits(
         self, orbits: list[Orbit], here: Array, there: Array, steps: int = 1, attracting: bool = False
     ) -> OrbitBatch:
-        """Orbits of one itinerary continued from parameters (N, axes) to others by Newton's method, in equal steps.
+        """Return orbits of one itinerary, continued from parameters (N, axes) to others by Newton's method in equal
+        steps.
 
-        ``found``: where it finds them, and with ``attracting`` also that they attract there; nowhere if one of them
-        has no machine on the way.
+        The mask ``converged`` of the result marks orbits that are found, and with ``attracting`` also attract there. It
+        is False throughout if one of the orbits has no machine on the way.
         """
         reached = start = many_of(orbits, here)
         try:
@@ -95,12 +100,13 @@ class StoredOrbits:
 
 
 def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) -> list[Orbit | str]:
-    """The orbit of each of N periodic cells, exact; or why there is none, in words, such as for R = 0.
+    """Return the exact orbit of each of N periodic cells, or in words why there is none, for example for R = 0.
 
-    points (N, free)   their values of the family's free parameters
-    cells              the columns NEEDED as the store has them: (N,), of states (N, 2n)
-    Motion without impact is its own mirror image in a symmetric machine, also if its row in the store is not marked so.
-    Raises NoOscillatorError for a point without a machine.
+    points (N, free)  values of the family's free parameters
+    cells             columns NEEDED as the store has them: (N,), states (N, 2n)
+
+    Motion without impact is its own mirror image in a symmetric machine, even if its row in the store is not marked so.
+    Raise NoOscillatorError for a point without a machine.
     """
     if not len(points):
         return []
@@ -123,7 +129,7 @@ def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) 
 
 
 def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list[Orbit | str]:
-    """The orbits near these at their points (N, free), to rounding; or why there is none. Words stay."""
+    """Return the orbits near these at their points (N, free), to rounding, or why there is none. Reasons are kept."""
     solved = list(orbits)
     for rows in alike(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
         same = [orbit for k in rows.tolist() if isinstance(orbit := orbits[k], Orbit)]
@@ -133,7 +139,7 @@ def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list
 
 
 def _by_newton(family: Family, orbits: list[Orbit], points: Array) -> list[Orbit | str]:
-    """``_exact`` of orbits of one itinerary."""
+    """Do the work of ``_exact`` for orbits of one itinerary."""
     try:
         near = continued_to(family, many_of(orbits, points), points)
     except ValueError as error:

@@ -1,1 +1,1 @@
-"""Reading an atlas and asking it."""
+"""Opening an atlas as a dataset, and queries that read it."""

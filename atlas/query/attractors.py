@@ -1,4 +1,4 @@
-"""Atlases of all attractors: one attractor of every cell as a dataset, and all of one cell as a list."""
+"""Atlases of all attractors: select one attractor of every cell, or list all attractors of one cell."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -14,24 +14,28 @@ if TYPE_CHECKING:
 
 
 def has_all_attractors(ds: "xr.Dataset") -> bool:
-    """Whether a dataset has all attractors of its cells."""
+    """Return True if a dataset has all attractors of its cells."""
     return ATTRACTOR in ds.dims
 
 
 def select_dominant(ds: "xr.Dataset") -> "xr.Dataset":
-    """The attractor with the largest share in every cell; a dataset of one attractor a cell is itself."""
+    """Return the attractor with the largest share in every cell.
+
+    A dataset with one attractor per cell is returned unchanged.
+    """
     return select_attractor(ds, 0) if has_all_attractors(validate_atlas(ds)) else ds
 
 
 def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
-    """The attractor at that place in every cell, 0 for the one with the largest share.
+    """Return the attractor of rank ``index`` in every cell; rank 0 has the largest share.
 
-    A cell with fewer is as without a result. InputError for a place that does not exist.
+    Cells with fewer attractors have the regime of a cell without a result. Raise InputError if no cell can have an
+    attractor of that rank.
     """
     if not has_all_attractors(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
     kept = ds.sizes[ATTRACTOR]
-    if index not in range(kept):  # as no infinity and no NaN is
+    if index not in range(kept):  # False for infinities and NaN
         raise InputError(f"attractor: found {index:g}, must be a whole number, 0 to {kept - 1}")
     made = ds.isel({ATTRACTOR: int(index)})
     made.encoding = dict(ds.encoding)
@@ -39,11 +43,11 @@ def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
 
 
 def own(ds: "xr.Dataset") -> "xr.Dataset":
-    """Of a dataset of all attractors the one that each cell's own initial state reaches; which one is read at once.
+    """Select the attractor that each cell's own initial state reaches. The variable ``own_attractor`` is read at once.
 
-    A cell whose attractor is not among those kept has the regime of a cell without a result.
+    Cells whose own attractor was not stored have the regime of a cell without a result.
     """
-    place = ds["own_attractor"][...].load()  # not within ``ds``, which would keep them while a run goes on
+    place = ds["own_attractor"][...].load()  # a copy: ``ds`` must not cache it during a run
     made = ds.drop_vars("own_attractor").isel({ATTRACTOR: place.clip(0)})
     made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
     made.encoding = dict(ds.encoding)
@@ -51,9 +55,9 @@ def own(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def branches(ds: "xr.Dataset") -> "xr.Dataset":
-    """The branches of an atlas whose attractors are labelled, by their labels, as a dataset, read.
+    """Return the branches of an atlas with labelled attractors, by label, as a loaded dataset.
 
-    InputError where they are not.
+    Raise InputError if the attractors are not labelled.
     """
     handle = handle_of(ds) if LABEL.name in ds else None
     if handle is None or group_attributes(handle, LABELS) is None:  # the labels of basins are its results
@@ -62,16 +66,19 @@ def branches(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def list_attractors(cell: "xr.Dataset") -> list[dict[str, Any]]:
-    """The attractors of one cell, read: see ``attractors_listed``."""
+    """Return the attractors of one cell of a dataset; see ``attractors_listed``."""
     many = [str(name) for name in cell.data_vars if ATTRACTOR in cell[name].dims]
     return attractors_listed({name: cell[name].values for name in ("attractors", *many)}, many)
 
 
 def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict[str, Any]]:
-    """The attractors of one cell, as entries of all their numbers, regime and reason by name; the largest share first.
+    """Return the attractors of one cell as a list of dicts, the largest share first; empty if no initial state is
+    decided.
 
-    cell   its results by name; those named in ``many`` are arrays (keep, ...), states, spectra and sections among them
-    There are none where no initial state is decided.
+    Each dict has all values of an attractor by name, with regime and reason in words.
+
+    cell  results of the cell by name
+    many  names of the results that are arrays (keep, ...) over the attractors, such as states, spectra and sections
     """
     names = list(many)
     kept = min(int(cell["attractors"]), len(cell[REGIME.name]))
@@ -79,7 +86,7 @@ def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict
 
 
 def attractor_in_words(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of one attractor: regime and reason in words, its shares, the rest."""
+    """Return the values of one attractor: regime and reason in words, then its shares, then all others."""
     first = ("share", "share_low", "share_high")
     ordered = {name: values[name] for name in first if name in values}
     rest = {name: value for name, value in values.items() if name not in (*first, REGIME.name, REASON.name)}

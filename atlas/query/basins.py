@@ -1,18 +1,19 @@
-"""Basins of attraction: the table of their attractors, shares, entropy and uncertainty.
+"""Measures of basins of attraction: the table of their attractors, their shares, entropy and uncertainty exponent.
 
-Shares        of the initial states of the plane that are not beyond a stop, with 95 % Wilson intervals.
-Entropy       (Daza et al., Sci. Rep. 6 (2016) 31416) the plane is cut into boxes of BOX x BOX initial states; a box has
-              the Gibbs entropy S = -sum p ln p over the shares p of the labels in it. S_b is the mean over all boxes,
-              S_bb that over the boxes with more than one label; their errors are standard errors of these means.
-              Labels not known count as a label of their own. S_bb > ln 2 shows that a boundary is fractal.
-Uncertainty   (McDonald et al., Physica D 17 (1985) 125) an initial state is uncertain at distance e where the one e
-              farther along an axis, either way, has another label. Their share f(e) falls as e^alpha; the dimension of
-              the boundary is the plane's less alpha: 1 for a smooth curve, alpha = 1. alpha is the slope of ln f over
-              ln e by least squares, with the binomial errors of the shares; its error is that of the fit, times the
-              root of chi^2 per degree of freedom where that is above 1. Both axes count in initial states.
-              Where labels are mixed, f cannot grow any more: of labels of shares p drawn at random it is
-              1 - sum p^(1 + 2 axes). Distances where f is above a SATURATED part of that are left out, and where fewer
-              than LEAST_DISTANCES are left there is no exponent: the boundary is finer than the initial states.
+Shares       Shares of the initial states of the plane that are not beyond a stop, with 95 % Wilson intervals.
+Entropy      (Daza et al., Sci. Rep. 6 (2016) 31416) The plane is divided into boxes of BOX x BOX initial states. The
+             Gibbs entropy of a box is S = -sum p ln p over the shares p of the labels in it. S_b is the mean over all
+             boxes, S_bb the mean over the boxes with more than one label; their errors are the standard errors of these
+             means. Unknown labels count as one label. S_bb > ln 2 shows that a boundary is fractal.
+Uncertainty  (McDonald et al., Physica D 17 (1985) 125) An initial state is uncertain at distance e if an initial state
+             e farther along an axis, in either direction, has another label. The share of uncertain initial states is
+             f(e) ~ e^alpha. The dimension of the boundary is the dimension of the plane minus alpha; a smooth curve has
+             alpha = 1 and dimension 1. alpha is the slope of ln f over ln e by least squares, weighted with the
+             binomial errors of the shares. Its error is the error of the fit, times the root of chi^2 per degree of
+             freedom if chi^2 per degree of freedom exceeds 1. Distances are counted in initial states along both axes.
+             Where labels are mixed, f saturates: labels drawn at random with shares p have f = 1 - sum p^(1 + 2 axes).
+             Distances at which f exceeds the part SATURATED of that value are left out. With fewer than MIN_DISTANCES
+             distances there is no exponent: the boundary is finer than the initial states.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -32,42 +33,54 @@ if TYPE_CHECKING:
     import xarray as xr
 
 BOX = 5
-"""Initial states along each side of a box."""
+"""Number of initial states along each side of a box."""
 DISTANCES = (1, 2, 3, 4, 6, 8, 12, 16)
-"""Distances, in initial states, at which uncertainty is measured; up to an eighth of the shorter side."""
+"""Distances, in initial states, at which uncertainty is measured; at most an eighth of the shorter side is used."""
 MIN_DISTANCES = 3
 SATURATED = 0.25
-"""Uncertain share, of that of labels at random, above which the power law bends; its slope is an eighth less there."""
+"""Maximum uncertain share in a fit, relative to that of random labels.
+
+At this share the slope of the power law is an eighth too small.
+"""
 
 Labels = NDArray[np.int64]
 
 
 def is_basin_atlas(ds: "xr.Dataset") -> bool:
-    """Whether a dataset says which attractor each initial state of a plane reaches."""
+    """Return True if a dataset has the attractor that each initial state of a plane reaches."""
     return SETTLED.name in ds
 
 
 def table(ds: "xr.Dataset") -> "xr.Dataset":
-    """The attractors of an atlas of basins by their labels, as a dataset, read.
+    """Return the attractors of an atlas of basins, by label, as a loaded dataset.
 
-    InputError where it is no such atlas, or not complete.
+    Raise InputError if ``ds`` is not a complete atlas of basins.
     """
     if not is_basin_atlas(ds):
         raise InputError("not an atlas of basins: its axes must be initial states, and its spec must have [attractors]")
     handle = handle_of(ds)
     if group_attributes(handle, ATTRACTORS) is None:
-        raise InputError(f"{handle.backend}: has no table of attractors yet; run it to its end")
+        raise InputError(f"{handle.backend}: the table of attractors is missing; finish the run first")
     return open_table(handle, ATTRACTORS).load()
 
 
 def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
-    """Measures of the basins in a plane of initial states, or in a window of it.
+    """Return measures of the basins in a plane of initial states, or in a window of it.
 
-    ``attractors``: an entry for each by its label with its results, ``share`` and its interval in the window, and
-    ``mirror``; ``unknown``: the share without a label; ``entropy`` and ``boundary_entropy``, ``uncertainty`` (alpha)
-    and ``boundary_dimension``, each with ``_error``, NaN where there is too little to tell: ``uncertainty_reason`` says
-    why there is no alpha. See the module's text.
-    Raises InputError as ``table`` and for an unknown axis.
+    Raise InputError as ``table`` does, and for an unknown axis. The keys are:
+
+    starts              number of solved initial states
+    unknown             share of initial states without a label
+    entropy             S_b, the mean entropy of all boxes
+    boundary_entropy    S_bb, the mean entropy of boxes with more than one label
+    uncertainty         the exponent alpha
+    uncertainty_reason  why there is no alpha; empty if there is
+    boundary_dimension  dimension of the boundary
+    attractors          a dict for each attractor: its label, its results, ``mirror``, and ``share`` with its interval
+                        in the window
+
+    Entropies, ``uncertainty`` and ``boundary_dimension`` have errors, under their keys with ``_error`` appended. Values
+    are NaN if there are too few data. The header of this module defines all measures.
     """
     known, shown = table(ds), select_window(ds, window)
     labels, regime = shown[LABEL.name].values.astype(np.int64), shown[REGIME.name].values
@@ -95,7 +108,9 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
 def basin_entropy(
     labels: Labels, solved: NDArray[np.bool_], box: int = BOX
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """(S_b, its error) and (S_bb, its error) of labels over a plane or a line; boxes with unsolved starts are left out.
+    """Return (S_b, its error) and (S_bb, its error) of labels over a plane or a line.
+
+    Boxes with unsolved initial states are left out.
 
     >>> stripes = np.repeat([0, 1], 10)[None, :].repeat(20, axis=0)
     >>> basin_entropy(stripes, stripes >= 0)[0]
@@ -119,7 +134,10 @@ def basin_entropy(
 
 
 def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[float, float, str]:
-    """alpha, its error, and why there is none, NaN; an empty reason where there is one. See the module's text."""
+    """Return alpha, its error, and the reason why there is none, as defined in the header of this module.
+
+    With a reason both numbers are NaN; otherwise the reason is empty.
+    """
     shares = np.unique(labels[solved], return_counts=True)[1] / max(int(np.count_nonzero(solved)), 1)
     limit = SATURATED * (1.0 - float(np.sum(shares ** (1 + 2 * labels.ndim))))
     rows = [(e, *_uncertain(labels, solved, e)) for e in DISTANCES if e <= min(labels.shape) // 8]
@@ -143,7 +161,7 @@ def uncertainty_exponent(labels: Labels, solved: NDArray[np.bool_]) -> tuple[flo
 
 
 def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float, int]:
-    """The share of initial states that are uncertain at distance e, and of how many."""
+    """Return the share of initial states that are uncertain at distance ``e``, and the number of states compared."""
     uncertain, counted = np.zeros(labels.shape, dtype=bool), np.zeros(labels.shape, dtype=bool)
     for dim in range(labels.ndim):
         here = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
@@ -158,7 +176,7 @@ def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float
 
 
 def _mean(values: NDArray[np.float64]) -> tuple[float, float]:
-    """A mean and its standard error."""
+    """Return the mean of values and its standard error."""
     if not values.size:
         return 0.0, 0.0
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(values.size)) if values.size > 1 else float("nan")

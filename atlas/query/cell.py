@@ -1,4 +1,4 @@
-"""One cell of an atlas with everything that a second solution needs."""
+"""The specification of one cell of an atlas: everything needed to solve the cell again."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """A cell's system, the value of each of its parameters, initial state included, and the settings of its solver."""
+    """The specification of a cell.
+
+    system      system of the cell
+    parameters  value of each parameter, the initial state included
+    settings    settings of the solver
+    """
 
     system: System
     parameters: Mapping[str, float]
@@ -28,19 +33,19 @@ class CellSpec:
 
 
 def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
-    """The cell of an atlas nearest to a point.
+    """Return the specification of the cell nearest to a point.
 
-    Of an atlas of all attractors its initial state is on the one with the largest share, or on the one selected: the
-    cell's own initial state may reach another.
-    Raises InputError as ``queries.at`` does, and where the dataset lacks the spec of its atlas.
+    In an atlas of all attractors, the initial state lies on the selected attractor, by default the one with the largest
+    share. The cell's own initial state may reach another attractor. Raise InputError as ``queries.at`` does, and if the
+    dataset lacks the spec of its atlas.
     """
     ds = select_dominant(ds)
-    cell, who = at(ds, point), "this dataset does not say how it was solved"
+    cell, who = at(ds, point), "this dataset has no record of how it was solved"
     system = system_of(ds.attrs, who)
     try:
         settings = Settings(**stored_spec(ds.attrs)["solve"])
     except (KeyError, TypeError, ValueError):
-        raise InputError(f"{who}: its spec has no [solve] that this program knows") from None
+        raise InputError(f"{who}: the table [solve] of its spec is missing or unknown to this version") from None
     values = values_of(ds, system, cell)
     if "attractors" in ds and "state" in ds:
         state = ds["state"].sel({name: cell[name] for name in axis_names(ds)}).values
@@ -50,6 +55,6 @@ def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
 
 
 def values_of(ds: "xr.Dataset", system: System, cell: Mapping[str, Any]) -> dict[str, float]:
-    """The parameters that an atlas has for a cell, as ``queries.at`` gives it: on axes, in columns, or fixed."""
+    """Return the parameters of a cell, as ``queries.at`` returns it: from axes, from columns, or fixed."""
     names = [parameter.name for parameter in system.parameters if parameter.name in ds.coords]
     return {name: float(cell[name] if name in cell else ds[name]) for name in names}

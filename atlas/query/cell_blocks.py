@@ -1,4 +1,4 @@
-"""The cells of an atlas block by block; cells that records describe are not read."""
+"""Iteration over the cells of an atlas in blocks. Cells that tile records describe completely are not read."""
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator
@@ -19,12 +19,17 @@ if TYPE_CHECKING:
 
 _MIXED = REGIMES[-1].code + 1
 _NOTHING = _MIXED + 1
-"""Tiles without a single regime: of several or unknown ones; without a requested cell."""
+"""Codes of tiles: _MIXED has several or unknown regimes, _NOTHING no requested cell."""
 
 
 @dataclass(frozen=True)
 class CellBlock:
-    """Some cells of a dataset: where they lie along its dimensions, their regimes, and named variables of them."""
+    """A block of cells of a dataset.
+
+    cells   slices of the block along the dimensions of the dataset
+    regime  regimes of the cells
+    values  requested variables of the cells, by name; empty for a pending tile
+    """
 
     cells: Slices
     regime: NDArray[np.int8]
@@ -32,11 +37,11 @@ class CellBlock:
 
 
 def iter_cell_blocks(ds: "xr.Dataset", names: Iterable[str], codes: Collection[int]) -> Iterator[CellBlock]:
-    """Blocks that together hold every cell of these regimes, with the named variables; other cells may come along.
+    """Yield blocks that together contain every cell of the regimes ``codes``, with the named variables.
 
-    Of a store, a block is a run of tiles along its last dimension. A tile that has no such cell by its record is
-    not read, the regimes of one that has a single regime neither, and of a pending tile nothing: its block has no
-    values. Data that are not what a store holds come as one block.
+    Blocks may contain other cells too. In a store, a block is a row of consecutive tiles along the last dimension.
+    Tiles without a requested cell, by their tile records, are not read. Of a tile with a single regime the regimes are
+    not read, and of a pending tile nothing is. A dataset that does not show a store is one block.
     """
     wanted = list(dict.fromkeys(names))
     part = find_part(ds, [REGIME.name, *wanted])
@@ -75,7 +80,7 @@ def _walk_part(part: StoreBlock, names: list[str], codes: Collection[int]) -> It
 
 
 def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:
-    """The records of every tile of a store: the code of its only regime, _MIXED, or _NOTHING to read it for."""
+    """Return for every tile of a store the code of its only regime, _MIXED, or _NOTHING if nothing of it is needed."""
     known = part.records.known_mask
     counts = part.records.rows[..., CELLS]
     states = np.where(

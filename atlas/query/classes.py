@@ -1,4 +1,4 @@
-"""Classes of cells: regime, period of the orbit, or pattern of impacts."""
+"""Classes of cells by regime, period of the orbit, or impact pattern."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -19,15 +19,18 @@ if TYPE_CHECKING:
 
 _NEEDED = {REGIME.name: (), "period": ("period",), "impacts": ("period", "impacts_upper", "impacts_lower")}
 BY = tuple(_NEEDED)
-"""Results by which cells are classified."""
+"""Results by which cells can be classified."""
 STICKS = "sticks"
-"""The pattern of all motions that rest on a stop: their impacts are infinitely many."""
+"""Impact pattern of all sticking motions, which have infinitely many impacts."""
 
 _REGIMES = {regime.name: regime.code for regime in REGIME.codes if regime.code != PENDING}
 
 
 def parse_class(by: str, value: object = None) -> tuple[str, object]:
-    """The result that classifies cells, and the one class meant, None for all; a regime may be named alone."""
+    """Return the result that classifies cells, and the one requested class; None for all classes.
+
+    ``by`` may also be the name of a regime, with no ``value``.
+    """
     check_name("by", by)
     if value is None and by in _REGIMES:
         return REGIME.name, by
@@ -36,15 +39,15 @@ def parse_class(by: str, value: object = None) -> tuple[str, object]:
 
 
 class CellClassifier:
-    """The classes of cells, numbered from 1 on as they are met.
+    """Assigns a class to cells; classes are numbered from 1 in the order in which they occur.
 
-    regime    every regime but pending
-    period    forcing periods of the orbit, of periodic cells
-    impacts   ``n-p-q``, of periodic cells: n forcing periods, p impacts at the upper stop and q at the lower in an
-              orbit; "sticks" for all that stick
+    regime   every regime but pending
+    period   period of the orbit in forcing periods, for periodic cells
+    impacts  ``n-p-q`` for periodic cells: an orbit of n forcing periods with p impacts at the upper stop and q at the
+             lower; "sticks" for all sticking orbits
 
-    ``value`` is the one class that is meant, None for all. Raises InputError for another ``by``, for a value that it
-    cannot have, and where the atlas lacks its variables.
+    ``value`` is the one requested class, None for all. Raise InputError for another ``by``, for a ``value`` that ``by``
+    cannot have, and if the atlas lacks the variables that are needed.
     """
 
     def __init__(self, ds: "xr.Dataset", by: str, value: object = None) -> None:
@@ -52,7 +55,7 @@ class CellClassifier:
         self.by, self.names = by, _NEEDED[by]
         for name in self.names:
             if name not in ds:
-                raise InputError(f"by {by}: this atlas does not hold {name!r}")
+                raise InputError(f"by {by}: this atlas has no variable {name!r}")
         self._only = None if value is None else _key_of(by, value)
         self._numbers: dict[tuple[int, ...], int] = {}
         if by != REGIME.name:
@@ -61,7 +64,7 @@ class CellClassifier:
             self.codes = tuple(_REGIMES.values()) if self._only is None else self._only
 
     def number(self, block: CellBlock) -> NDArray[np.int32]:
-        """The number of the class of every cell, 0 where it has none or another than the one that is meant."""
+        """Return the class number of every cell of a block; 0 for cells without a class or of a class not requested."""
         counted = np.isin(block.regime, self.codes)
         numbers = np.zeros(block.regime.shape, np.int32)
         keys = self._keys(block, counted)
@@ -75,7 +78,7 @@ class CellClassifier:
         return numbers
 
     def list_classes(self) -> list[tuple[int, Any]]:
-        """The classes found, by their numbers, with their names, in order of code, period or pattern."""
+        """Return the classes that occur as (number, name), in order of code, period or pattern."""
         return [(number, self._value(key)) for key, number in sorted(self._numbers.items())]
 
     def _keys(self, block: CellBlock, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -95,7 +98,7 @@ class CellClassifier:
 
 
 def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[np.intp]]:
-    """The different rows, and which of them each row is."""
+    """Return the distinct rows, and the index of the distinct row that equals each row."""
     if keys.shape[1] == 1:
         distinct, which = np.unique(keys[:, 0], return_inverse=True)
         return [(key,) for key in distinct.tolist()], which
@@ -104,7 +107,7 @@ def _distinct(keys: NDArray[np.int64]) -> tuple[list[tuple[int, ...]], NDArray[n
 
 
 def _key_of(by: str, value: object) -> tuple[int, ...]:
-    """What a user calls a class, as a key."""
+    """Return the key of a class that a user named."""
     if by == REGIME.name:
         check_names("regime", [value], _REGIMES)
         return (_REGIMES[str(value)],)

@@ -1,4 +1,4 @@
-"""Ends of scales: as wide as nearly all cells need, without outliers."""
+"""Default colour limits: wide enough for nearly all cells, but not for outliers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _BEYOND_EXPONENTS, _BEYOND = 2.0, 0.5
-"""Per cent of cells that may lie beyond an end of a scale of exponents, and of other numbers."""
+"""Percentage of cells that may lie beyond a colour limit, of exponents and of other numbers."""
 
 
 def scale_ends(largest: Array) -> tuple[float, float]:
-    """The ends of the two halves of a scale of exponents, below and above zero.
+    """Return the lower and upper colour limits of exponents, one on each side of zero.
 
-    A half without cells is as long as the other.
+    A side without cells gets the size of the other side.
     """
     finite = largest[np.isfinite(largest)]
     low, high = _reach(-finite[finite < 0]), _reach(finite[finite > 0])
@@ -20,7 +20,7 @@ def scale_ends(largest: Array) -> tuple[float, float]:
 
 
 def _reach(sizes: Array) -> float:
-    """How far a half of the scale goes: the percentile, rounded up to two digits."""
+    """Return the size of a side of the limits: the percentile of ``sizes``, rounded up to two digits."""
     if sizes.size == 0:
         return 0.0
     reach = float(np.percentile(sizes, 100.0 - _BEYOND_EXPONENTS))
@@ -29,14 +29,14 @@ def _reach(sizes: Array) -> float:
 
 
 def number_ends(values: Array, log: bool) -> tuple[float, float]:
-    """The ends of a scale of finite values, of positive ones where it is logarithmic: percentiles near both ends.
+    """Return the colour limits of finite values, with ``log`` of positive values: percentiles near both ends.
 
-    A logarithmic scale spans a decade at least. Without such values, the default ends apply.
+    Logarithmic limits span at least a decade. Without such values the default limits are returned.
     """
     finite = values[np.isfinite(values) & (values > 0.0)] if log else values[np.isfinite(values)]
     if not finite.size:
         return (0.1, 1.0) if log else (0.0, 1.0)
     low, high = (float(end) for end in np.percentile(finite, [_BEYOND, 100.0 - _BEYOND]))
-    if log:  # nobody reads the ticks of a scale within a decade
+    if log:  # within a decade logarithmic ticks are unreadable
         return min(low, high / 10.0), max(high, low * 10.0 if low == high else high)
     return low, high if high > low else low + 1.0

@@ -1,4 +1,4 @@
-"""Two atlases of the same cells compared: exponents by their difference, regimes by a table."""
+"""Comparison of two atlases with the same cells: exponents by their difference, regimes by a table of pairs."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _CELLS_PER_BLOCK = 1 << 22
-"""Cells read at a time."""
+"""Maximum number of cells that are read at a time."""
 _FIRST = REGIMES[0].code
 
 
@@ -30,11 +30,13 @@ _FIRST = REGIMES[0].code
 class ComparisonStats:
     """A comparison in numbers.
 
-    cells         of each pair of regimes (here, there), by ``_FIRST + index``
-    same          share of the area that has the same regime in both, of what is pending in neither; NaN where all is
-    compared      cells whose exponents were compared
-    mean, size    the mean of their differences, and of their absolute values; NaN without such cells
-    most          the difference that is largest in size, and the cell that has it, by axis; None without such cells
+    cells     number of cells of each pair of regimes (first, second), indexed by ``_FIRST + index``
+    same      fraction of the area with equal regimes, of the area that is pending in neither atlas; NaN without such
+              area
+    compared  number of cells whose exponents were compared
+    mean      mean difference of the exponents; NaN without compared cells
+    size      mean absolute difference; NaN without compared cells
+    most      difference with the largest absolute value, and its cell by axis; None without compared cells
     """
 
     cells: NDArray[np.int64]
@@ -47,9 +49,12 @@ class ComparisonStats:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two atlases with the same axes: ``one``, here, and ``other``, there.
+    """A comparison of two atlases, ``first`` and ``second``, with the same axes.
 
-    ``differing`` has the fixed parameters that differ, by name, here and there. Cells are read at first use.
+    differing  fixed parameters that differ, by name, with their values in both
+    weights    widths of the cells along each dimension
+
+    Cells are read when they are first needed.
     """
 
     first: "xr.Dataset"
@@ -59,10 +64,10 @@ class Comparison:
 
     @classmethod
     def from_atlases(cls, one: "xr.Dataset", other: "xr.Dataset", window: Window | None = None) -> Self:
-        """The comparison of two atlases in a window; InputError, which says what differs, unless their cells agree.
+        """Return the comparison of two atlases in a window.
 
-        They have to be of one system and to have the same axes with the same values, to the bit. Fixed parameters,
-        settings and solver versions may differ.
+        Raise InputError, naming the difference, unless both have the same system and exactly the same axis values.
+        Fixed parameters, settings and solver versions may differ.
         """
         _check_cells(one, other)
         slices = window_indices(one, window)
@@ -72,11 +77,11 @@ class Comparison:
 
     @property
     def has_exponents(self) -> bool:
-        """Whether both atlases hold exponents."""
+        """True if both atlases have exponents."""
         return LARGEST.name in self.first and LARGEST.name in self.second
 
     def planes(self, pixels: tuple[int, int]) -> list[Plane]:
-        """Both planes, of the same cells: overviews for these pixels where both have them, else the cells."""
+        """Return both planes with the same cells: overviews for ``pixels`` if both have them, else the cells."""
         names = [LARGEST.name] if self.has_exponents else []
         read = [view(ds, names, pixels=pixels) for ds in (self.first, self.second)]
         if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
@@ -85,14 +90,15 @@ class Comparison:
 
     @cached_property
     def difference(self) -> "xr.DataArray":
-        """The largest exponent there minus that here; NaN where one has none, or the class of the motion is not known.
+        """Return the largest exponent of the second atlas minus that of the first.
 
-        InputError where one of the atlases holds no exponents.
+        The difference is NaN where an exponent or the class of the motion is unknown. Raise InputError if an atlas has
+        no exponents.
         """
         import xarray
 
         if not self.has_exponents:
-            raise InputError("one of the two atlases holds no exponents to compare")
+            raise InputError("one of the two atlases has no exponents to compare")
         one = self.first[LARGEST.name]
         values = np.concatenate([difference for _, _, _, difference in self._strips()])
         meaning = f"difference of the largest Lyapunov exponents {rate_of(one)}, there minus here"
@@ -114,7 +120,7 @@ class Comparison:
 
     @cached_property
     def numbers(self) -> ComparisonStats:
-        """The table and the differences in numbers, from one reading of both atlases."""
+        """The comparison in numbers, from a single pass over both atlases."""
         count = len(REGIMES)
         cells = np.zeros((count, count), np.int64)
         area = np.zeros((count, count))
@@ -149,7 +155,7 @@ class Comparison:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """What ``atlas compare --json`` prints."""
+        """Return what ``atlas compare --json`` prints."""
         names, cells = self.regimes["first"].values.tolist(), self.regimes.values.tolist()
         numbers = self.numbers
         return {
@@ -168,7 +174,7 @@ class Comparison:
         return f"<Comparison of two atlases of {cells} cells{f', {changed}' if changed else ''}>"
 
     def _strips(self) -> Iterator[tuple[int, NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]]:
-        """Some rows at a time: the first of them, the regimes here and there, and the differences."""
+        """Yield blocks of rows: index of the first row, regimes in the first and in the second atlas, differences."""
         regime = self.first[REGIME.name]
         chunk = (regime.encoding.get("chunks") or (1,))[0]
         rows = max(1, _CELLS_PER_BLOCK * regime.shape[0] // max(1, regime.size) // chunk) * chunk
@@ -192,7 +198,7 @@ class Comparison:
 
 
 def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:
-    """The fixed parameters that all of the atlases have, and that are not the same in all."""
+    """Return the names of the fixed parameters that all atlases have, with values that are not all equal."""
     fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
     numbers = [n for n in fixed if atlases[0][n].dtype.kind in "iuf"]
     return [n for n in numbers if len({float(ds[n]) for ds in atlases}) > 1]
@@ -201,14 +207,17 @@ def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:
 def differences(
     first: NDArray[np.int8], second: NDArray[np.int8], one: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Exponents there minus here by their regimes; NaN where a class is not known, or an exponent is not finite."""
+    """Return exponents ``other`` minus ``one``, of cells with the regimes ``second`` and ``first``.
+
+    The difference is NaN if a class is unknown or an exponent is not finite.
+    """
     known = np.isin(first, list(OF_MOTIONS)) & np.isin(second, list(OF_MOTIONS))
     known &= np.isfinite(one) & np.isfinite(other)
     return np.subtract(other, one, where=known, out=np.full(one.shape, np.nan))
 
 
 def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
-    """InputError, with what differs, unless two atlases have the same axes in the same unit of exponents."""
+    """Raise InputError, naming the difference, unless two atlases have the same system, cells and unit of exponents."""
     names, others = axis_names(one), axis_names(other)
     if names != others:
         raise InputError(f"the axes differ: {', '.join(names)} here, {', '.join(others)} there")
@@ -218,7 +227,7 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
     here_and_there = [stored_system(ds.attrs) for ds in (one, other)]
     definitions = [identity(system.to_resolved()) for system in here_and_there if system]
     if len(definitions) == 2 and definitions[0] != definitions[1]:
-        raise InputError(f"the systems differ: both are called {systems[0]}, but they are not defined alike")
+        raise InputError(f"the systems differ: both are called {systems[0]}, but their definitions differ")
     if columns(one) != columns(other):
         raise InputError(f"the columns differ: {', '.join(columns(one))} here, {', '.join(columns(other))} there")
     for name in (*names, *columns(one)):

@@ -1,6 +1,6 @@
 """Connected regions of cells of one class, such as the period-3 windows in chaos.
 
-Cells are connected where they share an edge; a corner is not enough.
+Cells are connected if they share an edge; a common corner is not enough.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,38 +22,38 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _CELLS_PER_BLOCK = 1 << 20
-"""Cells whose areas are added up at a time."""
+"""Maximum number of cells whose areas are summed at a time."""
 
 
 def regions(
     ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, min_cells: int = 1
 ) -> list[dict[str, Any]]:
-    """Every connected region of equal regime, period or pattern of impacts, the one with the largest area first.
+    """Return every connected region of equal regime, period or impact pattern, the largest area first.
 
-    Keys of each:
+    Each region is a dict with the keys:
 
-    label        its number, from 1 on, as in ``labels``
-    by itself    its regime, period or pattern, as in ``CellClassifier``
-    cells        their number
-    area         of its cells in the axes' own units, from edge to edge (along a sweep its length)
-    share        of the area of ``window``, by default of the plane
-    centre       of its area, by axis; outside a region that is bent
-    cell         the parameters of its cell nearest to that, by axis: one to look at with ``at`` or ``portrait``
-    box          the (low, high) edges of the box around it, by axis
-    cut          where it may go on: ``lowest omega`` or ``highest b``, an edge of the plane or of ``window`` that it
-                 touches, and ``pending cells``; empty where it is whole
+    label           its number, from 1, as in ``labels``
+    by (its value)  its regime, period or impact pattern, as in ``CellClassifier``
+    cells           number of its cells
+    area            area of its cells, from edge to edge, in the units of the axes; for a sweep the length
+    share           its fraction of the area of ``window``, by default of the plane
+    centre          centre of its area, by axis; may lie outside a bent region
+    cell            parameters, by axis, of its cell nearest to the mean position of its cells, for ``at`` or
+                    ``portrait``
+    box             (low, high) edges of its bounding box, by axis
+    cut             where it may extend further: ``lowest omega`` or ``highest b`` for an edge of the plane or of
+                    ``window`` that it touches, and ``pending cells``; empty if it is complete
 
-    ``value`` takes one class, such as 3 for period 3; ``regions(ds, "chaotic")`` names a regime alone. Smaller regions
-    than ``min_cells`` are left out.
-    Raises InputError for an unknown axis or class, and for a ``window`` without a cell.
-    Reads the variables that tell the class, of tiles that have such cells. Takes about 15 bytes of memory a cell
-    and 2 kB a region.
+    ``value`` selects one class, such as 3 for period 3; ``regions(ds, "chaotic")`` selects a regime. Regions of fewer
+    than ``min_cells`` cells are left out. Raise InputError for an unknown axis or class, and for a ``window`` without a
+    cell. Only variables that determine the class are read, and only tiles with such cells. The memory needed is about
+    15 bytes per cell and 2 kB per region.
     """
     return _find(ds, by, value, window, min_cells).listed()
 
 
 def flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A region as one row: a column for each axis of its centre, its cell and its box."""
+    """Return a region as one row, with a column for each axis of its centre, its cell and its box."""
     row = {key: entry[key] for key in entry if key not in ("centre", "cell", "box", "cut")}
     for key in ("centre", "cell"):
         row |= {f"{key}_{name}": value for name, value in entry[key].items()}
@@ -65,7 +65,7 @@ def flat(entry: Mapping[str, Any]) -> dict[str, Any]:
 def labels(
     ds: "xr.Dataset", by: str = REGIME.name, value: object = None, window: Window | None = None, min_cells: int = 1
 ) -> "xr.DataArray":
-    """The label, as in ``regions``, of the region that each cell belongs to; 0 for none."""
+    """Return for each cell the label, as in ``regions``, of the region that contains the cell; 0 if there is none."""
     import xarray
 
     regions, part = _find(ds, by, value, window, min_cells), select_window(ds, window)
@@ -78,7 +78,13 @@ def labels(
 
 @dataclass(frozen=True)
 class _RegionAxis:
-    """The cells of an asked part along one dimension, rising: their points, and the edges that each lies between."""
+    """The selected cells along one dimension, in rising order.
+
+    order   indices that sort the cells
+    points  coordinates of the cells
+    low     lower edge of each cell
+    high    upper edge of each cell
+    """
 
     name: str
     order: NDArray[np.intp]
@@ -87,13 +93,21 @@ class _RegionAxis:
     high: NDArray[np.float64]
 
     def span(self, cells: slice) -> tuple[float, float]:
-        """The edges of neighbouring cells."""
+        """Return the outer edges of consecutive cells."""
         return float(self.low[cells.start]), float(self.high[cells.stop - 1])
 
 
 @dataclass(frozen=True)
 class _Regions:
-    """Regions: ``labels`` over the part with both dimensions rising, and the class of each."""
+    """Labelled regions of the selected cells.
+
+    by      result that classifies the cells
+    sides   axes of the regions, by dimension
+    labels  label of each cell, with all dimensions rising; 0 for none
+    values  class of each region
+    areas   area of each region
+    beside  labels of the regions with a pending neighbour cell
+    """
 
     by: str
     sides: tuple[_RegionAxis, ...]
@@ -103,13 +117,13 @@ class _Regions:
     beside: set[int]
 
     def as_given(self) -> NDArray[np.int32]:
-        """The labels in the order of the dataset's own axes."""
+        """Return the labels in the order of the dataset's own axes."""
         made = np.empty_like(self.labels)
         made[np.ix_(*(side.order for side in self.sides))] = self.labels
         return made
 
     def listed(self) -> list[dict[str, Any]]:
-        """See ``regions``."""
+        """Return the regions as the dicts that ``regions`` describes."""
         centres, nearest = _centres(self.labels, self.sides, len(self.values))
         cells = np.bincount(self.labels.ravel(), minlength=len(self.values) + 1)
         total = float(np.prod([(side.high - side.low).sum() for side in self.sides]))
@@ -163,7 +177,7 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
 
 
 def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
-    """Edges are the edges of the cells in the whole atlas."""
+    """Return a dimension of the selected cells ``part``; the edges are those of the cells in the whole atlas."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
     place = np.searchsorted(np.sort(axis_values(ds, name)), points[order])
@@ -173,9 +187,9 @@ def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
 def label_components(
     numbers: NDArray[np.signedinteger[Any]], classes: list[tuple[int, Any]]
 ) -> tuple[NDArray[np.int32], list[Any]]:
-    """Connected sets of equal numbers above 0, labelled from 1 on in the order of classes, and the value of each set.
+    """Return the labels of connected sets of equal ``numbers`` above 0, and the value of each set.
 
-    ``classes``: the numbers that occur, with their values.
+    Sets are labelled from 1 in the order of ``classes``: the numbers that occur, with their values.
     """
     label = np.zeros(numbers.shape, np.int32)
     owners: list[Any] = []
@@ -189,7 +203,7 @@ def label_components(
 
 
 def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[Any]]]:
-    """Labels some rows at a time, flat, and the indices of their cells along each dimension."""
+    """Yield blocks of rows: the labels above 0, flat, and the indices of their cells along each dimension."""
     rows = max(1, _CELLS_PER_BLOCK * label.shape[0] // max(1, label.size))
     for first in range(0, label.shape[0], rows):
         strip = label[first : first + rows]
@@ -199,7 +213,10 @@ def _strips(label: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.int32], list[
 
 
 def _sums(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int) -> NDArray[np.float64]:
-    """For each label: its area, and along each dimension the sums of area times middle and of the cells' indices."""
+    """Return for each label (columns) the area, and for each dimension two sums over its cells.
+
+    The first sum is area times midpoint, the second is the cell index.
+    """
     sums = np.zeros((1 + 2 * len(sides), count))
     for label, at in _strips(labels):
         area = np.prod([(side.high - side.low)[i] for side, i in zip(sides, at, strict=True)], axis=0)
@@ -214,7 +231,10 @@ def _sums(labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int)
 def _centres(
     labels: NDArray[np.int32], sides: tuple[_RegionAxis, ...], count: int
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.intp]]:
-    """The centre of each label's area along each dimension, and the indices of its cell nearest to it, in cells."""
+    """Return the area centre of each label along each dimension, and the cell nearest to the mean of its cells.
+
+    Centres are coordinates; the nearest cell is given, and found, by the indices of the cells.
+    """
     sums = _sums(labels, sides, count)
     cells = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     middle = [total / cells for total in sums[2::2]]
@@ -223,13 +243,13 @@ def _centres(
         away = sum((i - m[label - 1]) ** 2 for i, m in zip(at, middle, strict=True))
         before = best.copy()
         np.minimum.at(best, label - 1, away)
-        hit = np.flatnonzero((away == best[label - 1]) & (away < before[label - 1]))[::-1]  # of equals the first stays
+        hit = np.flatnonzero((away == best[label - 1]) & (away < before[label - 1]))[::-1]  # the first of equals
         nearest[label[hit] - 1] = np.stack([i[hit] for i in at], axis=1)
     return [total / sums[0] for total in sums[1::2]], nearest
 
 
 def _beside(label: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:
-    """The labels that have a pending cell next to them."""
+    """Return the labels of regions that have a pending neighbour cell."""
     beside: set[int] = set()
     for axis in range(label.ndim):
         for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):

@@ -1,4 +1,4 @@
-"""Cells of an atlas as a file that other programs read: CSV or netCDF, chosen by the suffix."""
+"""Export of cells to a file for other programs: CSV or netCDF, selected by the suffix."""
 
 import csv
 import os
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 FORMATS = (".csv", ".nc")
 NETCDF_BYTES = 2**32 - 4
-"""The largest size of a variable in netCDF 3."""
+"""Maximum size, in bytes, of a variable in netCDF 3."""
 CSV_CELLS = 1 << 16
-"""Cells read at a time for CSV."""
+"""Number of cells that are read at a time for CSV."""
 
 
 def export(
@@ -33,15 +33,20 @@ def export(
     csv_cells: int = CSV_CELLS,
     netcdf_bytes: int = NETCDF_BYTES,
 ) -> int:
-    """Write the cells of a window to a file, in full and not coarsened, and return their number.
+    """Write the cells of a window to a file, at full resolution, and return their number.
 
-    CSV: one row a cell, x fastest: the axes, of a table of points the row's number and its parameters, then every
-    variable, with a column for each component of one that has several (``state_x1``, ``spectrum_1``), codes such as
-    regime and reason by name, a code without one as a number; numbers in their shortest exact form, NaN and -inf as
-    such, an empty field nowhere. netCDF (version 3, 64-bit offset): the dataset as it is, fixed parameters as scalar
-    coordinates. The file appears whole or not at all. ``csv_cells`` are read at a time for CSV, one row at least;
-    ``netcdf_bytes`` is the most that a variable may have.
-    Raises InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
+    CSV has one row per cell, with the first axis varying fastest. Its columns are the axes and every variable; a table
+    of points has the row number and the parameters of each point. A variable with several components has a column for
+    each (``state_x1``, ``spectrum_1``). Codes such as regime and reason are written by name, codes without a name as
+    numbers. Numbers have their shortest exact form; NaN and -inf are written as such, and no field is empty.
+
+    netCDF (version 3, 64-bit offset) has the dataset as it is, with fixed parameters as scalar coordinates. The file is
+    written completely or not at all.
+
+    csv_cells     number of cells read at a time for CSV; at least one row is read
+    netcdf_bytes  maximum size of a variable, in bytes
+
+    Raise InputError for another suffix, an unknown axis, a window without a cell or too large for netCDF, and a path
     that cannot be written.
     """
     target = validate_path(path)
@@ -57,9 +62,9 @@ def export(
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a list of entries with equal keys as CSV, one row each; the file appears whole or not at all.
+    """Write dicts with equal keys as CSV, one row each. The file is written completely or not at all.
 
-    Raises InputError for a path that cannot be written.
+    Raise InputError for a path that cannot be written.
     """
     with replace_on_success(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
@@ -68,7 +73,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """InputError where no file can be written at a path: before the work, which may take long."""
+    """Raise InputError if no file can be written at ``path``. Call it before work that may take long."""
     folder = path.absolute().parent
     if path.is_dir():
         raise InputError(f"{path}: cannot be written: is a folder")
@@ -80,16 +85,16 @@ def check_writable(path: Path) -> None:
 
 @contextmanager
 def replace_on_success(target: Path) -> Iterator[Path]:
-    """A path to write to that takes the place of the target at the end; at an error nothing of it stays.
+    """Yield a temporary path to write to, which replaces the target at the end; on an error it is removed.
 
-    Raises InputError for a target that cannot be written.
+    Raise InputError for a target that cannot be written.
     """
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
         try:
             yield unfinished
             with unfinished.open("rb+") as file:
-                os.fsync(file.fileno())  # or a rename could outlive the content
+                os.fsync(file.fileno())  # otherwise the rename could be durable before the content is
             os.replace(unfinished, target)
         finally:
             unfinished.unlink(missing_ok=True)
@@ -120,13 +125,13 @@ def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
 
 
 def code_names(variable: "xr.DataArray") -> dict[int, str]:
-    """The names of the codes of a variable, by code; empty for one that holds numbers."""
+    """Return the names of the codes of a variable, by code; empty if the variable has numbers."""
     codes, names = variable.attrs.get("flag_values", ()), variable.attrs.get("flag_meanings", "")
     return dict(zip((int(code) for code in codes), names.split(), strict=True))
 
 
 def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.Dataset"]:
-    """The dataset some rows of a plane, a table or a line at a time, and one plane of a stack at a time."""
+    """Yield the dataset in blocks of ``rows`` rows of a plane, a table or a line, plane by plane for a stack."""
     along = dims[-2:][0]
     for plane in range(ds.sizes[dims[0]]) if len(dims) > 2 else [None]:
         part = ds if plane is None else ds.isel({dims[0]: slice(plane, plane + 1)})
@@ -135,7 +140,7 @@ def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.
 
 
 def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]:
-    """The columns of a variable: its name, or one for each component, by label where there is one, else from 1."""
+    """Return the columns of a variable: its name, or one per component, by label or else by number from 1."""
     columns = [name]
     for dim in ds[name].dims:
         if dim not in dims:
@@ -149,13 +154,13 @@ def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]
 def _write_netcdf(ds: "xr.Dataset", path: Path, limit: int) -> None:
     for name in ds.data_vars:
         if ds[name].nbytes > limit:
-            raise InputError(f"{name} has {ds[name].nbytes} bytes in this window, netCDF takes {limit}: narrow it")
+            raise InputError(f"{name}: found {ds[name].nbytes} bytes, netCDF allows {limit}; narrow the window")
     plain = ds.drop_encoding()
     for array in plain.variables.values():
-        if "flag_values" in array.attrs:  # CF: of the variable's own type
+        if "flag_values" in array.attrs:  # CF requires the variable's own type
             array.attrs["flag_values"] = np.asarray(array.attrs["flag_values"], dtype=array.dtype)
     for name in plain.coords:
         if plain[name].dtype.kind in "OT":
-            words = np.array(plain[name].values.tolist(), dtype=str)  # netCDF 3 knows characters only
+            words = np.array(plain[name].values.tolist(), dtype=str)  # netCDF 3 has characters only
             plain = plain.assign_coords({name: (plain[name].dims, words, plain[name].attrs)})
     plain.to_netcdf(path, format="NETCDF3_64BIT", engine="scipy")

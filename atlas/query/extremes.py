@@ -1,4 +1,4 @@
-"""The smallest and largest values of a variable, in each regime, for each period or in all."""
+"""The smallest and largest values of a variable, per regime, per period, per impact pattern, or over all cells."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -16,21 +16,26 @@ if TYPE_CHECKING:
     import xarray as xr
 
 ALL = "all"
-"""All cells together."""
+"""Value of ``by`` that puts all cells into one class."""
 
 
 def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window | None = None) -> list[dict[str, Any]]:
-    """The smallest and the largest value of a variable in each class of cells, and where it has them.
+    """Return the smallest and the largest value of a variable in each class of cells, with the cells that have them.
 
-    Two entries a class: ``by`` itself (see ``CellClassifier``; none for "all", all cells together), ``extreme``
-    ("smallest" or "largest"), each axis with the cell's own parameter (of a table each column too), ``value``,
-    ``error`` (of ``largest`` only: that of the exponent) and ``cells``, how many were compared. Of equal values the
-    first counts, row by row.
-    Compared are finite values of solved cells: an exponent of -inf is no number, one without a class no result (the
-    average of an undetermined cell may be far off), a period one of periodic cells, and impacts that are infinitely
-    many (where it rests on a stop) are omitted, and so are classes without such a value.
-    Raises InputError for a variable that is no number of each cell, and as ``regions`` does.
-    Reads the variable, and what tells the class, of tiles that have such cells.
+    Each class has two dicts, with the keys:
+
+    by (its value)  the class, see ``CellClassifier``; missing for "all"
+    extreme         "smallest" or "largest"
+    (axis)          parameter of the cell, for each axis; for a table of points also for each column
+    value           the extreme value
+    error           error of the exponent, for the variable ``largest`` only
+    cells           number of cells compared
+
+    Of equal values the first counts, row by row. Only finite values of solved cells are compared. Exponents of -inf are
+    not, nor exponents of cells without a class, since the average of an undetermined cell may be far off. Periods are
+    compared for periodic cells only. Infinitely many impacts (of sticking motions) are omitted, and so are classes
+    without values. Raise InputError for a variable without one number per cell, and as ``regions`` does. The variable
+    and the variables that determine the class are read, in tiles with such cells.
     """
     check_name("variable", name)
     check_name("by", by)
@@ -67,7 +72,7 @@ def extremes(ds: "xr.Dataset", name: str, by: str = REGIME.name, window: Window 
 
 
 class _ExtremeTracker:
-    """The smallest and the largest value so far, and the indices of their cells."""
+    """The smallest and the largest value so far, with the indices of their cells."""
 
     def __init__(self) -> None:
         self.cells = 0
@@ -75,7 +80,7 @@ class _ExtremeTracker:
         self.high: tuple[Any, tuple[int, ...]] | None = None
 
     def add(self, block: CellBlock, values: Any, cells: Any) -> None:
-        """Compare the marked cells of a block."""
+        """Compare the values of the marked cells of a block."""
         at = np.argwhere(cells)
         self.cells += len(at)
         inside = values[cells]
@@ -91,28 +96,28 @@ class _ExtremeTracker:
                     self.high = value, place
 
     def ends(self) -> list[tuple[str, tuple[tuple[int, ...], Any]]]:
-        """Both ends, by name: indices and value."""
+        """Return both extremes by name, each with the indices of its cell and its value."""
         assert self.low is not None and self.high is not None
         return [("smallest", self.low[::-1]), ("largest", self.high[::-1])]
 
 
 def variable_of(ds: "xr.Dataset", name: str) -> Variable:
-    """What a variable of an atlas means: one of its machine's own, or one that all have."""
+    """Return the variable with that name: one of the atlas's own system, or one that all atlases have."""
     system = stored_system(ds.attrs)
     own = system.own_variables if system else ()
     return next((variable for variable in own if variable.name == name), result_named(name))
 
 
 def check_number(ds: "xr.Dataset", name: str) -> None:
-    """InputError unless a variable is one number in each cell."""
+    """Raise InputError unless a variable has one number per cell."""
     possible = numbers_of_cells(ds)
     if name in ds and name not in possible:
-        raise InputError(f"variable {name!r} is no number of each cell; possible: {', '.join(possible)}")
+        raise InputError(f"variable {name!r} does not have one number per cell; possible: {', '.join(possible)}")
     check_names("variable", [name], possible)
 
 
 def numbers_of_cells(ds: "xr.Dataset") -> list[str]:
-    """The variables that are one number in each cell; codes and flags are not."""
+    """Return the names of the variables with one number per cell; codes and flags are excluded."""
     dims = set(ds[REGIME.name].dims) if REGIME.name in ds else set(axis_names(ds))
     return [
         str(name) for name in ds.data_vars

@@ -1,4 +1,4 @@
-"""The line of grazing impact-free motion: its extremes over a period against the distances to the stops."""
+"""Grazing lines of impact-free motion: where its extremes over a period equal the distances to the stops."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -23,30 +23,30 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POINTS = 1000
-"""Points along an axis at which the grazing line is computed, where it takes one axis at a time."""
+"""Number of points along an axis at which the grazing line is computed, if the axes can be computed separately."""
 POINTS_OF_PAIRS = 60
-"""The same where every pair of points has to be computed, at most."""
+"""Maximum number of points along an axis if every pair of points has to be computed."""
 
 FINER = 4
-"""Times as many along both axes where the line runs."""
+"""Refinement factor along both axes near the line."""
 _REACH = 3.0
-"""Logarithm of the ratio up to which a crest between points may still cross zero."""
+"""Logarithm of the ratio up to which a maximum or minimum between points may cross zero."""
 _NEGLIGIBLE = 1e-15
-"""Share of all harmonics below which one moves no extreme."""
+"""Amplitude, relative to the sum over all harmonics, below which a harmonic is ignored."""
 
 
 def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
-    """The lines (N, 2) of a plane along which the impact-free motion would just touch a stop, x first.
+    """Return the lines (N, 2) of a plane, x first, along which the impact-free motion grazes a stop.
 
-    InputError where the system is unknown or its impact-free motion is no linear one, and where a mode has no stiffness
-    in any corner of the plane.
+    Raise InputError if the system is unknown, or its impact-free motion is not linear. Raise InputError also if a mode
+    has no stiffness at all corners of the plane.
     """
     system = system_of(ds.attrs, "overlay 'grazing'")
     alone = with_one_stop(system)[0]
     same, ends = machine.fixed(ds, system), machine.corners({x.name: x.values, y.name: y.values})
     if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(alone, same, ends)):
         raise InputError(
-            f"overlay 'grazing': there is no such line, since a mode of {system.name} has no stiffness and its "
+            f"overlay 'grazing': no line exists, because a mode of {system.name} has no stiffness and its "
             "impact-free motion may drift anywhere"
         )
     xs, ys, ratio = grazing_grid(system, same, x, y)
@@ -56,11 +56,13 @@ def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
 
 
 def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array], y: tuple[str, Array]) -> Array:
-    """log of the largest of max Y / b_upper and max -Y / b_lower of all contacts over points of two parameters, (y, x).
+    """Return the log of the largest of max Y / b_upper and max -Y / b_lower over all contacts, at points of two
+    parameters.
 
-    Y is the impact-free motion of the contact's gap coordinate about its rest position, b the distances from there to
-    the stops. Zero on the grazing line; infinite where the rest position lies beyond a stop; NaN where there is no such
-    motion, or where it may drift, since a mode has no stiffness.
+    Y is the impact-free motion of the contact's gap coordinate about its rest position; b_upper and b_lower are the
+    distances from there to the stops. The result (y, x) is zero on the grazing line, and infinite where the rest
+    position lies beyond a stop. It is NaN where no such motion exists, and where the motion may drift because a mode of
+    vibration has no stiffness.
     """
     xs, ys = np.meshgrid(x[1], y[1])
     points = {x[0]: xs.ravel(), y[0]: ys.ravel()}
@@ -68,19 +70,21 @@ def grazing_ratio(system: System, fixed: dict[str, float], x: tuple[str, Array],
 
 
 def _ratios(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
-    """The ratio of ``grazing_ratio`` at points (N,) of some parameters."""
+    """Return the ratio of ``grazing_ratio`` at points (N,) of the parameters in ``points``."""
     return np.maximum.reduce([_ratios_of_one(alone, fixed, points) for alone in with_one_stop(system)])
 
 
 def with_one_stop(system: System) -> tuple[System, ...]:
-    """For each contact the machine that has it alone, as a rigid one: what a contact is made of changes no motion that
-    does not reach it. InputError where friction or phases make motions without impact other than linear.
+    """Return for each contact the machine with that contact alone, made rigid.
+
+    The law of a contact changes no motion that does not reach the contact. Raise InputError if friction, phases or
+    springs with a law make the impact-free motion nonlinear.
     """
     own = system.definition
     if own.friction or own.phases or own.springs:
         what = "friction" if own.friction else "phases of the forcing period" if own.phases else "springs with a law"
         raise InputError(
-            f"overlay 'grazing': {system.name} has {what}, so that its motion without impacts is no linear response; "
+            f"overlay 'grazing': {system.name} has {what}, so its motion without impacts is not a linear response; "
             "atlas find curves finds the grazes of its orbits"
         )
     if not system.has_modes:
@@ -90,7 +94,7 @@ def with_one_stop(system: System) -> tuple[System, ...]:
 
 
 def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
-    """The same of a machine with one rigid contact."""
+    """Return the ratio of ``grazing_ratio`` at points (N,), for a machine with one rigid contact."""
     ratios = np.full(len(next(iter(points.values()))), np.nan)
     for part, osc, there in machine.oscillators(system, fixed, points):
         highest, lowest = extremes(osc.gap)
@@ -103,22 +107,22 @@ def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Ar
 
 
 def drifts(osc: Oscillator) -> NDArray[np.bool_]:
-    """Which of many oscillators have a mode without stiffness."""
+    """Return the mask of the oscillators with a mode of vibration without stiffness."""
     return np.asarray(np.any(osc.gap.lam == 0.0, axis=1))
 
 
 def extremes(signal: GuardedFlow) -> tuple[Array, Array]:
-    """The largest and the smallest value over a period of the forced part of many signals.
+    """Return the largest and the smallest value, over a period, of the forced part of many signals.
 
-    With z = exp(i phi) the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is that of half of
-    sum_k k ((s_k + i c_k) z^k + (s_k - i c_k) z^-k): both extremes lie at the angles of roots of a polynomial of degree
-    2 H. What lies at the angles of the others is between them.
+    With z = exp(i phi), the derivative of sum_k s_k sin(k phi) + c_k cos(k phi) is half of sum_k k ((s_k + i c_k) z^k +
+    (s_k - i c_k) z^-k). Both extremes therefore lie at the angles of roots of a polynomial of degree 2 H. Values at the
+    angles of all other roots lie between the extremes.
     """
     s, c = np.nan_to_num(signal.sin_part), np.nan_to_num(signal.cos_part)
     sizes = np.hypot(s, c)
     counts = sizes > _NEGLIGIBLE * np.sum(sizes, axis=1, keepdims=True)
     order = np.max(np.where(counts, np.arange(1, s.shape[1] + 1), 0), axis=1)
-    highest, lowest = np.sum(sizes, axis=1), -np.sum(sizes, axis=1)  # those of a single harmonic
+    highest, lowest = np.sum(sizes, axis=1), -np.sum(sizes, axis=1)  # exact for a single harmonic
     for H in range(1, s.shape[1] + 1):
         mixed = np.flatnonzero((order == H) & (np.sum(counts, axis=1) > 1))
         if mixed.size:
@@ -132,8 +136,9 @@ def extremes(signal: GuardedFlow) -> tuple[Array, Array]:
 
 
 def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """The roots (N, m) of polynomials with these coefficients (N, m + 1), the constant first: eigenvalues of companion
-    matrices, as numpy.roots takes them of one.
+    """Return the roots (N, m) of polynomials with coefficients (N, m + 1), the constant first.
+
+    They are the eigenvalues of companion matrices, which numpy.roots computes for one polynomial.
     """
     N, m = ascending.shape[0], ascending.shape[1] - 1
     companion = np.zeros((N, m, m), dtype=np.complex128)
@@ -145,9 +150,10 @@ def _roots(ascending: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def grazing_grid(
     system: System, fixed: dict[str, float], x: PlaneAxis, y: PlaneAxis, points: int = POINTS
 ) -> tuple[Array, Array, Array]:
-    """Points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
+    """Return points along x, points along y and ``grazing_ratio`` over them, from edge to edge of the map.
 
-    ``points`` along each axis where it takes one axis at a time, else as many and at most POINTS_OF_PAIRS.
+    There are ``points`` points along each axis if the axes can be computed separately. Otherwise there are at most
+    POINTS_OF_PAIRS, refined near the line.
     """
     xs, ys = _points(system, x, points), _points(system, y, points)
     few = [values[[0, points // 3, points // 2, -1]] for values in (xs, ys)]
@@ -156,7 +162,7 @@ def grazing_grid(
         probe, probe[:1] + probe[:, :1] - probe[0, 0], rtol=0, atol=1e-9
     )
     if separable:
-        # Mostly one axis is the clearance: then the logarithm is a sum of a term in x and a term in y.
+        # One axis is often the clearance. The logarithm is then a sum of a term in x and a term in y.
         row = grazing_ratio(system, fixed, (x.name, xs), (y.name, ys[:1]))
         column = grazing_ratio(system, fixed, (x.name, xs[:1]), (y.name, ys))
         return xs, ys, row + column - row[0, 0]
@@ -165,7 +171,7 @@ def grazing_grid(
     coarse = _bounded(grazing_ratio(system, fixed, (x.name, xs), (y.name, ys)))
     if points < 2 * POINTS_OF_PAIRS:
         return xs, ys, coarse
-    # A resonance can be narrower than these points are apart: where one may cross zero there are FINER of them.
+    # A resonance can be narrower than the spacing. The grid is FINER times as dense where the ratio may cross zero.
     fine_xs, fine_ys = _between(xs), _between(ys)
     fine = np.stack([np.interp(fine_ys, ys, column) for column in coarse.T], axis=1)
     fine = np.stack([np.interp(fine_xs, xs, row) for row in fine])
@@ -176,18 +182,21 @@ def grazing_grid(
 
 
 def _bounded(ratio: Array) -> Array:
-    """The ratio with a number, beyond which no line comes near, in place of infinity."""
+    """Return the ratio with infinities replaced by _REACH, which is too large for a line to come near."""
     return np.where(np.isposinf(ratio), _REACH, ratio)
 
 
 def _between(points: Array) -> Array:
-    """The points with FINER - 1 more between any two."""
+    """Return the points with FINER - 1 points inserted between any two neighbours."""
     at = np.arange(FINER * (points.size - 1) + 1) / FINER
     return np.interp(at, np.arange(points.size), points)
 
 
 def _near_zero(ratio: Array) -> NDArray[np.bool_]:
-    """The meshes (one less each way) of a grid that the zero crosses, or may cross unseen at a crest or a trough."""
+    """Return the mask of the grid meshes, one fewer each way than the points, near a zero of the ratio.
+
+    Meshes at a maximum or minimum that may cross zero between the points are included.
+    """
     crosses = np.zeros(ratio.shape, dtype=bool)
     for axis in (0, 1):
         here, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
@@ -201,7 +210,7 @@ def _near_zero(ratio: Array) -> NDArray[np.bool_]:
 
 
 def _points(system: System, axis: PlaneAxis, count: int) -> Array:
-    # From edge to edge, or from the outermost cell's centre where its edge lies outside the parameter's range.
+    # From edge to edge; from the centre of the outermost cell if its edge lies outside the parameter's range.
     admits = system.parameter(axis.name).admits
     first, last = axis.edges[0], axis.edges[-1]
     first, last = first if admits(first) else axis.values[0], last if admits(last) else axis.values[-1]

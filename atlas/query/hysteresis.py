@@ -1,4 +1,4 @@
-"""Two sweeps of one axis compared cell by cell: the same motion, mirror images x(t) and -x(t + T/2), or different."""
+"""Comparison of two sweeps cell by cell: the same motion, mirror images x(t) and -x(t + T/2), or different motions."""
 
 from typing import TYPE_CHECKING
 
@@ -26,33 +26,36 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SAME, MIRRORED, DIFFERENT = range(3)
-"""Relations of the motions of two cells."""
+"""Relations between the motions of two cells."""
 
 COUNTS = ("period", "impacts_upper", "impacts_lower")
 INVARIANT = ("symmetric", "impacts_per_period", "min_impact_speed", "stuck_fraction")
 """Results that two mirror images of one orbit share, besides their exponents."""
 COMPARED = (ERROR.name, LARGEST.name, SECTION.name, "state", *COUNTS, *INVARIANT)
-"""All variables that a comparison takes where both atlases hold them."""
+"""All variables that a comparison uses if both atlases have them."""
 
 _DETERMINED = (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, APERIODIC, LOCKING)
 _ORBIT_TOLERANCE = 1e-6
-"""Distance between section states of one orbit, in parts of the extent of all of them; exact orbits agree to 1e-12."""
+"""Maximum distance between section states of one orbit, relative to the extent of all; exact orbits agree to 1e-12."""
 _APART = 0.5
-"""Kolmogorov-Smirnov distance of section values from which two motions that do not close are held for different."""
+"""Kolmogorov-Smirnov distance of section values above which two motions that do not close are different."""
 _LEAST_SAMPLES = 16
 
 
 def compare(first: "xr.Dataset", second: "xr.Dataset") -> NDArray[np.int8]:
-    """The relation of the motions of two sweeps, cell by cell: SAME, MIRRORED or DIFFERENT.
+    """Return the relation of the motions of two sweeps, cell by cell: SAME, MIRRORED or DIFFERENT.
 
-    Motions of different regimes are DIFFERENT, and so are motions whose largest exponents differ by more than four of
-    their errors. Orbits that close are the SAME if their section states are; they are MIRRORED, one the other's x(t)
-    and -x(t + T/2), if neither is symmetric in itself, the impacts at one stop of the one are those at the other stop
-    of the other, and the exponents, the slowest impact and the time at rest agree. Without section samples, orbits of
-    several periods are compared by these numbers alone. Motions that do not close are compared as samples: where
-    the distributions of their section values differ (Kolmogorov-Smirnov distance above 1/2 in any component, from 16
-    samples on) but exponents agree, they count as MIRRORED. Where the machine is not symmetric, or not known, what
-    would be MIRRORED is DIFFERENT. A cell whose motion is not known in both counts as SAME.
+    A cell is SAME unless its motion is known in both sweeps. Motions of different regimes are DIFFERENT. So are motions
+    whose largest exponents differ by more than four times their combined error.
+
+    Closed orbits are SAME if their section states agree. They are MIRRORED, x(t) and -x(t + T/2), if three conditions
+    hold. Neither orbit is symmetric itself; the impacts at the upper stop of one are those at the lower stop of the
+    other; and the exponents, the slowest impact and the time at rest agree. Without section samples, orbits of several
+    periods are compared by these numbers alone.
+
+    Motions that do not close are compared as samples. They are MIRRORED if their exponents agree but the distributions
+    of their section values differ. Distributions differ at a Kolmogorov-Smirnov distance above 1/2 in any component,
+    with at least 16 samples. If the machine is not symmetric, or not known, MIRRORED becomes DIFFERENT.
     """
     one, two = first[REGIME.name].values, second[REGIME.name].values
     known = np.isin(one, _DETERMINED) & np.isin(two, _DETERMINED)
@@ -74,7 +77,7 @@ def compare(first: "xr.Dataset", second: "xr.Dataset") -> NDArray[np.int8]:
 
 
 def check_same_axis(ds: "xr.Dataset", against: "xr.Dataset") -> None:
-    """InputError unless two sweeps have the same points on one axis and the same fixed parameters."""
+    """Raise InputError unless two sweeps have the same points on one axis and equal fixed parameters."""
     (name,), others = axis_names(ds), axis_names(against)
     if others != (name,):
         raise InputError(f"the atlases have different axes: {name} and {', '.join(others)}")
@@ -91,7 +94,7 @@ def check_same_axis(ds: "xr.Dataset", against: "xr.Dataset") -> None:
 
 
 def _has_twins(ds: "xr.Dataset") -> NDArray[np.bool_]:
-    """In which cells of a sweep motions have mirror images."""
+    """Return the mask of cells of a sweep in which motions have mirror images."""
     system, (name,) = stored_system(ds.attrs), axis_names(ds)
     if system is None:
         return np.zeros(ds[REGIME.name].shape, bool)
@@ -104,12 +107,12 @@ def _exponents_differ(first: "xr.Dataset", second: "xr.Dataset") -> NDArray[np.b
         return np.zeros(first[REGIME.name].shape, bool)
     one, two = first[LARGEST.name].values, second[LARGEST.name].values
     errors = np.hypot(first[ERROR.name].values, second[ERROR.name].values)
-    with np.errstate(invalid="ignore"):  # two that are -inf are equal
+    with np.errstate(invalid="ignore"):  # two exponents of -inf are equal
         return np.asarray((one != two) & (np.abs(one - two) > 4.0 * errors + 1e-9))
 
 
 def _sections_apart(first: "xr.Dataset", second: "xr.Dataset", closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells whose stored section states show two different motions."""
+    """Return the mask of cells whose stored section states belong to two different motions."""
     apart = np.zeros(closed.shape, bool)
     both = (first, second)
     if all(SECTION.name in ds and ds[SECTION.name].size for ds in both):
@@ -134,7 +137,7 @@ def _sections_apart(first: "xr.Dataset", second: "xr.Dataset", closed: NDArray[n
 
 
 def _distance(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:
-    """The Kolmogorov-Smirnov distance of two samples."""
-    from scipy.stats import ks_2samp  # a second to import, and chaos alone needs it
+    """Return the Kolmogorov-Smirnov distance of two samples."""
+    from scipy.stats import ks_2samp  # takes a second to import; only chaos needs it
 
     return float(ks_2samp(one, two, method="asymp").statistic)

@@ -1,4 +1,4 @@
-"""The place of a name in a region of cells, and lines that run side by side. Lengths are in points."""
+"""Placement of labels in regions of cells, and detection of lines that run side by side. Lengths are in points."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -13,18 +13,26 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 _LEAST_AREA = 120.0
-"""Square points of a region that a name beside it may point to."""
+"""Minimum area, in square points, of a region that a label beside it may point to."""
 _FARTHEST = 100.0
-"""Distance of such a name, at most."""
+"""Maximum distance of a label from the region it points to."""
 _STEP = 2.0
-"""Distance between the points of a line that are looked at."""
+"""Maximum distance between the points at which a line is examined."""
 _SHORTEST = 21
-"""Such points over which the majority decides: dashes begin anew with each part, and lines that cross stay whole."""
+"""Number of such points over which the majority decides.
+
+Dashes start again with each part, and lines that cross stay in one part.
+"""
 
 
 class LabelPlacement(NamedTuple):
-    """Where a name stands: its number among those given, the cell (row, column) under its middle, its size of type, its
-    angle in degrees, and for a name beside its region the cell of the region that it points to.
+    """The position of a label.
+
+    number  index of the label among the given ones
+    cell    (row, column) of the cell under its centre
+    size    type size
+    angle   angle in degrees
+    region  cell of the region that a label beside its region points to; None for a label inside
     """
 
     number: int
@@ -41,11 +49,16 @@ def places(
     limit: int = 2,
     free: Cells | None = None,
 ) -> Iterator[LabelPlacement]:
-    """Where names stand in the largest connected regions, at most ``limit``, of sets of cells (y, x), where they fit.
+    """Yield the positions of labels in the largest connected regions of sets of cells, where the labels fit.
 
-    ``named``: cells and name; ``step``: height and width of a cell. A name takes the first of ``type_sizes`` that fits.
-    Where one fits nowhere and ``free`` marks the cells that a name may cover, it stands on the nearest such cell, and
-    points to its largest region.
+    named       cells (y, x) and label of each set
+    step        height and width of a cell
+    type_sizes  type sizes in order of preference; the first that fits is used
+    limit       maximum number of regions labelled in each set
+    free        mask of the cells that a label may cover
+
+    A label that fits in none of its regions is placed on the nearest free cell, if ``free`` is given. Its ``region``
+    then is its largest region.
     """
     narrow: list[tuple[int, tuple[int, int]]] = []
     for k, (cells, name) in enumerate(named):
@@ -86,7 +99,7 @@ def places(
 
 
 def _distance(shape: tuple[int, ...], cell: tuple[int, int], step: Array) -> Array:
-    """How far every cell (y, x) of a plane lies from one."""
+    """Return the distance of every cell (y, x) of a plane from ``cell``."""
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     return np.asarray(np.hypot((rows - cell[0]) * step[0], (columns - cell[1]) * step[1]))
 
@@ -99,12 +112,14 @@ def _unravelled(index: np.intp, shape: tuple[int, ...]) -> tuple[int, int]:
 def label_spot(
     region: Cells, step: Sequence[float] | Array, half: tuple[float, float]
 ) -> tuple[int, int, float] | None:
-    """Row, column and angle in degrees where a box of half sizes (along, across) lies inside a region.
+    """Return row, column and angle, in degrees, of a box inside a region; None if the box fits nowhere.
 
-    ``step`` are the points per cell (y, x). The angle follows the region, so that a name fits in a band; the widest
-    spots are tried first. None where none will do.
+    step  points per cell (y, x)
+    half  half sizes of the box (along, across)
+
+    The angle follows the region, so that a label fits into a band. The widest spots are tried first.
     """
-    # A frame of cells that do not belong: a name must not run over the picture's edge.
+    # The padding keeps labels from crossing the edge of the picture.
     room = ndimage.distance_transform_edt(np.pad(region, 1), sampling=step)[1:-1, 1:-1]
     candidates = np.flatnonzero(room.ravel() >= half[1])
     candidates = candidates[np.argsort(-room.ravel()[candidates], kind="stable")]
@@ -112,7 +127,7 @@ def label_spot(
     for flat in candidates[:: max(1, candidates.size // 60)]:
         row, column = (int(i) for i in np.unravel_index(flat, region.shape))
         angle = 0.0 if room[row, column] >= np.hypot(*half) else _direction(region, (row, column), step, half[0])
-        # Rows count upward in the picture, as angles do.
+        # Rows count upward in the picture, like angles.
         rows = np.rint(row + (along * np.sin(angle) + across * np.cos(angle)) / step[0]).astype(int)
         columns = np.rint(column + (along * np.cos(angle) - across * np.sin(angle)) / step[1]).astype(int)
         inside = (rows >= 0) & (rows < region.shape[0]) & (columns >= 0) & (columns < region.shape[1])
@@ -122,7 +137,7 @@ def label_spot(
 
 
 def _direction(region: Cells, at: tuple[int, int], step: Sequence[float] | Array, reach: float) -> float:
-    """The angle, within 90 degrees either way, in which a region extends around a cell: its principal axis there."""
+    """Return the angle, within 90 degrees either way, of the principal axis of a region around a cell."""
     points = (np.argwhere(region) - at) * step
     points = points[np.hypot(*points.T) <= reach]
     _, axes = np.linalg.eigh(points.T @ points)
@@ -131,14 +146,17 @@ def _direction(region: Cells, at: tuple[int, int], step: Sequence[float] | Array
 
 
 def densify_line(line: Array) -> tuple[Array, Array]:
-    """Points (M, 2) along a line, _STEP apart at most, and the line's length up to each."""
+    """Return points (M, 2) along a line, at most _STEP apart, and the length of the line up to each point."""
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _STEP))
     return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
 
 
 def crossed_cells(places: Iterable[Array], size: tuple[float, float], cells: tuple[int, ...]) -> Cells:
-    """The cells (y, x) in which points (N, 2) lie, and those beside them, on a plane of a size (width, height)."""
+    """Return the mask of cells (y, x) that contain a point of ``places`` (N, 2), or are next to such a cell.
+
+    ``size`` is the (width, height) of the plane, ``cells`` the shape of the mask.
+    """
     inside = np.zeros(cells, dtype=bool)
     for place in places:
         share = place / np.array(size)
@@ -150,10 +168,13 @@ def crossed_cells(places: Iterable[Array], size: tuple[float, float], cells: tup
 def crowded_parts(
     lines: Sequence[Array], places: Sequence[Array], distance: float
 ) -> Iterator[tuple[int, Array, bool]]:
-    """Lines cut into parts: the number of the line, the part, and whether another line runs within ``distance`` of it.
+    """Cut lines into parts, and yield (index of the line, part, True if another line runs beside the part).
 
-    ``lines`` are (N, 2) each, ``places`` the same in points. Another part of the same line counts too where it is
-    three times as far along the line.
+    lines     (N, 2) points of each line
+    places    (N, 2) the same points, in points of the page
+    distance  distance within which another line is beside a part
+
+    Another part of the same line counts if it is three times as far away along the line.
     """
     if not lines:
         return

@@ -1,4 +1,4 @@
-"""The machines behind the cells of an atlas: oscillators, gap coordinate, symmetry."""
+"""The machines of the cells of an atlas: their oscillators, gap coordinate and symmetry."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -18,18 +18,25 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POINTS_PER_BLOCK = 4096
-"""Points whose oscillators are made at a time: together they take some megabytes."""
+"""Number of points whose oscillators are built at a time; a block takes some megabytes."""
 
 
 def fixed(ds: "xr.Dataset", system: System) -> dict[str, float]:
-    """The parameters that are the same in all cells of an atlas."""
+    """Return the parameters with the same value in all cells of an atlas."""
     return {p.name: float(ds[p.name]) for p in system.parameters if p.name in ds.coords and ds[p.name].ndim == 0}
 
 
 def oscillators(
     system: System, same: Mapping[str, float], points: Mapping[str, Array]
 ) -> Iterator[tuple[slice, Oscillator, NDArray[np.bool_]]]:
-    """The oscillators at points (N,) of some parameters, and where there is one, in parts of AT_ONCE."""
+    """Yield the oscillators at points (N,) of some parameters, in blocks of POINTS_PER_BLOCK, with a mask of existing
+    ones.
+
+    same    parameters with equal values at all points
+    points  values (N,) of the other parameters
+
+    Each block is the slice of its points, their oscillators, and the mask of points that have an oscillator.
+    """
     count = len(next(iter(points.values())))
     for low in range(0, count, POINTS_PER_BLOCK):
         part = slice(low, min(low + POINTS_PER_BLOCK, count))
@@ -39,7 +46,7 @@ def oscillators(
 
 
 def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Where x(t) -> -x(t + T/2) takes motions to motions, at points (N,) of some parameters."""
+    """Return the mask of points (N,) at which x(t) -> -x(t + T/2) maps motions to motions."""
     twins = np.zeros(len(next(iter(points.values()))), dtype=bool)
     for part, osc, there in oscillators(system, same, points):
         twins[part] = there & is_symmetric(osc)
@@ -47,25 +54,25 @@ def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Ar
 
 
 def twins_everywhere(ds: "xr.Dataset", axes: Mapping[str, Array]) -> bool:
-    """Whether x(t) -> -x(t + T/2) takes motions to motions in all corners of a plane of these axes.
+    """Return True if x(t) -> -x(t + T/2) maps motions to motions at all corners of a plane of these axes.
 
-    Not of an atlas whose system is unknown.
+    The result is False for an atlas with an unknown system.
     """
     system = stored_system(ds.attrs)
     return system is not None and bool(np.all(has_twins(system, fixed(ds, system), corners(axes))))
 
 
 def corners(axes: Mapping[str, Array]) -> dict[str, Array]:
-    """The four corners of a plane of two axes, as points (4,) of their parameters."""
+    """Return the four corners of a plane of two axes, as points (4,) of their parameters."""
     ends = np.meshgrid(*(values[[0, -1]] for values in axes.values()))
     return {name: points.ravel() for name, points in zip(axes, ends, strict=True)}
 
 
 def why_no_twins(system: System, values: Mapping[str, float]) -> str:
-    """The reason why motions of the machine of these parameters have no mirror images."""
+    """Return the reason why motions of the machine with these parameters have no mirror images."""
     osc = system.build(values)
     if system.has_modes:
-        return "mirror images are known of machines with one rigid contact alone"
+        return "mirror images are known only for machines with one rigid contact"
     if not (np.isfinite(osc.upper) and np.isfinite(osc.lower)):
         return "there is only one stop"
     if osc.b_upper != osc.b_lower:
@@ -76,22 +83,22 @@ def why_no_twins(system: System, values: Mapping[str, float]) -> str:
 
 
 def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
-    """The gap coordinate y = g . x of physical states (cell, sample, component) along the axis of a sweep.
+    """Return the gap coordinate y = g . x of physical states (cell, sample, component) along the axis of a sweep.
 
-    Of an atlas whose system is not known it is the first component.
+    For an atlas with an unknown system the result is the first component.
     """
     system = stored_system(ds.attrs)
     if system is None:
         return np.asarray(states[..., 0].values, dtype=np.float64)
     rows = gap_rows(system, {**fixed(ds, system), x: np.asarray(ds[x].values, np.float64)})
     gap = np.zeros(states.shape[:-1])
-    for i in np.flatnonzero(np.any(rows != 0.0, axis=0)):  # what it does not consist of is not read
+    for i in np.flatnonzero(np.any(rows != 0.0, axis=0)):  # other components are not read
         gap += rows[:, i, None] * np.asarray(states[..., int(i)].values)
     return gap
 
 
 def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
-    """The rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
+    """Return the rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
     count = max(np.size(value) for value in values.values())
     given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
     return system.definition.picture_rows(given)

@@ -1,4 +1,4 @@
-"""The motions of a plane by name: forcing periods and impacts at either stop, n-p-q."""
+"""Names of motions and of the regions that they fill in a plane: n-p-q, forcing periods and impacts at either stop."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
 OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "", LOCKING: ""}
-"""The names of regions of other motions, if not those of their regimes."""
+"""Names of regions of other motions, if they differ from the names of their regimes."""
 
 
 class MotionName(NamedTuple):
-    """What names a periodic motion: n forcing periods, p impacts at the upper stop and q at the lower.
+    """The name of a periodic motion: n forcing periods, p impacts at the upper stop and q at the lower stop.
 
-    Where it rests on a stop, which makes its impacts infinitely many, n is 0, and p and q are -1.
+    A sticking motion has infinitely many impacts; its n is 0, and p and q are -1.
     """
 
     n: int
@@ -33,16 +33,16 @@ class MotionName(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its name in a legend."""
+        """The name in a legend."""
         return motion_name(*self) if self.p >= 0 else "periodic, sticks"
 
 
 STICKS = MotionName(0, -1, -1)
-"""All motions that rest on a stop."""
+"""All sticking motions."""
 
 
 def motion_keys(period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]) -> NDArray[np.int64]:
-    """n, p and q (..., 3) of cells with a period; those of STICKS where impacts are infinitely many."""
+    """Return n, p and q (..., 3) of cells with a period; those of STICKS if impacts are infinitely many."""
     keys = np.stack([period, upper, lower], axis=-1).astype(np.int64)
     keys[(keys[..., 1:] < 0).any(axis=-1)] = STICKS
     return keys
@@ -51,7 +51,7 @@ def motion_keys(period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDAr
 def motions(
     regime: NDArray[np.int8], period: NDArray[np.int32], upper: NDArray[np.int32], lower: NDArray[np.int32]
 ) -> tuple[list[MotionName], NDArray[np.intp]]:
-    """The motions of periodic cells in rising order, and the number of each cell's motion; -1 where it has none."""
+    """Return the motions of periodic cells in rising order, and the index of each cell's motion; -1 if it has none."""
     counted = (regime == PERIODIC) & (period >= 1)
     kinds, which = np.unique(motion_keys(period, upper, lower)[counted], axis=0, return_inverse=True)
     number = np.full(regime.shape, -1)
@@ -60,11 +60,11 @@ def motions(
 
 
 def regions(plane: Plane, twins: bool, regimes: Variable = REGIME) -> Iterator[tuple[str, Cells]]:
-    """The name of every class of motion and its cells (y, x); ``regimes`` has the words of its machine.
+    """Yield the name of every class of motion and the mask of its cells (y, x).
 
-    Where motions have mirror images, which of the two a cell holds depends on the start: both are one class, named
-    with the larger number of impacts above. With as many above as below, the motion that is its own mirror image has
-    an s behind its name, others a u.
+    ``regimes`` has the regime names of the machine. If motions have mirror images, the start decides which of the two a
+    cell has. Both are then one class, named with the larger number of impacts above. With equal numbers of impacts, a
+    motion that is its own mirror image has an s behind its name, others a u.
     """
     period, upper, lower = (plane[name] for name in VARIABLES)
     if twins:
@@ -82,9 +82,9 @@ def regions(plane: Plane, twins: bool, regimes: Variable = REGIME) -> Iterator[t
 
 
 def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
-    """The periodic cells (y, x) whose motion is not its own mirror image x(t) = -x(t + T/2), though it has one.
+    """Return the mask of periodic cells (y, x) whose motion has a mirror image other than itself, x(t) != -x(t + T/2).
 
-    InputError where there are periodic cells, but none of a machine whose motions have mirror images.
+    Raise InputError if there are periodic cells, but the machine of none has motions with mirror images.
     """
     system, symmetric = system_of(ds.attrs, "kind 'symmetry'"), plane["symmetric"].astype(bool)
     same, periodic = machine.fixed(ds, system), plane.regime == PERIODIC
@@ -94,10 +94,10 @@ def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
         return broken
     points = {plane.x.name: plane.x.values[columns], plane.y.name: plane.y.values[rows]}
     broken[rows, columns] = machine.has_twins(system, same, points)
-    if not broken.any() and not np.any(periodic & symmetric):  # a symmetric motion proves that its machine is
+    if not broken.any() and not np.any(periodic & symmetric):  # a symmetric motion proves a symmetric machine
         here = {name: float(values[0]) for name, values in points.items()}
         raise InputError(
-            f"kind 'symmetry' tells motions from their mirror images, which no motion has here: at "
+            f"kind 'symmetry' needs motions with mirror images, and no motion here has one: at "
             f"{', '.join(f'{name} = {value:g}' for name, value in here.items())} "
             f"{machine.why_no_twins(system, same | here)}"
         )

@@ -16,21 +16,28 @@ if TYPE_CHECKING:
 
 
 SOURCE, _HANDLE = "source", "atlas"
-"""The keys of a dataset's encoding that have the name of its store, and what was read of it when it was opened."""
+"""Keys of a dataset's encoding for the name of its store and for its handle.
+
+The handle has what was read of the store when the dataset was opened.
+"""
 LAYERS = "layers"
-"""The key of the layers of each Dask array's graph, by variable, as they are when a dataset is opened."""
+"""Encoding key of the layers of each Dask array's graph, by variable, at the time when the dataset was opened."""
 Chunks = int | str | Mapping[Any, Any] | None
-"""Of Dask arrays, as ``xarray.open_dataset`` takes them; None for none."""
+"""Dask chunks as ``xarray.open_dataset`` takes them; None for no Dask arrays."""
 
 
 def open_atlas(
     store: "Given | AtlasStore", chunks: Chunks = None, storage_options: Mapping[str, Any] | None = None
 ) -> "xarray.Dataset":
-    """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
+    """Return an atlas as an xarray Dataset that reads its store on demand.
 
-    ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
-    where they are measured their measures. Attributes are those of the store. Reading a chunk of a finished tile
-    that is missing or damaged raises ChunkError.
+    store            path, URL or handle of the store
+    chunks           chunks of Dask arrays, as ``xarray.open_dataset`` takes them; None for no Dask arrays
+    storage_options  options for the storage behind a URL
+
+    If the attractors are labelled, the dataset has the variable ``label``; if they are measured, it has their measures.
+    Its attributes are those of the store. Raise InputError if the store is not an atlas. Reading a missing or damaged
+    chunk of a finished tile raises ChunkError.
     """
     import xarray
 
@@ -45,7 +52,7 @@ def open_atlas(
         )
     except (OSError, MemoryError, ChunkError):
         raise
-    except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
+    except Exception as error:  # damaged metadata may raise anything
         raise ChunkError(handle.backend, {ROOT: f"is damaged ({message_of(error)})"}) from None
     stored = {name: tuple(opened[name].values.tolist()) for name in outline_names(handle.outline)}
     if changed := changed_values(handle.backend, handle.outline, stored, lambda: handle.values):
@@ -62,15 +69,15 @@ def open_atlas(
 
 
 def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
-    """Say of which store a dataset is."""
+    """Record in a dataset the store that it shows."""
     ds.encoding |= {SOURCE: str(handle.backend), _HANDLE: handle}
 
 
 def handle_of(ds: "xarray.Dataset") -> AtlasStore:
-    """The handle of the store that a dataset, or the one that it was selected from, is of.
+    """Return the handle of the store of a dataset, or of the dataset that it was selected from.
 
-    What was read when ``atlas.open`` opened it, while the store is the same; else it is read by its name.
-    InputError where the dataset does not name its store, and where that is gone or is another one by now.
+    It is the handle that ``atlas.open`` made, as long as the store is the same; otherwise the store is opened by its
+    name. Raise InputError if the dataset has no reference to its store, and if the store is gone or was replaced.
     """
     kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
     if isinstance(kept, AtlasStore):
@@ -80,16 +87,16 @@ def handle_of(ds: "xarray.Dataset") -> AtlasStore:
     elif isinstance(source, str):
         handle = open_store(source)
     else:
-        raise InputError("this dataset does not name its store: use the one that atlas.open returns")
+        raise InputError("this dataset has no reference to its store; use the dataset that atlas.open returns")
     if ds.attrs.get("run_id", handle.run_id) != handle.run_id:
-        raise InputError(f"{handle.backend}: another store than the one that this dataset is of; open it again")
+        raise InputError(f"{handle.backend}: the store was replaced after this dataset was opened; open it again")
     return handle
 
 
 def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
-    """A table that the store has beside its results, read from disk as it is used.
+    """Return a table of the store as a dataset that reads on demand.
 
-    ChunkError where its metadata are damaged, and at reading where a chunk of it is missing or damaged.
+    Raise ChunkError if its metadata are damaged. Reading a missing or damaged chunk raises ChunkError too.
     """
     import xarray
 
@@ -99,12 +106,12 @@ def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
         )
     except (OSError, ChunkError):
         raise
-    except Exception as error:  # metadata that meet bytes nobody wrote may raise anything
-        read_group(handle, table)  # names what it is
+    except Exception as error:  # damaged metadata may raise anything
+        read_group(handle, table)  # raises the exact error
         raise ChunkError(handle.backend, {table: f"is damaged ({message_of(error)})"}) from None
 
 
 def _guarded(handle: AtlasStore) -> Any:
-    from atlas.overview.verifying_store import VerifyingStore  # with it Zarr, which takes a while to load
+    from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
 
     return VerifyingStore(handle)

@@ -1,4 +1,4 @@
-"""Cells prepared for lines around and along them: without clouds of small regions, dust and noise."""
+"""Preparation of cells for borders and isolines: without clouds of small regions, dust and noise."""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -12,20 +12,23 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 MIN_REGION_SHARE = 2e-4
-"""Share of the plane below which a connected region is a small one."""
+"""Fraction of the plane below which a connected region is small."""
 _SEEN = 5.0
-"""Width of a cell in points from which its outline leaves its colour to be seen, however many there are."""
+"""Width of a cell, in points, above which its colour is visible inside an outline, even among many outlines."""
 _CLOUD, _DENSE = 12.0, 0.2
-"""Small regions are a cloud, which outlines would turn black, where they cover more than this share of the area within
-this many points.
+"""Radius in points, and maximum fraction of the area within it that small regions may cover.
+
+Beyond it they are a cloud, which outlines would turn black.
 """
 
 
 def simplify_regimes(regime: NDArray[np.int8], size: tuple[float, float]) -> tuple[NDArray[np.int16], bool]:
-    """Every cell's regime as boundaries show it on a map of a size (width, height) in points, and whether they leave
-    something out: clouds of small regions, which take on the regime that is nearest. Isolated cells stay.
+    """Return the regimes whose borders are drawn on a map of ``size`` (width, height) in points, and True if
+    simplified.
+
+    Clouds of small regions are left out: they take the nearest regime. Isolated cells stay.
     """
-    points = np.array(size[::-1]) / regime.shape  # of a cell
+    points = np.array(size[::-1]) / regime.shape  # height and width of a cell
     small = np.zeros(regime.shape, dtype=bool)
     for code in np.unique(regime) if points.min() < _SEEN else ():
         regions, _ = ndimage.label(regime == code)
@@ -42,18 +45,19 @@ def simplify_regimes(regime: NDArray[np.int8], size: tuple[float, float]) -> tup
 
 
 def without_dust(cells: Cells) -> Cells:
-    """The cells without parts too thin for the eye, as between basins: outlined, that would turn black."""
+    """Return the cells without parts that are too thin to see, as between basins: outlined they would turn black."""
     thin = min(cells.shape) // 150
     if thin == 0:
         return cells
-    padded = np.pad(cells, 2 * thin, mode="symmetric")  # or the picture's frame would eat into them
+    padded = np.pad(cells, 2 * thin, mode="symmetric")  # so that the picture's frame removes nothing
     wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
     wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
     return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
 
 
 def smooth(values: Array, width: float) -> Array:
-    """A Gaussian mean over neighbours that have a value, for the error bars of neighbouring cells not to wrinkle lines.
+    """Return a Gaussian mean over neighbours with a value, so that errors of neighbouring cells do not wrinkle
+    isolines.
 
     Cells with few such neighbours are left out: fragments have no isolines.
     """
@@ -66,10 +70,10 @@ def smooth(values: Array, width: float) -> Array:
 def isolines(
     x: Array, y: Array, values: Array, ticks: Callable[[float, float], Sequence[float]]
 ) -> Iterator[tuple[float, Array]]:
-    """Lines (N, 2) of equal values (y, x) in rising order, each after its level; ``ticks`` gives levels between two
-    ends.
+    """Yield isolines of values (y, x) in rising order, each as its level and its points (N, 2).
 
-    Each sign on its own: between them exponents jump, and lines there would show the jump and nothing else.
+    ``ticks`` returns levels between two limits. The two signs are treated separately: exponents jump between them, and
+    an isoline there would show only the jump.
     """
     from contourpy import contour_generator
 
@@ -89,14 +93,14 @@ def isolines(
 
 
 def fill_holes(cells: Cells, times: int) -> Cells:
-    """The cells and the holes between them that are at most ``2 * times`` cells wide: one odd cell is no region."""
-    wide = 2 * times + 1  # filters, since the memory of a binary closing grows with the fourth power of it
+    """Return the cells with holes at most ``2 * times`` cells wide filled: a single different cell is not a region."""
+    wide = 2 * times + 1  # filters: the memory of a binary closing grows with its fourth power
     grown = ndimage.maximum_filter(np.pad(cells, times, "edge"), wide, mode="constant")
     return np.asarray(ndimage.minimum_filter(grown, wide, mode="constant")[times:-times, times:-times])
 
 
 def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:
-    """The runs of cells in each row as closed rectangles (N, 5, 2); ``x`` and ``y`` are the edges of the cells."""
+    """Return the runs of cells in each row as closed rectangles (N, 5, 2); ``x`` and ``y`` are the cell edges."""
     change = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, first = np.nonzero(change == 1)
     _, last = np.nonzero(change == -1)
@@ -105,7 +109,7 @@ def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:
 
 
 def borders(cells: Cells, x: Array, y: Array) -> Array:
-    """The border of a set of cells as segments (N, 2, 2) along the cells' edges, without the frame of the plane."""
+    """Return the border of a set of cells as segments (N, 2, 2) along cell edges, without the frame of the plane."""
     rows, columns = np.nonzero(cells[:, 1:] != cells[:, :-1])
     upright = np.stack([x[columns + 1], y[rows], x[columns + 1], y[rows + 1]], axis=1)
     rows, columns = np.nonzero(cells[1:] != cells[:-1])
@@ -114,9 +118,9 @@ def borders(cells: Cells, x: Array, y: Array) -> Array:
 
 
 def small_regions(cells: Cells, x: Array, y: Array, step: Array, limit: float) -> Array:
-    """The middles (N, 2) of connected regions whose width and height are both below ``limit``.
+    """Return the centres (N, 2) of connected regions whose width and height are both below ``limit``.
 
-    ``x`` and ``y`` are the edges of the cells, ``step`` the height and the width of a cell in the unit of ``limit``.
+    ``x`` and ``y`` are the cell edges, ``step`` the height and width of a cell in the unit of ``limit``.
     """
     boxes = ndimage.find_objects(ndimage.label(cells)[0])
     small = [(r, c) for r, c in boxes if max((r.stop - r.start) * step[0], (c.stop - c.start) * step[1]) < limit]
@@ -124,8 +128,10 @@ def small_regions(cells: Cells, x: Array, y: Array, step: Array, limit: float) -
 
 
 def interleave_exponents(spectrum: Array, width: float) -> NDArray[np.bool_]:
-    """Which exponents (n, m) are drawn on top along a sweep: all that stand alone, and of equal ones, within a width,
-    each in turn, so that their points alternate like the strands of a braid.
+    """Return the mask (n, m) of exponents drawn on top along a sweep.
+
+    An exponent is on top if no other lies within ``width`` of it. Exponents closer than ``width`` take turns along the
+    sweep, so that their points alternate like the strands of a braid.
     """
     n, m = spectrum.shape
     stretch = np.arange(n) // max(1, n // 60)

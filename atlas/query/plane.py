@@ -1,4 +1,4 @@
-"""The cells of a plane as arrays (y, x) with both axes rising, and the meaning of its axes."""
+"""The cells of a plane as arrays (y, x) with both axes rising, and the meaning of the axes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 _STEPS = 400
-"""Least number of steps that take the place of cells which are not drawn equally wide."""
+"""Minimum number of uniform steps that replace cells of unequal width."""
 
 
 class CoordinateInfo(NamedTuple):
-    """A coordinate's meaning: words, symbol as mathtext, CF unit; empty where unknown."""
+    """The meaning of a coordinate: description, symbol as mathtext, CF unit; each empty if unknown."""
 
     words: str
     symbol: str
@@ -31,7 +31,7 @@ class CoordinateInfo(NamedTuple):
 
     @classmethod
     def from_dataset(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
-        """The meaning by the coordinate's attributes, or, where it lacks one, by the atlas's system."""
+        """Return the meaning from the coordinate's attributes; missing attributes are taken from the atlas's system."""
         system, own = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
         names = (("long_name", "meaning"), ("symbol", "symbol"), ("units", "unit"))
@@ -40,7 +40,14 @@ class CoordinateInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class PlaneAxis:
-    """One axis: its points in rising order, their cells' edges, whether it is drawn in the logarithm, its meaning."""
+    """One axis of a plane.
+
+    name     name of the axis
+    values   (n,) coordinates in rising order
+    edges    (n + 1,) edges of the cells
+    log      True if the axis is drawn on a log scale
+    meaning  meaning of the coordinate
+    """
 
     name: str
     values: Array
@@ -50,13 +57,14 @@ class PlaneAxis:
 
     @property
     def uniform(self) -> bool:
-        """Whether all cells are drawn equally wide on a linear scale."""
+        """True if all cells are drawn with equal width on a linear scale."""
         return not self.log and is_uniform(self.values)
 
     def even(self, count: int | None = None) -> "tuple[PlaneAxis, NDArray[np.intp]]":
-        """The axis in ``count`` steps that are drawn equally wide, and the cell that has the middle of each.
+        """Return the axis in ``count`` steps that are drawn with equal width, and the index of the cell at each step's
+        centre.
 
-        By default these are the cells themselves where they are drawn so, and else at least _STEPS.
+        By default the steps are the cells if they are uniform, and otherwise at least _STEPS.
         """
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
         cuts, own = scale(self.edges), self.values.size
@@ -69,26 +77,32 @@ class PlaneAxis:
 
 
 def sort_axes(ds: "xr.Dataset") -> "tuple[xr.Dataset, tuple[PlaneAxis, ...]]":
-    """The dataset with every axis in rising order, and its axes, x first."""
+    """Return the dataset with every axis in rising order, and its axes, x first."""
     names, axes = axis_names(ds), []
     for name in names:
         if np.any(np.diff(ds[name].values) <= 0):
             ds = ds.sortby(name)
     for name in names:
         values = np.asarray(ds[name].values, dtype=np.float64)
-        log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # plain, as JSON wants it
+        log = is_log(ds, name) and bool(values[-1] / values[0] >= LOG_SPAN)  # a plain bool, for JSON
         axes.append(PlaneAxis(name, values, cell_edges(ds, name), log, CoordinateInfo.from_dataset(ds, name)))
     return ds, tuple(axes)
 
 
 def determined(regime: NDArray[np.int8]) -> Cells:
-    """Where the class of motion is known."""
+    """Return the mask of cells with a known class of motion."""
     return ((regime >= NO_IMPACT) & (regime <= CHAOTIC)) | (regime == APERIODIC) | (regime == LOCKING)
 
 
 @dataclass(frozen=True)
 class Plane:
-    """The cells of a plane as arrays (y, x) with both axes rising: regimes, and the values of other variables."""
+    """The cells of a plane as arrays (y, x) with both axes rising.
+
+    x       axis of the columns
+    y       axis of the rows
+    regime  regimes
+    values  values of other variables, by name
+    """
 
     x: PlaneAxis
     y: PlaneAxis
@@ -100,21 +114,26 @@ class Plane:
 
     @classmethod
     def from_dataset(cls, ds: "xr.Dataset", names: Sequence[str]) -> "Plane":
-        """The plane of a dataset that is read."""
+        """Return the plane of a loaded dataset, with the variables ``names``."""
         ds, (x, y) = sort_axes(ds)
         return cls(x, y, ds[REGIME.name].values, {name: ds[name].values for name in names})
 
     @property
     def determined_mask(self) -> Cells:
-        """Where the class of motion is known: what else a cell holds are averages that must not pass for results."""
+        """The mask of cells with a known class of motion. All other cells have averages that must not be shown as
+        results.
+        """
         return determined(self.regime)
 
     def known_values(self, name: str) -> Array:
-        """The values of a variable where the class of motion is known, NaN elsewhere."""
+        """Return the values of a variable where the class of motion is known, NaN elsewhere."""
         return np.where(self.determined_mask, self[name], np.nan)
 
     def even(self, times: int | None = None) -> "Plane":
-        """The plane in steps that are drawn equally wide, ``times`` as many as cells along each axis: see the axis."""
+        """Return the plane in steps that are drawn with equal width.
+
+        With ``times`` there are ``times`` steps per cell along each axis; see ``PlaneAxis.even``.
+        """
         x, columns = self.x.even(times and times * self.x.values.size)
         y, rows = self.y.even(times and times * self.y.values.size)
         place = np.ix_(rows, columns)

@@ -1,6 +1,6 @@
-"""Questions to an atlas: a point, the regimes of a window, borders between regimes.
+"""Queries to an atlas: a point, the regimes of a window, borders between regimes.
 
-Every function takes the dataset as ``atlas.open`` returns it, keeps no state, and reads no more than it must.
+Every function takes a dataset as ``atlas.open`` returns it, keeps no state, and reads as little as possible.
 """
 
 from collections.abc import Iterable, Mapping
@@ -57,21 +57,26 @@ _CODES = {regime.name: regime.code for regime in REGIME.codes}
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
 
 BOUNDARY_CELLS = 2000
-"""Cells along each axis, about, on which boundaries are traced where a window has more."""
+"""Number of cells along each axis, approximately, on which boundaries are traced in larger windows."""
 
 
 def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
-    """The cell nearest to a point: its coordinates, its distance from the point, and every number it holds.
+    """Return the cell nearest to a point: its coordinates, its distance from the point, and all its values.
 
-    Keys: each axis (the cell's own coordinate), of a table of points each column, ``distance`` (a dict, absolute, per
-    axis), ``regime`` (its name),
-    ``reason`` (in words, where there is one), and every other variable with one value per cell. Nearest is per axis:
-    the cell that is drawn at the point, on a log axis the one nearest in ratio.
-    Of an atlas of all attractors these are those of the one with the largest share, and ``coexisting`` lists all, each
-    with all its numbers, the largest share first.
-    Arguments: ``point`` gives a value for every axis, inside the grid or at most half a cell beyond its ends.
-    Raises InputError, in one line, for a missing or unknown axis and for a point outside the grid.
-    Reads one chunk of each variable.
+    ``point`` has a value for every axis, inside the grid or at most half a cell beyond its ends. The nearest cell is
+    determined for each axis separately, by ratio on a log axis: it is the cell that is drawn at the point. The keys
+    are:
+
+    (axis)      coordinate of the cell, for each axis; for a table of points also for each column
+    distance    absolute distance from the point, by axis
+    regime      name of the regime
+    reason      reason in words, if there is one
+    (variable)  value of every other variable with one value per cell
+    coexisting  list of all attractors with all their values, the largest share first; only in an atlas of all
+                attractors
+
+    In an atlas of all attractors all other values are those of the attractor with the largest share. One chunk of each
+    variable is read. Raise InputError for a missing or unknown axis, and for a point outside the grid.
     """
     every, ds = ds, select_dominant(ds)
     names = axis_names(ds)
@@ -79,7 +84,7 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
         check_axis(ds, name)
     missing = [name for name in names if name not in point]
     if missing:
-        raise InputError(f"the point lacks {', '.join(missing)}; it needs a value for each axis: {', '.join(names)}")
+        raise InputError(f"point: found no {', '.join(missing)}, must have a value for each axis: {', '.join(names)}")
     index = {name: nearest(ds, name, number(name, point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
@@ -91,15 +96,16 @@ def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
-    """The share of the area that belongs to each regime present, by name, in order of regime code; the sum is 1.
+    """Return the fraction of the area of each regime that occurs, by name, in order of regime code; the sum is 1.
 
-    A cell belongs to the window if its centre does, ends included (as in xarray's ``sel``); an axis that the window
-    does not name is taken whole. Each cell counts with its area in the axes' own units, from edge to edge as in
-    ``cell_edges``, so that the shares of one region agree however its axes are spaced. So on a log axis too: a decade
-    counts ten times as much as the one below it, on any scale of the picture. Cells that are not solved yet are the
-    share ``pending``. Raises InputError, in one line, for an unknown axis and for a window without a cell. Reads the
-    regimes in the window and nothing else; of a large window the overviews and the records of tiles, and cells along
-    its border.
+    A cell belongs to the window if its centre does, limits included (as in xarray's ``sel``). Axes that the window does
+    not name are taken completely. Each cell counts with its area from edge to edge, as in ``cell_edges``, in the units
+    of the axes. The fractions of one region therefore agree however its axes are spaced. On a log axis, too, a decade
+    counts ten times as much as the decade below it, on any scale of the picture. Unsolved cells are the fraction
+    ``pending``.
+
+    Only regimes in the window are read. In a large window they are read from overviews, tile records, and cells along
+    its border. Raise InputError for an unknown axis, and for a window without a cell.
     """
     shown = select_window(ds, window)
     part = find_part(shown, [REGIME.name])
@@ -113,15 +119,15 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
 
 
 def count_reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, int]:
-    """How many cells of a window have no result, or an uncertain one, by the reason in words.
+    """Return the number of cells of a window without a result, or with an uncertain one, by the reason in words.
 
-    Cells and errors as in ``fractions``, and InputError for a dataset without its variable ``reason``. Reads the
-    records of tiles, and the reasons themselves along the window's border.
+    Windows and errors are as in ``fractions``. Raise InputError also for a dataset without the variable ``reason``.
+    Tile records are read, and the reasons themselves along the border of the window.
     """
     axis_names(ds)
     ds = select_window(ds, window)
     if REASON.name not in ds:
-        raise InputError(f"this dataset has no variable {REASON.name}: ask the one that atlas.open returns")
+        raise InputError(f"this dataset has no variable {REASON.name}; use the dataset that atlas.open returns")
     part = find_part(ds, [REGIME.name, REASON.name])
     if part is None:
         return reason_counts(ds[REASON.name].where(ds[REGIME.name] != PENDING, NO_REASON).values)
@@ -131,9 +137,10 @@ def count_reasons(ds: "xr.Dataset", window: Window | None = None) -> dict[str, i
 
 
 def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
-    """How far the laws of the machine that are expressions were used by the cells of a window, by element.
+    """Return how far the machine's laws that are expressions were used by the cells of a window, by element.
 
-    Cells and errors as in ``fractions``. Reads the variables that tell it, none if no law is an expression.
+    Windows and errors are as in ``fractions``. Only the variables with this information are read; none if no law is an
+    expression.
     """
     system, part = stored_system(ds.attrs), select_window(ds, window)
     names = [name for name in (law_names(system) if system else ()) if name in ds]
@@ -143,15 +150,18 @@ def laws(ds: "xr.Dataset", window: Window | None = None) -> dict[str, LawUse]:
 
 
 def is_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.DataArray":
-    """Whether cells, or attractors of cells, have one of these regimes. InputError for an unknown name of a regime."""
+    """Return True for the cells, or attractors of cells, with one of these regimes.
+
+    Raise InputError for an unknown name of a regime.
+    """
     return ds[REGIME.name].isin(codes_of(regimes))
 
 
 def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
-    """The atlas with the results of all other regimes taken out (NaN); ``regime`` itself stays as it is.
+    """Return the atlas with the results of all other regimes set to NaN; ``regime`` itself is unchanged.
 
-    Whole numbers and flags become floats, since they have no value that means none. Loads the masked variables: choose
-    variables and a window first where the atlas is large.
+    Integers and flags become floats, since they have no missing value. The masked variables are loaded: select
+    variables and a window first if the atlas is large.
     """
     kept = is_regime(ds, regimes)
     numbers = {name: ds[name].astype(np.float64) if ds[name].dtype == bool else ds[name] for name in ds.data_vars}
@@ -163,12 +173,12 @@ def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
 def boundary(
     ds: "xr.Dataset", regime: str, other: str | None = None, window: Window | None = None
 ) -> list[NDArray[np.float64]]:
-    """Where a regime meets another one, or any other: lines, each an array (points, 2) of (x, y) in the axes' units.
+    """Return the lines between a regime and another one, by default any other, each an array (points, 2) of (x, y).
 
-    Contours half way between neighbouring cells of the one and of the other, so known to half a cell. Cells of a
-    third regime, where one is named, and pending cells bound nothing. Closed lines end where they began. Needs two
-    axes. A window of more than BOUNDARY_CELLS cells a side is traced on the overview next in size.
-    Raises InputError for an unknown regime or axis, for a window without a cell, and for an atlas with one axis.
+    The lines are contours half way between neighbouring cells, in the units of the axes, known to half a cell. If
+    ``other`` is given, cells of third regimes bound nothing; pending cells never do. Closed lines end at their first
+    point. In windows of more than BOUNDARY_CELLS cells per side, lines are traced on the overview next in size. Raise
+    InputError for an unknown regime or axis, for a window without a cell, and for an atlas without exactly two axes.
     """
     import contourpy
 
@@ -186,7 +196,7 @@ def boundary(
     hidden = codes == PENDING if other is None else ~np.isin(codes, codes_of([regime, other]))
     z = np.ma.masked_array((codes == code).astype(np.float64), hidden)
     lines = contourpy.contour_generator(z=z, corner_mask=True).lines(0.5)
-    # In numbers of cells, so that half way between two of them is the edge between them on any axis.
+    # In cell indices, so that half way between two cells is the edge between the cells on any axis.
     edges = [cell_edges(seen, name) for name in names]
     along = [(edge, np.arange(edge.size) - 0.5) for edge in edges]
     return [
@@ -196,12 +206,12 @@ def boundary(
 
 
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
-    """The atlas with its exponents, and variables of their unit, per unit time and not per forcing period.
+    """Return the atlas with its exponents, and variables of their unit, per unit time instead of per forcing period.
 
-    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or several of them where the force has
-    orders that are ratios. The ``long_name`` of the changed variables, largest, error, spectrum and sum_law_defect, has
-    the new unit. Loads them. Raises InputError where they are per unit time already, or the forcing frequency is not
-    known.
+    lambda_t = lambda / T with the forcing period T of each cell, 2 pi / omega, or a multiple of it if the force has
+    orders that are ratios. The variables largest, error, spectrum and sum_law_defect are loaded and changed; their
+    ``long_name`` has the new unit. Raise InputError if they are per unit time already, or if the forcing frequency is
+    unknown.
     """
     present = [name for name in _EXPONENTS if name in ds]
     if any(rate_of(ds[name]) == PER_TIME for name in present):
@@ -217,19 +227,19 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
 
 
 def rate_of(exponents: "xr.DataArray") -> str:
-    """Whether exponents are per unit time or, as stored, per forcing period, in these words."""
+    """Return PER_TIME or PER_PERIOD, the unit of time of exponents; they are stored per forcing period."""
     return PER_TIME if PER_TIME in str(exponents.attrs.get("long_name", "")) else PER_PERIOD
 
 
 def codes_of(regimes: Iterable[str]) -> list[int]:
-    """The codes of regimes by name; InputError with the nearest known name otherwise."""
+    """Return the codes of regimes by name. Raise InputError, with the nearest known name, for an unknown one."""
     names = list(regimes)
     check_names("regime", names, _CODES)
     return [_CODES[name] for name in names]
 
 
 def _frequency(ds: "xr.Dataset") -> str:
-    """The name of the forcing frequency, which all systems call alike."""
+    """Return the name of the forcing frequency, which is the same in all systems."""
     if OMEGA not in ds.coords:
         raise InputError("the forcing frequency of this atlas is not known: exponents per unit time need it")
     return OMEGA
@@ -238,7 +248,7 @@ def _frequency(ds: "xr.Dataset") -> str:
 def _areas_of_cells(
     shown: "xr.Dataset", whole: "xr.Dataset", cells: Mapping[str, NDArray[np.intp]]
 ) -> dict[int, float]:
-    """Areas of each regime from the cells themselves, with their widths in the whole."""
+    """Return the area of each regime from the cells ``shown``, with the cell widths of ``whole``."""
     names = axis_names(whole)
     widths = {name: cell_widths(whole, name)[cells[name]] for name in names}
     codes = shown[REGIME.name].values

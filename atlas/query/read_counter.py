@@ -1,4 +1,4 @@
-"""The cost of reading an atlas: chunks read, and the level of the cells that answered."""
+"""Counting the reads of an atlas: number of chunks, and the level of the cells that were read."""
 
 import math
 from collections.abc import Iterator
@@ -11,11 +11,11 @@ from atlas.formatting import plural
 
 @dataclass
 class ReadCounter:
-    """The reads inside ``counted``.
+    """The reads inside a ``counted`` block.
 
-    chunks   how many were found and read
-    level    the coarsest that a view was read from, 0 the cells themselves
-    block    cells of the atlas, (x, y), for which a cell of the coarsest view stands
+    chunks  number of chunks found and read
+    level   coarsest level that a view was read from; level 0 are the cells
+    block   number of cells (x, y) of the atlas per cell of the coarsest view
     """
 
     chunks: int = 0
@@ -29,7 +29,7 @@ class ReadCounter:
         return f"{plural(self.chunks, 'chunk')} read from the store, at reduced resolution: one value for {block} cells"
 
     def add(self, chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
-        """Count some more."""
+        """Add reads to the counter."""
         self.chunks, self.level = self.chunks + chunks, max(self.level, level)
         self.block = max(self.block, block, key=math.prod)
 
@@ -39,7 +39,7 @@ _reads: ContextVar[ReadCounter | None] = ContextVar("reads", default=None)
 
 @contextmanager
 def counted() -> Iterator[ReadCounter]:
-    """Count the chunks that views and shares read inside the ``with`` block; a block around it counts them too."""
+    """Count the chunks that views and fractions read inside the ``with`` block; surrounding blocks count them too."""
     outer, reads = _reads.get(), ReadCounter()
     token = _reads.set(reads)
     try:
@@ -51,7 +51,7 @@ def counted() -> Iterator[ReadCounter]:
 
 
 def count_reads(chunks: int, level: int = 0, block: tuple[int, ...] = (1,)) -> None:
-    """Add to what the ``counted`` block around counts, if there is one."""
+    """Add reads to the counter of the surrounding ``counted`` block, if there is one."""
     reads = _reads.get()
     if reads is not None:
         reads.add(chunks, level, block)

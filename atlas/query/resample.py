@@ -1,7 +1,7 @@
-"""Reading for pictures and queries: the cells in view, at the level that matches the pixels.
+"""Reading cells for pictures and queries, at the level that matches the pixels.
 
-``view`` gives the same dataset as ``atlas.open``, read, and coarsened where cells are finer than pixels. Data that are
-not what a store holds (computed, changed, put together) are taken as they are.
+``view`` returns a loaded dataset like that of ``atlas.open``, coarsened where cells are finer than pixels. Data that do
+not come unmodified from a store (computed, changed or concatenated) are returned as they are.
 """
 
 import math
@@ -52,15 +52,18 @@ def view(
     pixels: Sequence[int] | None = None,
     marks: bool = True,
 ) -> "xr.Dataset":
-    """The named variables and the regimes of an atlas in a window, at the level that matches the pixels.
+    """Return the named variables and the regimes of an atlas in a window, at the level that matches the pixels.
 
-    The level is the finest whose cells are not finer than a pixel (the widest of them, where they differ).
-    ``pixels`` is the size, (x, y), of the area that they will fill; None for the cells themselves. The answer is an
-    atlas too: the same names, dimensions and attributes; where it is coarser, its axes carry CF bounds, ends at the
-    window's, and ``encoding["level"]`` has the level. What coarse cells say is in ``overview.coarsen``. With ``marks``
-    their regime is ``regime_shown``, and cells shown without an exponent, a period or a result have none;
-    otherwise it is the most frequent one.
-    A name without overviews is read cell by cell. Raises InputError for an unknown axis or a window without a cell.
+    names   names of the variables
+    window  window; None for all cells
+    pixels  size (x, y) of the area to fill; None for full resolution
+    marks   True if coarse cells show ``regime_shown``, and no exponent, period or result that their regime lacks; False
+            for the most frequent regime
+
+    The level is the finest whose widest cell is not finer than a pixel. The result is an atlas with the same names,
+    dimensions and attributes, and ``encoding["level"]`` is its level. At coarser levels the axes have CF bounds that
+    end at those of the window; ``overview.coarsen`` defines the values of coarse cells. Variables without overviews are
+    read cell by cell. Raise InputError for an unknown axis, and for a window without a cell.
     """
     ds = select_window(ds, window)
     wanted = list(dict.fromkeys([*names, REGIME.name]))
@@ -78,9 +81,9 @@ def view(
 
 
 def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
-    """How many times each dimension is to be halved until its widest cell is not finer than a pixel.
+    """Return how many times each dimension is halved until its widest cell is not finer than a pixel.
 
-    A quarter of a halving is let pass: better 1.19 cells a pixel than 0.6.
+    A quarter of a halving is tolerated: 1.19 cells per pixel are better than 0.6.
     """
     steps = []
     for name, size in zip(axis_names(ds), pixels, strict=False):
@@ -88,7 +91,7 @@ def _steps(ds: "xr.Dataset", pixels: Sequence[int]) -> list[int]:
         log = is_log(ds, name)
         edges = edges_of(values, log)
         drawn = np.log(edges) if log and values[-1] / values[0] >= LOG_SPAN else edges
-        cells = (drawn[-1] - drawn[0]) / np.diff(drawn).max()  # that would fit, were all as wide as the widest
+        cells = (drawn[-1] - drawn[0]) / np.diff(drawn).max()  # number of cells, if all were as wide as the widest
         steps.append(max(0, math.ceil(math.log2(cells / size) - 0.25)))
     return steps[::-1]
 
@@ -97,7 +100,7 @@ def _fine(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str]) -> "xr.Datas
     read = {name: part.pyramid.read(0, name, part.cells) for name in names}
     pending = read[REGIME.name] == PENDING
     for name in names:
-        if pending.any() and name != REGIME.name:  # a worker may be at it: a cell without a regime has no result yet
+        if pending.any() and name != REGIME.name:  # a worker may be writing: no regime, no result
             read[name][pending] = part.pyramid.array(0, name).fill_value
     arrays = {name: (ds[name].dims, part.as_given(values), ds[name].attrs) for name, values in read.items()}
     return _dataset(ds, arrays, {name: ds[name] for name in axis_names(ds)}, 0)
@@ -124,10 +127,11 @@ def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: lis
 
 
 def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> tuple[Cells, list[NDArray[np.intp]]]:
-    """Variables of a part, each dimension halved some times, and the cells of the atlas where theirs begin and end.
+    """Return variables of a block, with each dimension halved ``steps`` times, and the cell indices of the coarse
+    edges.
 
-    What all dimensions have in common is read as a level. A plane long and narrow in pixels is halved further along
-    one dimension, some rows at a time; so is one that takes fewer pixels than the last level has cells.
+    Halvings common to all dimensions are read as a level. A plane that is long and narrow in pixels is halved further
+    along one dimension, a block of rows at a time. So is a plane with fewer pixels than the last level has cells.
     """
     kept = part.pyramid.levels.n_uncoarsened
     level = min(*steps[kept:], part.pyramid.levels.count)
@@ -156,7 +160,7 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
 
 
 def _blank(cells: Cells) -> None:
-    """Take from cells what the class they are shown as does not have."""
+    """Remove from coarse cells the values that the regime they show does not have."""
     shown = cells[REGIME.name]
     for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
         if name in CLASSES:

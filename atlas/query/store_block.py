@@ -1,4 +1,7 @@
-"""A block of a store's cells: finding it behind a dataset, and reading its levels."""
+"""The block of a store behind a dataset, and reading it at any overview level.
+
+Queries and pictures read overviews instead of cells wherever a dataset is still an unmodified selection of a store.
+"""
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,13 +27,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 PENDING_SHARE = CODES.tolist().index(PENDING)
-"""The entry of pending cells among the shares of the regimes."""
+"""Index of pending cells among the shares of the regimes."""
 
 
 def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "StoreBlock | None":
-    """The block of a store that a dataset shows, or None unless each named variable is as ``atlas.open`` gave it.
+    """Return the block of a store that a dataset shows.
 
-    Selections of neighbouring cells are; anything computed, changed, loaded or put together is not.
+    Return None unless each named variable is unchanged since ``atlas.open``. Selections of consecutive cells qualify;
+    computed, modified, loaded or concatenated variables do not.
     """
     try:
         handle = handle_of(ds)
@@ -48,19 +52,19 @@ def find_part(ds: "xr.Dataset", names: Iterable[str]) -> "StoreBlock | None":
 
 
 def _neighbours(full: NDArray[np.float64], values: NDArray[np.float64]) -> slice | None:
-    """Where values lie, one after the other, among all values of an axis; None where they do not."""
+    """Return the slice of consecutive ``values`` among all values of an axis; None if they are not consecutive."""
     first = int(np.searchsorted(full, values[0])) if values.size else full.size
     section = full[first : first + values.size]
     return slice(first, first + values.size) if values.size and np.array_equal(section, values) else None
 
 
 def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
-    """Whether a variable's values are still, whole in their inner dimensions, those of the stored one of its name.
+    """Return True if a variable is still the lazily opened array of the store, with all its inner dimensions.
 
-    Its first value tells, which takes no read: if nothing was computed, loaded or assigned, then this array is asked.
-    Of a Dask array its graph tells.
+    To find out, its first value is requested while chunk reads are skipped: an unmodified variable asks for this array,
+    a computed, loaded or assigned one does not. A Dask array is recognized by its graph.
     """
-    from atlas.overview.verifying_store import skip_chunk_reads  # with it Zarr, which takes a while to load
+    from atlas.overview.verifying_store import skip_chunk_reads  # imports Zarr, which is slow
 
     stored = handle.arrays.get(name)
     if name not in ds or stored is None:
@@ -77,7 +81,7 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
 
 
 def _is_selected(array: Any, opened: frozenset[str] | None) -> bool:
-    """Whether a Dask array is that whose graph had these layers when its dataset was opened, or a selection of it."""
+    """Return True if a Dask array is the one whose graph had the layers ``opened``, or a selection of it."""
     layers = set(array.dask.layers)
     if opened is None or not opened <= layers:
         return False
@@ -86,11 +90,15 @@ def _is_selected(array: Any, opened: frozenset[str] | None) -> bool:
 
 @dataclass(frozen=True)
 class StoreBlock:
-    """A block of the cells of a store, and how its levels are read.
+    """A block of cells of a store, and how to read it at each level.
 
-    A ``piece`` is a block of cells of a level; level 0 are the cells of the store. ``before`` are the chunks that the
-    pyramid had read before. Of a stack, ``plane`` says that the
-    dataset has one plane of it and no dimension across the planes, which the part has all the same.
+    A ``piece`` is a block of cells of one level; level 0 are the cells themselves.
+
+    handle           handle of the store
+    cells            slices of the block along the dimensions of the store
+    pyramid          the store's overviews
+    drops_stack_dim  True if the dataset is one plane of a stack and lacks the stack dimension, which the block has
+    chunks_before    number of chunks that the pyramid had read when the block was found
     """
 
     handle: AtlasStore
@@ -101,16 +109,16 @@ class StoreBlock:
 
     @property
     def chunks_read(self) -> int:
-        """Chunks found and read since the part was found."""
+        """Number of chunks found and read since the block was found."""
         return self.pyramid.chunks_read - self.chunks_before
 
     def as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values over cells of the part in the dimensions of the dataset."""
+        """Return values over cells of the block in the dimensions of the dataset."""
         return values[0] if self.drops_stack_dim else values
 
     @property
     def axes(self) -> tuple[tuple[Axis, slice], ...]:
-        """The axes of the dataset by its dimensions, and the cells that the part has along them."""
+        """The axes of the dataset by its dimensions, with the cells of the block along each."""
         axes = zip(reversed(self.handle.spec.axes), self.cells, strict=True)
         return tuple(axes)[1 if self.drops_stack_dim else 0 :]
 
@@ -121,26 +129,26 @@ class StoreBlock:
 
     @property
     def done(self) -> NDArray[np.bool_]:
-        """Which tiles of the store are done, as an array over the tiles."""
+        """The mask of finished tiles, as an array over the tiles of the store."""
         return self.records.done
 
     def required_variables(self, names: Iterable[str]) -> list[str]:
-        """All variables that coarsening these takes."""
+        """Return all variables that are needed to coarsen these."""
         return required_variables(self.pyramid.variables, names)
 
     def undone(self, level: int, piece: Slices) -> list[tuple[int, ...]]:
-        """The tiles below a piece of a level that are not done."""
+        """Return the indices of the unfinished tiles below a piece of a level."""
         tiles = self.pyramid.levels.tiles_below(level, piece)
         return [
             tuple(s.start + i for s, i in zip(tiles, at, strict=True)) for at in np.argwhere(~self.done[tiles]).tolist()
         ]
 
     def read(self, level: int, piece: Slices, names: Iterable[str]) -> Cells:
-        """Variables of a piece of a level, a regime among them.
+        """Read variables of a piece of a level; ``names`` must contain a regime.
 
-        What of an overview is missing, damaged or out of date, as it is over a tile that is not done any more, is
-        computed from the level before, down to the cells; where no tile is done below, it is pending. Raises
-        ChunkError where a chunk of the cells themselves is missing or damaged.
+        Chunks of an overview that are missing, damaged or older than their tiles are recomputed from the level below,
+        down to the cells. Cells of unfinished tiles are pending. Raise ChunkError if a chunk of the cells themselves is
+        missing or damaged.
         """
         wanted = list(names)
         if level == 0:
@@ -157,13 +165,13 @@ class StoreBlock:
         return arrays
 
     def read_stored(self, level: int, piece: Slices, names: Sequence[str]) -> tuple[Cells, list[Slices]]:
-        """Stored variables of a piece of a level, and its blocks that must not be used."""
+        """Read stored variables of a piece of a level; also return its blocks that must not be used."""
         blocks = list(self._blocks(level, piece))
         if not self.pyramid.made:
             return self._pending(piece, names), blocks
         mark = next(mark.name for mark in MARKS if mark.name in names)
         try:
-            # The mark first: what was there before it is there, though a run may be writing all of it right now.
+            # Marks are read first: data older than a mark are complete, even if a run is writing now.
             arrays = {name: self.pyramid.read(level, name, piece) for name in dict.fromkeys((mark, *names))}
         except ChunkError:
             return self._read_each(level, piece, names, blocks)
@@ -174,7 +182,7 @@ class StoreBlock:
     def _read_each(
         self, level: int, piece: Slices, names: Sequence[str], blocks: list[Slices]
     ) -> tuple[Cells, list[Slices]]:
-        """As ``read_stored`` of a piece with a bad chunk: which block it lies in shows when each is read alone."""
+        """Read as ``read_stored`` does a piece with a bad chunk: each block alone, to find the bad one."""
         arrays, missing = self._pending(piece, names), blocks
         if len(blocks) > 1:
             missing = []
@@ -186,20 +194,20 @@ class StoreBlock:
         return arrays, missing
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
-        """Variables of a level from the cells themselves."""
+        """Compute variables of a piece of level 0 from the cells."""
         stored = {variable.name for variable in self.handle.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)
 
     def _compute(self, level: int, piece: Slices, names: list[str]) -> Cells:
-        """Variables of a piece of a level from the level before."""
+        """Compute variables of a piece of a level from the level below."""
         finer = self.pyramid.levels.finer(level, piece)
         widths = tuple(w[f] for w, f in zip(self.pyramid.widths[level - 1], finer, strict=True))
         below = self.read(level - 1, finer, self.required_variables(names))
         return coarsen(below, widths, self.pyramid.levels.coarsened)
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
-        """Variables of a piece of a level without a result."""
+        """Return variables of a piece of a level whose cells are all pending."""
         wanted, made = set(names), {}
         for variable in self.pyramid.variables:
             if variable.name in wanted:
@@ -208,12 +216,12 @@ class StoreBlock:
         return made
 
     def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
-        """Whether an overview has all of a block, and every tile below it is still done."""
+        """Return True if the overview has all of a block, and every tile below the block is still finished."""
         tiles = self.pyramid.levels.tiles_below(level, block)
         return not (marks == PENDING).any() and bool(self.done[tiles].all())
 
     def _blocks(self, level: int, piece: Slices) -> Iterator[Slices]:
-        """The piece cut along the borders of chunks."""
+        """Yield the piece cut along chunk borders."""
         along = []
         for p, c in zip(piece, self.pyramid.levels.chunk, strict=True):
             cuts = [p.start, *range((p.start // c + 1) * c, p.stop, c), p.stop]
@@ -222,5 +230,5 @@ class StoreBlock:
 
 
 def relative_slices(piece: Slices, block: Slices) -> Slices:
-    """A block of a piece, counted from the piece's first cell."""
+    """Return a block of a piece as slices relative to the first cell of the piece."""
     return tuple(slice(b.start - p.start, b.stop - p.start) for p, b in zip(piece, block, strict=True))

@@ -1,4 +1,4 @@
-"""Totals of a block of cells: the area of each regime, and the cells without a result."""
+"""Totals over a block of cells: the area of each regime, and the number of cells by reason."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,24 +18,24 @@ from workers.results import NO_REASON, REASON, REASONS, REGIME
 
 @dataclass(frozen=True)
 class StoreTotals:
-    """The totals of a part of a store, exact, from as few chunks as they take.
+    """The exact totals of a block of a store, from as few chunks as possible.
 
-    The inside of the part is taken from the coarsest level that fits, its border from ever finer ones; where there are
-    no overviews, whole tiles are taken from their records.
+    The inside of the block is read at the coarsest level that fits, its border at ever finer levels. Without overviews,
+    whole tiles are taken from their tile records.
     """
 
     part: StoreBlock
 
     def areas(self) -> dict[int, float]:
-        """The area of each regime by its code, cells counted by their widths."""
+        """Return the area of each regime by code, with cells weighted by their widths."""
         total = sum((self._areas(level, piece) for level, piece in self._pieces()), np.zeros(CODES.size))
         return dict(zip(CODES.tolist(), total.tolist(), strict=True))
 
     def reasons(self) -> NDArray[np.int64]:
-        """The number of cells by reason, in the order of the table.
+        """Return the number of cells by reason, in the order of REASONS.
 
-        Read are the reasons of tiles that are cut by the part's border or have no record, unless their
-        record has none.
+        Reasons are read only from tiles that are cut by the border of the block or lack a tile record. A tile is not
+        read either if its record counts no reason.
         """
         rows, known = self._recorded
         levels, cells = self.part.pyramid.levels, self.part.cells
@@ -54,13 +54,13 @@ class StoreTotals:
 
     @cached_property
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
-        """The rows of records, those of tiles that are not done made up, and the mask of the tiles that have one."""
+        """The tile records as rows, and the mask of tiles with a row. Rows of unfinished tiles are all pending."""
         rows, pending = self.part.records.rows.copy(), ~self.part.done
         rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
         return rows, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
-        """The part cut into pieces of whole cells of levels, as coarse as they fit."""
+        """Yield the block cut into pieces of whole cells of levels, as coarse as possible."""
         levels = self.part.pyramid.levels
         inner: Slices | None = None
         for level in range(levels.count, -1, -1):
@@ -71,9 +71,9 @@ class StoreTotals:
                 inner = levels.finer(level, outer) if level else None
 
     def _areas(self, level: int, piece: Slices) -> NDArray[np.float64]:
-        """The area of each regime in a piece, in the order of CODES.
+        """Return the area of each regime in a piece, in the order of CODES.
 
-        What of an overview is missing is taken from records, or from the level before, down to the cells.
+        Missing parts of an overview are taken from tile records, or from the level below, down to the cells.
         """
         if level == 0:
             return self._areas_of_cells(piece)
@@ -89,7 +89,7 @@ class StoreTotals:
         return total
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:
-        """The areas in a piece of the cells themselves: by records in whole tiles that have one."""
+        """Return the areas in a piece of level 0; whole tiles are taken from their tile records, if they have one."""
         levels = self.part.pyramid.levels
         tiles = levels.tiles_within(0, piece)
         if any(s.start >= s.stop for s in tiles) or not self._recorded[1][tiles].any():
@@ -103,7 +103,7 @@ class StoreTotals:
         return total
 
     def _added(self, tiles: Slices) -> NDArray[np.float64]:
-        """The areas in the tiles, of some, that have a record."""
+        """Return the areas in those of the tiles that have a record."""
         rows, known = self._recorded
         return np.asarray(rows[tiles][known[tiles]][:, AREAS].sum(axis=0))
 
@@ -111,19 +111,19 @@ class StoreTotals:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])
 
     def _weighed(self, level: int, piece: Slices, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The area of each regime, from its shares of the cells of a piece."""
+        """Return the area of each regime, from the shares of the cells of a piece."""
         for width, p in zip(self.part.pyramid.widths[level], piece, strict=True):
             share = np.tensordot(width[p], share, axes=1)
         return np.asarray(share)
 
 
 def _one(index: list[int]) -> Slices:
-    """The tile of an index, as slices of the tiles."""
+    """Return the tile of an index as slices over the tiles."""
     return tuple(slice(i, i + 1) for i in index)
 
 
 def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
-    """The outer box without the inner one, as boxes."""
+    """Yield the outer box without the inner one, as boxes."""
     if inner is None:
         yield outer
         return
@@ -134,7 +134,7 @@ def _around(outer: Slices, inner: Slices | None) -> Iterator[Slices]:
 
 
 def _tile_areas(handle: AtlasStore) -> NDArray[np.float64]:
-    """The area of every tile in the units of rows, as an array over the tiles."""
+    """Return the area of every tile in the units of its record, as an array over the tiles."""
     widths = zip(widths_along(handle.spec), handle.tile, strict=True)
     along = (np.add.reduceat(width, np.arange(0, width.size, tile)) for width, tile in widths)
     return np.asarray(reduce(np.multiply.outer, along))

@@ -1,4 +1,4 @@
-"""The axes of an opened atlas, its cells along them, and windows of these."""
+"""The axes of an open atlas, the cells along them, and selection by windows."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 LOG_SPAN = 4.0
-"""A logarithmic axis is drawn on a log scale from this ratio of its ends on; below, log ticks say nothing."""
+"""Minimum ratio of the ends of a logarithmic axis that is drawn on a log scale; below it, log ticks are useless."""
 
 
 def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
-    """The names of an atlas's axes, x first; InputError unless there are one to three. Of a table it is ``point``.
+    """Return the names of an atlas's axes, x first; for a table of points ``point``.
 
-    InputError too for an empty selection, and for regimes that a mask has made floats: NaN is no regime.
+    Raise InputError unless there are one to three axes, for an empty selection, and for regimes that a mask has turned
+    into floats: NaN is no regime.
     """
     if REGIME.name not in ds:
         raise InputError(f"not an atlas: it has no variable {REGIME.name!r}")
@@ -45,25 +46,25 @@ def axis_names(ds: "xr.Dataset") -> tuple[str, ...]:
 
 
 def columns(ds: "xr.Dataset") -> tuple[str, ...]:
-    """The parameters that are the columns of a table of points, in its order; none of other atlases."""
+    """Return the parameters that are columns of a table of points, in their order; empty for other atlases."""
     if axis_names(ds) != (POINT,):
         return ()
     names = [str(name) for name in ds.coords if ds[name].dims == (POINT,) and name != POINT]
-    stored = str(ds[REGIME.name].encoding.get("coordinates", "")).split()  # xarray has them in no order
+    stored = str(ds[REGIME.name].encoding.get("coordinates", "")).split()  # xarray keeps them in no order
     return tuple(sorted(names, key=lambda name: stored.index(name) if name in stored else len(stored)))
 
 
 def check_not_points(ds: "xr.Dataset", what: str) -> None:
-    """Raise InputError for a table of points, whose rows lie next to each other by chance; ``what`` was asked for."""
+    """Raise InputError for a table of points, whose neighbouring rows are unrelated; ``what`` names the request."""
     if axis_names(ds) == (POINT,):
-        raise InputError(f"{what}: this atlas is a table of points, and its rows are no neighbours in the parameters")
+        raise InputError(f"{what}: this atlas is a table of points, whose rows are not neighbours in the parameters")
 
 
 def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
-    """The part of an atlas nearest to one value of some of its axes: a plane of a stack, a line of a plane.
+    """Return the part of an atlas nearest to one value of some axes: a plane of a stack, or a line of a plane.
 
-    With ``attractor`` that one of each cell, by its place: 0 has the largest share.
-    Raises InputError for a value outside the grid, as in ``queries.at``.
+    The key ``attractor`` selects an attractor of each cell by its rank; rank 0 has the largest share. Raise InputError
+    for a value outside the grid, as in ``queries.at``.
     """
     places = {}
     if ATTRACTOR in point:
@@ -74,12 +75,12 @@ def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
         check_axis(ds, name)
         places[name] = nearest(ds, name, value)
     if places and len(places) == len(axis_names(ds)):
-        raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell: ask for it by --at")
+        raise InputError(f"one value of every axis ({', '.join(axis_names(ds))}) is one cell; use --at for one cell")
     return ds.isel(places)
 
 
 def check_axis(ds: "xr.Dataset", name: str) -> None:
-    """Raise InputError, which names the axes there are, unless the atlas has an axis of that name."""
+    """Raise InputError, with the names of the axes, unless the atlas has an axis ``name``."""
     names = axis_names(ds)
     if name in names:
         return
@@ -91,12 +92,12 @@ def check_axis(ds: "xr.Dataset", name: str) -> None:
 
 
 def axis_values(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """The points of an axis."""
+    """Return the coordinates of an axis."""
     return np.asarray(ds[name].values, dtype=np.float64)
 
 
 def is_log(ds: "xr.Dataset", name: str) -> bool:
-    """Whether an axis is logarithmic: as the atlas's spec says, else if its points grow by a constant factor."""
+    """Return True if an axis is logarithmic: by the atlas's spec, or else if its points grow by a constant factor."""
     stored = spec_of_axis(ds, name).get("scale")
     if stored is not None:
         return bool(stored == "log")
@@ -105,13 +106,13 @@ def is_log(ds: "xr.Dataset", name: str) -> bool:
 
 
 def spec_of_axis(ds: "xr.Dataset", name: str) -> dict[str, Any]:
-    """The entry of an axis in the atlas's spec; empty without one."""
+    """Return the entry of an axis in the atlas's spec; empty if there is none."""
     axes = stored_spec(ds.attrs).get("axes", ())
     return next((axis for axis in axes if isinstance(axis, dict) and axis.get("name") == name), {})
 
 
 def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """The n + 1 edges of the cells along an axis, in rising order: its bounds where it has some, else ``edges_of``."""
+    """Return the n + 1 edges of the cells along an axis, in rising order: its bounds, if any, else ``edges_of``."""
     bounds = ds[name].attrs.get("bounds")
     if bounds in ds.variables:
         pairs = np.asarray(ds[bounds].values, dtype=np.float64)
@@ -120,7 +121,7 @@ def cell_edges(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
-    """The width of each cell along an axis, in its own unit, in the order of its points; 1 where all are equal."""
+    """Return the width of each cell along an axis, in the axis's unit and order; 1 if all widths are equal."""
     values = axis_values(ds, name)
     if is_uniform(values) and ds[name].attrs.get("bounds") not in ds.variables:
         return np.ones_like(values)
@@ -130,14 +131,18 @@ def cell_widths(ds: "xr.Dataset", name: str) -> NDArray[np.float64]:
 
 
 def nearest(ds: "xr.Dataset", name: str, value: float) -> int:
-    """The place of the cell that is drawn at a value of an axis; InputError more than half a cell beyond the ends."""
+    """Return the index of the cell that is drawn at a value of an axis.
+
+    Raise InputError for a value more than half a cell beyond the ends.
+    """
     return cells.nearest(name, axis_values(ds, name), cell_edges(ds, name), value)
 
 
 def window_indices(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray[np.intp]]:
-    """Indices, along every axis, of the cells whose centres a window holds, ends included.
+    """Return the indices, along every axis, of the cells whose centres lie in a window, limits included.
 
-    An axis that it does not name is taken whole. InputError for an unknown axis and for a window without a cell.
+    Axes that the window does not name are taken completely. Raise InputError for an unknown axis, and for a window
+    without a cell.
     """
     window = validate_window(window)
     for name in window:
@@ -146,7 +151,7 @@ def window_indices(ds: "xr.Dataset", window: Window | None) -> dict[str, NDArray
 
 
 def select_window(ds: "xr.Dataset", window: Window | None) -> "xr.Dataset":
-    """The part of an atlas in a window, not read yet; arguments and errors as in ``window_indices``."""
+    """Return the part of an atlas in a window, not loaded yet; arguments and errors as in ``window_indices``."""
     window = validate_window(window)
     if not window:
         return ds
@@ -169,6 +174,6 @@ def _between(name: str, values: NDArray[np.float64], bounds: tuple[float, float]
 
 
 def _as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Neighbouring indices as a slice, by which a dataset stays lazy and its block of the store known."""
+    """Return neighbouring indices as a slice, so that a dataset stays lazy and its block of the store known."""
     first, last = int(indices[0]), int(indices[-1])
     return slice(first, last + 1) if last - first + 1 == indices.size else indices

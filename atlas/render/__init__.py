@@ -1,7 +1,8 @@
 """Pictures, drawn from results alone, without a display and without pyplot.
 
-To add a kind of map: a row in ``kinds.py``, and its painter in ``classes.py`` or ``scales.py``, named in
-``painters.py``. The tests then include it; ``python -m tests.reference`` draws the reference picture that they need.
+To add a kind of map, add a row to ``kinds.py`` and a painter to ``class_maps.py`` or ``scalar_maps.py``, and name the
+painter in ``painters.py``. The tests then include the kind; ``python -m tests.reference`` draws the reference picture
+that they need.
 """
 
 from atlas.render.drawing import figure, portrait, render
@@ -20,7 +21,7 @@ from atlas.render.options import ScaleOptions
 from atlas.render.provenance import FORMATS, check_path
 
 SCALE_OPTION_NAMES = tuple(ScaleOptions.__annotations__)
-"""The options of every picture with a scale."""
+"""Names of the options of every picture with colour limits."""
 
 __all__ = [
     "BASINS",

@@ -39,11 +39,12 @@ PERIODS: tuple[tuple[int, int, str], ...] = (
     (9, 16, "#8faefc"),
     (17, np.iinfo(np.int32).max, "#0314cf"),
 )
-"""First and last period of each class and its colour, the same in every picture: cool colours, since warm ones are
-chaos.
+"""First and last period of each class, and its colour, the same in every picture. Colours are cool, since chaos is
+warm.
 
-Chosen, with the colours of the regimes and of the chaos, for the greatest least difference (CIEDE2000) between any two:
-above 20 among periods, above 12 as seen without red, green or blue receptors."""
+The colours, with those of the regimes and of chaos, maximize the smallest difference (CIEDE2000) between any two. It is
+above 20 among periods, and above 12 as seen without red, green or blue receptors.
+"""
 
 HUES = {
     (1, 1, 1): ("#4477aa", "#73b9ff"),
@@ -56,45 +57,52 @@ HUES = {
 }
 """Colours of the most frequent motions n-p-q with p >= q, and of their mirror images with p < q, in the same hue.
 
-Chosen, with the colours of the regimes, for the greatest least difference between any two, also as seen without red or
+The colours, with those of the regimes, maximize the smallest difference between any two, also as seen without red or
 without green receptors.
 """
 UNLISTED = ("#d7ab9f", "#1d0335", "#0100f9", "#ffff8e")
-"""Colours of all other motions, chosen by a hash of their name: a motion has the same colour in every picture."""
+"""Colours of all other motions, selected by a hash of their name: a motion has the same colour in every picture."""
 _NAMED = 3
-"""Most motions named in the legend for a shared colour."""
+"""Maximum number of motions named in the legend for a shared colour."""
 STICKS, STICKS_HATCH = "#d5ece6", "----"
-"""Colour and texture of periodic motions that rest on a stop."""
+"""Colour and hatch of sticking periodic motions."""
 
 SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
-"""Colours of periodic motions: symmetric; broken with more impacts at the upper stop; at the lower; broken with equal
-counts; of machines with asymmetric stops, load or force, where no motion has a mirror image."""
+"""Colours of periodic motions by symmetry.
+
+In order: symmetric; broken with more impacts at the upper stop; at the lower stop; broken with equal counts; of
+machines with asymmetric stops, load or force, in which no motion has a mirror image.
+"""
 
 COUNTS = {1: "#eff3f5", 2: "#bcd3e8", 3: "#d9a63a", 4: "#c8662a", 5: "#963050", 6: "#40103c"}
-"""Colours by number of attractors, ever darker; the last for all larger numbers."""
+"""Colours by number of attractors, ever darker; the last is for all larger numbers."""
 
 PALETTE = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#c9703f", "#3aa6a6", "#8c7a2e")
-"""Colours of the branches of largest share; each also in a darker tone for its mirror image, since a paler point would
-be invisible on white."""
+"""Colours of the branches with the largest shares.
+
+Mirror images have a darker tone of the same hue, since paler points would be invisible on white.
+"""
 REST = "#4d4d4d"
-"""The colour of all other branches."""
+"""Colour of all other branches."""
 BASINS = ("#4477aa", "#e0a83a", "#5fa36a", "#b65c8f", "#7f6bb3", "#8fb8d8", "#c9703f", "#6d6d6d")
 """Colours of the attractors of a plane of initial states, repeated if there are more."""
 PALER, DARKER = 0.8, 0.25
-"""Lightness of the colour of a mirror image, with the hue of its twin, from black 0 to white 1."""
+"""Lightness of the colour of a mirror image, with the hue of its twin; 0 is black, 1 is white."""
 SLOW = 0.55
-"""Darkness of the slowest initial states, black 0."""
+"""Brightness that is left to the slowest initial states; 0 is black."""
 SOONEST, LATEST = 5.0, 95.0
 """Percentiles of settling times between which shading grows."""
 
 
 def period(view: MapView) -> MapLayers:
-    """The forcing periods of each cell's orbit, and the regime if it never closes."""
+    """Return the layers of the period map: the period of each cell's orbit, or the regime if its motion is not
+    periodic.
+    """
     return build_layers(view.plane.regime, by_period(view.plane), side_legend_title="")
 
 
 def by_period(plane: Plane) -> list[Class]:
-    """The classes of periods."""
+    """Return the classes of periods."""
     periodic, period = plane.regime == PERIODIC, plane["period"]
     classes = []
     for first, last, color in PERIODS:
@@ -105,7 +113,7 @@ def by_period(plane: Plane) -> list[Class]:
 
 
 def motions(view: MapView) -> MapLayers:
-    """The periodic motions n-p-q of a plane, with names on large regions."""
+    """Return the layers of the motion map: periodic motions n-p-q, with labels on large regions."""
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     names, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in names]
@@ -126,7 +134,7 @@ def motions(view: MapView) -> MapLayers:
 
 
 def color_of(motion: MotionName) -> str:
-    """The colour of a motion, the same in every picture; mirror images share a hue."""
+    """Return the colour of a motion, the same in every picture; mirror images share a hue."""
     if motion.p < 0:
         return STICKS
     group = (motion.n, max(motion.p, motion.q), min(motion.p, motion.q))
@@ -136,10 +144,10 @@ def color_of(motion: MotionName) -> str:
 
 
 def symmetry(view: MapView) -> MapLayers:
-    """Symmetry of periodic motions, x(t) = -x(t + T/2), and for broken ones which of the two mirror images it is.
+    """Return the layers of the symmetry map: periodic motions with x(t) = -x(t + T/2), and broken ones by mirror image.
 
-    A broken motion has a twin, reached from another start. Impact counts distinguish the two unless they are equal, or
-    infinite for a mass that comes to rest. InputError if no machine of the periodic cells is symmetric.
+    A broken motion has a twin, reached from another start. Impact counts distinguish the twins, unless they are equal,
+    or infinite for a mass that comes to rest. Raise InputError if no machine of the periodic cells is symmetric.
     """
     plane = view.plane
     regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
@@ -156,9 +164,9 @@ def symmetry(view: MapView) -> MapLayers:
 
 
 def attractors(view: MapView) -> MapLayers:
-    """Number of attractors reached from the initial states of each cell.
+    """Return the layers of the map of the number of attractors that the initial states of each cell reach.
 
-    A cell with undecided initial states may have more: its known attractors count.
+    A cell with undecided initial states may have more; its known attractors count.
     """
     most = max(COUNTS)
     count = np.minimum(np.nan_to_num(view.plane.known_values("attractors")).round(), most)
@@ -168,9 +176,10 @@ def attractors(view: MapView) -> MapLayers:
 
 
 def labels(view: MapView) -> MapLayers:
-    """The branch of each cell's attractor, by default of the attractor with the largest share.
+    """Return the layers of the branch map: the branch of each cell's attractor, by default of the one with the largest
+    share.
 
-    A mirror image has a darker tone of its twin's hue; chaos and tori have no label and the colour of their regime.
+    A mirror image has a darker tone of its twin's hue. Chaos and tori have no label, and the colour of their regime.
     """
     known, label = branches(view.ds), np.rint(view.plane[LABEL.name]).astype(np.int64)
     numbered, entries = (label, branch_colors(known)), branch_entries(known, label)
@@ -180,9 +189,12 @@ def labels(view: MapView) -> MapLayers:
 def colors_of(
     known: xr.Dataset, palette: Sequence[str], mirrored: float, quiet: str, rest: str | None = None
 ) -> list[str]:
-    """The colour of every attractor: ``quiet`` without impact; for mirror images the twin's hue in this lightness.
+    """Return the colour of every attractor of the table ``known``.
 
-    After its end the palette is repeated, or ``rest`` is the colour of all others.
+    palette   colours in order of label, repeated if there are more attractors and ``rest`` is None
+    mirrored  lightness of a mirror image, in its twin's hue
+    quiet     colour of motion without impact
+    rest      colour of all attractors beyond the palette
     """
     colors: list[str] = []
     used = 0
@@ -203,13 +215,15 @@ def colors_of(
 
 
 def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
-    """The colour of every branch by its label; small ones share one. ``ink``: for points on white."""
+    """Return the colour of every branch by label; small branches share one. With ``ink`` the colours suit points on
+    white.
+    """
     quiet = style.INK[NO_IMPACT] if ink else style.COLORS[NO_IMPACT]
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
 def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[LegendEntry]:
-    """Legend entries of the branches among these labels."""
+    """Return the legend entries of the branches among these labels."""
     there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
     named = [k for k in there.tolist() if own[k] != REST]
     entries = [LegendEntry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
@@ -217,7 +231,7 @@ def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = Fals
 
 
 def _name_of_branch(known: xr.Dataset, label: int) -> str:
-    """A branch in a few words: n-p-q (periods, impacts at each stop), and its twin if it is a mirror image."""
+    """Return the name of a branch: n-p-q (periods, impacts at each stop), and its twin if it is a mirror image."""
     one = known.isel(branch=label)
     if int(one["regime"]) == NO_IMPACT:
         return REGIME.meaning(NO_IMPACT).text
@@ -226,10 +240,10 @@ def _name_of_branch(known: xr.Dataset, label: int) -> str:
 
 
 def basins(view: MapView) -> MapLayers:
-    """The attractor reached from each initial state of a plane, darker for slow settling.
+    """Return the layers of the basin map: the attractor that each initial state reaches, darker for slow settling.
 
-    A mirror image has a paler tone of its twin's hue; the section points of the attractors lie on top, of a cycle
-    without a force all of it.
+    A mirror image has a paler tone of its twin's hue. The section points of the attractors lie on top; of a cycle
+    without a force all of its points do.
     """
     known, plane, unforced = reached.table(view.ds), view.plane, text.is_unforced(view.ds)
     colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
@@ -244,14 +258,14 @@ def basins(view: MapView) -> MapLayers:
         if late > soon:
             periods = "natural periods" if unforced else "periods"
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"
-            at = sum(bool(cells.any()) for cells, _, _ in named)  # after the attractors, before the regimes
+            at = sum(bool(cells.any()) for cells, _, _ in named)  # entries go after the attractors, before the regimes
             legend.insert(at, LegendEntry("#c8c8c8", meaning, min_brightness=SLOW))
     entry = "attractor" if unforced else "attractor at $t = kT$", ("o", 5.0, "white", "black", 1.0)
     return replace(layers, legend=legend, shade=shade, points=points, point_entry=entry)
 
 
 def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
-    """An attractor in a few words: its label, its regime or period, its share."""
+    """Return the name of an attractor: its label, its regime or period, its share."""
     one = known.isel({ATTRACTOR: label})
     regime = int(one["regime"])
     what = f"period {int(one['period'])}" if regime == PERIODIC else regimes.meaning(regime).text
@@ -261,12 +275,12 @@ def _name_of_attractor(known: xr.Dataset, label: int, regimes: Variable) -> str:
 
 
 def is_cycle(one: xr.Dataset) -> bool:
-    """Whether one attractor is a cycle without a force, whose points lie all along it."""
+    """Return True if the attractor ``one`` is a cycle without a force, whose points lie all along it."""
     return CYCLE_PERIOD.name in one and bool(np.isfinite(one[CYCLE_PERIOD.name]))
 
 
 def _points(known: xr.Dataset, plane: Plane, colors: list[str]) -> list[PointLayer]:
-    """The section points of the attractors on the plane of the initial states."""
+    """Return the section points of the attractors on the plane of the initial states."""
     names = [str(name) for name in known["component"].values]
     at = [names.index(axis.name) for axis in (plane.x, plane.y)]
     points = []

@@ -1,4 +1,4 @@
-"""Lines and names over a map for a page that draws them itself, as plain JSON and arrays of cells."""
+"""Overlays and labels over a map for a page that draws them itself, as plain JSON and arrays of cells."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -23,23 +23,27 @@ Size = tuple[float, float]
 """Width and height of a plane, in pixels."""
 
 NAME_SIZE = 11.5
-"""Pixels of the type of names."""
+"""Type size of labels, in pixels."""
 _NAMED = 150.0
-"""Least length in pixels of an isoline with its number."""
+"""Minimum length, in pixels, of an isoline with a label."""
 _FINE = 1e-7
-"""Precision of the points of lines, as a share of the plane's width."""
+"""Precision of the points of lines, relative to the width of the plane."""
 
 
 @dataclass(frozen=True)
 class OverlayLines:
-    """An overlay: its data for a page, and the regions of cells (y, x) between which it draws borders."""
+    """An overlay for a page.
+
+    described  its data, as plain JSON
+    regions    numbers of cells (y, x), between which the page draws borders; None for an overlay of lines
+    """
 
     described: dict[str, Any]
     regions: NDArray[np.uint8] | None = None
 
 
 def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
-    """An overlay of a map on this many pixels; OverlayError if it cannot be drawn."""
+    """Return an overlay of a map of ``size`` pixels. Raise OverlayError if the overlay cannot be drawn."""
     try:
         return _OVERLAYS[name](view, size)
     except InputError as error:
@@ -47,7 +51,7 @@ def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
 
 
 def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]]:
-    """The names that fit into the regions of a map, each with its place, its angle and its colour."""
+    """Return the labels that fit into the regions of a map, each with its position, angle and colour."""
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
     names = []
@@ -109,7 +113,7 @@ def _curves(view: MapView, size: Size) -> OverlayLines:
 
 
 def _polylines(plane: Plane, kind: str, style: Mapping[str, Any], lines: Iterable[Array]) -> OverlayLines:
-    """Lines of one kind. The legend does not switch them: the choice of overlays does."""
+    """Return lines of one kind. They are switched by the choice of overlays, not in the legend."""
     parts = [{"kind": kind, "points": part} for line in lines for part in _parts(plane, line)]
     return OverlayLines(_described({kind: {**style, "fixed": True}}, parts))
 
@@ -119,12 +123,14 @@ def _described(looks: Mapping[str, Any], lines: list[dict[str, Any]]) -> dict[st
 
 
 def _ends(plane: Plane) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Where the cells of a plane begin and end: (x, y) of either."""
+    """Return the (x, y) limits of a plane, at the outer edges of its cells: lowest and highest."""
     return (plane.x.edges[0], plane.y.edges[0]), (plane.x.edges[-1], plane.y.edges[-1])
 
 
 def _parts(plane: Plane, line: Array) -> list[list[float]]:
-    """The parts of a line (N, 2) in view, each one point longer at its ends, as far as they are seen."""
+    """Return the visible parts of a line (N, 2), each extended by one point at either end, rounded to visible
+    precision.
+    """
     low, high = _ends(plane)
     first, last = line[:-1], line[1:]
     seen = np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1)
@@ -138,7 +144,7 @@ def _parts(plane: Plane, line: Array) -> list[list[float]]:
 
 
 def _placed(plane: Plane, at: Array, size: Size) -> Array:
-    """Points of a plane in pixels from its lower left corner."""
+    """Return points of a plane in pixels from its lower left corner."""
     columns = []
     for k, axis in enumerate((plane.x, plane.y)):
         low, high, values = (np.log(v) if axis.log else v for v in (axis.edges[0], axis.edges[-1], at[:, k]))

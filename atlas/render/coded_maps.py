@@ -1,6 +1,6 @@
 """The layers of maps for a page that draws them itself, as codes of cells and JSON.
 
-A code stands for a colour, or for a scale on which the page places the cell's number.
+A code stands for a colour, or for a colorbar by which the page colours the cell's number.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,13 +32,13 @@ from workers.results import NO_IMPACT
 
 @dataclass(frozen=True)
 class CodedMap:
-    """A map of a page.
+    """A map for a page.
 
-    name       of its kind, or of its variable
-    codes      (y, x) entry of each cell, which gives its colour
-    needs      the variables that it reads, first the one on the scale
+    name       name of its kind, or of its variable
+    codes      (y, x) index of each cell's entry, which determines the colour
+    needs      variables that it reads; the first is the one on the colorbar
     described  further data for the page, as plain JSON
-    layers     the layers that it is made from
+    layers     layers of the map
     """
 
     name: str
@@ -49,18 +49,18 @@ class CodedMap:
 
 
 def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
-    """Every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable as numbers."""
+    """Yield every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable."""
     held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
     kinds = [
         name for name in held if name in PAINTERS and not (name == LABELS and BASINS in held)
-    ]  # labels are of starts
+    ]  # these labels are of initial states
     for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
         with suppress(InputError):  # this machine has no such map
             yield coded_map(ds, seen, name)
 
 
 def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
-    """The map of a name of the cells ``seen`` of an atlas; InputError where they have none."""
+    """Return the named map of the cells ``seen`` of an atlas. Raise InputError if they have no such map."""
     variable = name.removeprefix(NUMBER).removesuffix(LOGARITHM) if name.startswith(NUMBER) else None
     kind = KIND_TABLE[SCALAR if variable else name]
     needs = (variable,) if variable else kind.variables
@@ -71,7 +71,7 @@ def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
 
 
 def text_of(label: str) -> str:
-    """A label of a picture, with its mathtext in Unicode."""
+    """Return a label of a picture with its mathtext in Unicode."""
     parts = label.split("$")
     shown = "".join(
         mathtext_to_unicode(part).replace("-", "\N{MINUS SIGN}") if k % 2 else part for k, part in enumerate(parts)
@@ -80,7 +80,7 @@ def text_of(label: str) -> str:
 
 
 def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
-    """Curves where their orbit is otherwise stable, as plain JSON."""
+    """Return curves, where their orbit is otherwise stable, as plain JSON."""
     corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
     kinds = {curve.kind for curve in curves}
     return {
@@ -101,7 +101,7 @@ def _line_look(look: style.EventStyle) -> dict[str, Any]:
 
 
 def _mark_look(kind: str) -> dict[str, Any]:
-    """Name and outline of a point of codimension two, in units of its size."""
+    """Return name and outline of a point of codimension two, in units of its size."""
     look = style.corner_look(kind, 1.0)
     marker = MarkerStyle(look["marker"])
     shape = marker.get_path().transformed(marker.get_transform()).to_polygons()
@@ -123,7 +123,7 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
         if rest % 2:
             entry["outlined"] = True
         if look.regime in MARKED:
-            entry["enlarged"] = text_of(own.meaning(look.regime).text)  # as its entry in the legend
+            entry["enlarged"] = text_of(own.meaning(look.regime).text)  # the same words as in the legend
         entries.append(entry)
     described = {
         "name": name,
@@ -141,23 +141,28 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
 
 
 def _main(layers: MapLayers) -> ScalarLayer | None:
-    """The field whose ends can be chosen: the only one with a bar, or of the errors that of chaos."""
+    """Return the layer whose colour limits the user can set, None if there is none.
+
+    It is the only layer with a colorbar; among layers of errors it is that of chaos.
+    """
     named = [bar for bar in layers.bars if len(layers.bars) == 1 or bar.title == "chaotic"]
     return named[0] if named else None
 
 
 def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
-    """The content of a look: the number of a bar, or a colour, which a shade darkens unless it is a regime's."""
+    """Return the entry of a style: the index of a colorbar, or a colour. Shading darkens all colours but those of
+    regimes.
+    """
     if style.field is not None:
         field = layers.fields[style.field]
         if field.bar:
             return {"bar": layers.bars.index(field)}
-        return {"color": _hex(field.colors(np.array(-np.inf)))}  # below any scale
+        return {"color": _hex(field.colors(np.array(-np.inf)))}  # the colour below the lower limit
     return {"color": style.color} | ({"shaded": True} if layers.shade is not None and style.regime is None else {})
 
 
 def _shade(layers: MapLayers, variable: str) -> dict[str, Any] | None:
-    """The shade that darkens colours, by a variable."""
+    """Return the shading of colours by a variable."""
     if layers.shade is None:
         return None
     return {
@@ -173,9 +178,9 @@ def _hex(color: Colors) -> str:
 
 
 def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
-    """The texture of each cell (y, x), 0 for none, else its place in the list, from 1."""
+    """Return the hatch of each cell (y, x), 0 for none, otherwise its position in the returned list, from 1."""
     numbers, patterns = np.zeros(layers.codes.shape, np.int64), []
-    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # textured where its colour is hidden
+    regimes = [code for code in style.HATCH if code != NO_IMPACT]  # hatched where colours hide
     textures = [
         (layers.as_regime(code), style.HATCH[code], style.HATCH_INK.get(code, style.TEXTURE)) for code in regimes
     ]
@@ -190,7 +195,7 @@ def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]
 
 
 def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str, main: bool) -> dict[str, Any]:
-    """A bar; ``main`` is the one whose ends can be chosen."""
+    """Return a colorbar; ``main`` is True for the one whose colour limits the user can set."""
     above, both = bar.signs or (bar.colormap, None)
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
@@ -202,7 +207,7 @@ def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str, main: bool) -> d
         "main": main,
         "colors": _table(above),
         "both": both and _table(both),
-        "zero": float(zeros[0]) if zeros.size else 0.0,  # where a number of exactly 0 stands on a logarithmic scale
+        "zero": float(zeros[0]) if zeros.size else 0.0,  # position of an exact 0 on a log scale
     }
 
 
@@ -211,7 +216,7 @@ def _table(colormap: Colormap) -> str:
 
 
 def _entry(entry: LegendEntry) -> dict[str, Any]:
-    """An entry of a legend."""
+    """Return a legend entry."""
     described = {"label": text_of(entry.label), "color": to_hex(entry.color)}
     if entry.min_brightness < 1.0:
         return described | {"dark": entry.min_brightness}

@@ -1,4 +1,4 @@
-"""One figure for atlases, comparisons, orbits of cells and branches, and its file."""
+"""Drawing any subject as one figure, or to a file: atlases, comparisons, orbits of cells, branches."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -44,23 +44,28 @@ def figure(
     titles: Sequence[str] = (),
     **options: "Unpack[AtlasFigureOptions]",
 ) -> Any:
-    """A matplotlib Figure of a subject, shown by notebooks; also written to ``path`` (.png, .svg or .pdf) if given.
+    """Return a matplotlib Figure of a subject, which notebooks show; with ``path`` (.png, .svg or .pdf) also write it.
 
-    One atlas as ``atlas.open`` returns it, partly done or complete: ``kind`` is one of KINDS, by default "exponent" for
-    two axes, "period" without exponents, and "sweep" for one axis; a stack of up to MOST_PANELS planes is drawn like
-    several atlases.
-    Several atlases: maps on one scale, of "exponent" or "period", by default the first that all of them hold, under
-    ``titles`` if no parameter differs.
-    A comparison: the difference of the exponents, there minus here, if there are any, and the regimes there of cells
-    whose regime differs. The orbit of a cell: its portrait. Branches: section values over the parameter.
+    subject  what to draw, see below
+    kind     one of KINDS; for one atlas the default is "exponent" for two axes, "period" without exponents, "sweep" for
+             one axis
+    window   (low, high) limits for any axis of the part to draw
+    path     file to write
+    pixels   size (x, y) of the plot area that a map's cells fill, if it is not that of a file
+    titles   titles of several atlases, used if no parameter differs
+    options  as in ``options.AtlasFigureOptions``; axes given as ``ax`` keep their size and type, and are returned
+             instead of a figure
 
-    ``window`` gives, for any axis, the (low, high) ends of the part to draw. ``pixels`` is the size, (x, y), of the
-    plot area to be filled by a map's cells, if it is not that of a file. ``options`` as in ``options.MapLook``; axes
-    given as ``ax`` keep their size and type, and are returned in place of a figure.
-    Raises InputError, in one line, for another suffix and a path that cannot be written, for a kind that does not fit
-    the number of axes, and if the atlas lacks the variables of the kind.
-    Reads only the variables of the kind, of a map only the chunks in view, from the overview whose cells are as large
-    as pixels. A file's metadata carry the atlas's digest; the same atlas gives the same bytes with the same software.
+    One atlas, as ``atlas.open`` returns it, may be unfinished. A stack of up to MAX_PANELS planes is drawn like several
+    atlases. Several atlases are maps with common colour limits, of kind "exponent" or "period", by default the first
+    that all of them have. A comparison shows the difference of the exponents, second minus first, if there are
+    exponents, and the second regime of cells whose regimes differ. The orbit of a cell is drawn as its portrait.
+    Branches are drawn as section values over the parameter.
+
+    Only the variables of the kind are read; of a map only the visible chunks, from the overview whose cells are as
+    large as pixels. The metadata of a file contain the digest of the atlas. The same atlas gives the same bytes with
+    the same software. Raise InputError for another suffix, and for a path that cannot be written. Raise InputError also
+    if the kind does not fit the number of axes, and if the atlas lacks variables of the kind.
     """
     if path is not None:
         check_path(path)
@@ -90,13 +95,13 @@ def portrait(
     path: str | Path | None = None,
     **named: Any,
 ) -> "Figure":
-    """The portrait of one cell as a matplotlib Figure; also written to ``path`` (.png, .svg or .pdf) if given.
+    """Return the portrait of one cell as a matplotlib Figure; with ``path`` (.png, .svg or .pdf) also write it.
 
-    Time histories with impacts marked, phase planes, the plane of both displacements, the Poincare section, and the
-    exponents as they converge, with their exact values where the motion is periodic. ``omega=4.0`` or
-    a mapping gives the parameters that differ from the defaults, initial state included: with several attractors it
-    decides which is shown.
-    Raises InputError for bad parameters, for a cell without a motion to show and for a path that cannot be written.
+    The portrait has time histories with impacts marked, phase planes, the plane of both displacements, the Poincare
+    section, and the convergence of the exponents, with their exact values if the motion is periodic. ``omega=4.0`` or a
+    mapping gives the parameters that differ from the defaults. Among several attractors the initial state decides which
+    one is drawn. Raise InputError for invalid parameters, for a cell without a motion to draw, and for a path that
+    cannot be written.
 
     >>> import atlas
     >>> figure = atlas.portrait(omega=4.0, b=0.1, path="cell.png", width="85mm")
@@ -112,7 +117,7 @@ def portrait(
         [*(parameter.name for parameter in record.parameters), *FigureOptions.__annotations__],
     )
     look, values = split_look(named)
-    page(**look).check_no_limits("a portrait")  # before the cell is solved
+    page(**look).check_no_limits("a portrait")  # checked before the cell is solved
     drawn: Figure = figure(cell_orbit(given_values(given, values), record, settings), path=path, **look)
     return drawn
 
@@ -131,7 +136,7 @@ def _drawn(subject: "Subject", request: PictureRequest, titles: Sequence[str]) -
         drawn = portrait_figure.figure(subject, page)
     elif isinstance(subject, Comparison | Sequence) and not isinstance(subject, str | bytes):
         if page.given:
-            raise InputError("ax: several maps make a figure of their own; draw them one by one into axes of yours")
+            raise InputError("ax: several maps need a figure of their own; to use ax, draw the maps one by one")
         atlases = [validate_atlas(source, "atlases") for source in _sources(subject, request)]
         if titles and len(titles) != len(atlases):
             raise InputError(f"titles: found {len(titles)}, must be one for each of {len(atlases)} atlases")
@@ -151,7 +156,7 @@ def _drawn(subject: "Subject", request: PictureRequest, titles: Sequence[str]) -
 
 
 def _sources(subject: "Subject", request: PictureRequest) -> list[Any]:
-    """The sources of the numbers of a picture: atlases, an orbit or branches."""
+    """Return the sources of the numbers of a picture: atlases, an orbit or branches."""
     if isinstance(subject, Comparison):
         return [subject.first, subject.second]
     if isinstance(subject, Sequence):
@@ -160,7 +165,7 @@ def _sources(subject: "Subject", request: PictureRequest) -> list[Any]:
 
 
 def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
-    """The figure of one atlas; InputError in one line if it cannot be drawn."""
+    """Return the figure of one atlas. Raise InputError if it cannot be drawn."""
     ds, page, against = select_dominant(every), request.page, request.against
     if len(axis_names(ds)) == MAX_AXES:
         return _of_stack(ds, request)
@@ -185,7 +190,10 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
 
 
 def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
-    """The planes of a stack as maps on one scale, each under its value of the third axis; a single plane as a map."""
+    """Return the planes of a stack as maps with common colour limits, each titled by its value of the third axis.
+
+    A single plane is drawn as a map.
+    """
     kind, page, name, shown = request.kind, request.page, axis_names(ds)[-1], select_window(ds, request.window)
     rest = {axis: ends for axis, ends in (request.window or {}).items() if axis != name}
     count = shown.sizes[name]
@@ -209,20 +217,20 @@ def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
 
 
 def check_units(*atlases: "xr.Dataset") -> None:
-    """Raise InputError if exponents have another unit than their machine's: pictures support no other."""
+    """Raise InputError if exponents are converted to another unit than the one stored; pictures support no other."""
     from atlas.render import text
 
     for ds in atlases:
         if LARGEST.name in ds and text.in_its_unit(ds, PER_PERIOD) != rate_of(ds[LARGEST.name]) == PER_TIME:
-            raise InputError(f"pictures draw exponents {PER_PERIOD}, found {PER_TIME}; draw it as stored")
+            raise InputError(f"pictures need exponents {PER_PERIOD}, found {PER_TIME}; draw the atlas as stored")
 
 
 def _note_coarseness(ax: "Axes", ds: "xr.Dataset", block: tuple[int, ...], layout: "FigureLayout") -> None:
-    """Note above a map that it is coarser than its atlas, with the exact shares of doubtful cells."""
+    """Note above a map that it is coarser than its atlas, with the exact fractions of doubtful cells."""
     shares = fractions(ds)
     names = [regime.name for regime in REGIMES if regime.code in (PENDING, UNDETERMINED, INVALID, FAILED)]
     doubtful = {name: shares[name] for name in names if name in shares}
-    # A share below 0.01 % is shown as such.
+    # A fraction below 0.01 % is shown as such.
     listed = [f"{name} {100 * part:.2g} %" if part >= 1e-4 else f"{name} < 0.01 %" for name, part in doubtful.items()]
     text = ",  ".join([f"one cell drawn for {' × '.join(map(str, block))} computed", *listed])
     with layout.context():

@@ -1,6 +1,6 @@
-"""The table of kinds and overlays: content and meaning of each.
+"""The table of kinds of pictures and of overlays, with contents and meaning of each.
 
-It imports neither matplotlib nor xarray, since the command's help lists it.
+This module imports neither matplotlib nor xarray, since the command's help lists the table.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,21 @@ if TYPE_CHECKING:
 
 STABLE = ("#dcebf5", "#c9dff0", "#b3d2ea", "#9bc3e3", "#81b3db", "#64a1d2")
 CHAOTIC = ("#dd6a10", "#c2481a", "#a32c1a", "#801a17", "#5c0c10", "#36040a")
-"""Colours of exponents below and above zero, in increasing order. They darken monotonically: every exponent has its own
-grey, also without red, green or blue receptors. None is as pale as cells without data, which are white."""
+"""Colours of exponents below and above zero, in increasing order.
+
+They darken monotonically: every exponent has its own grey, also without red, green or blue receptors. No colour is as
+pale as cells without data, which are white.
+"""
 
 
 @dataclass(frozen=True)
 class ColorScale:
-    """The scale of the numbers of a kind: label of its colour bar, and colours from the lower to the upper end.
+    """The colours of the numbers of a kind.
 
-    zero   colour and name of cells that are exactly 0
-    log    whether the scale is logarithmic
+    label   label of the colorbar
+    colors  colours from the lower to the upper limit
+    zero    colour and name of cells that are exactly 0
+    log     True if the norm is logarithmic
     """
 
     label: str
@@ -35,18 +40,20 @@ class ColorScale:
 
 
 CLASSES = ColorScale("")
-"""The scale of kinds without numbers."""
+"""The colours of kinds without numbers."""
 
 
 @dataclass(frozen=True)
 class PictureKind:
     """A kind of picture.
 
-    axes, atlases   numbers of axes and atlases drawn
-    variables       read by a map besides the regimes; the first one is required
-    meaning         in the words of the command's help
-    scale           of its numbers, with optional ends; CLASSES for none
-    lacking         advice for an atlas without its variables
+    name         its name
+    axes         number of axes
+    variables    variables that a map reads besides the regimes; the first one is required
+    description  meaning in the words of the command's help
+    scale        colours of its numbers; CLASSES if there are none
+    atlases      number of atlases drawn
+    hint         advice for an atlas without its variables
     """
 
     name: str
@@ -58,12 +65,12 @@ class PictureKind:
     hint: str = ""
 
     def require(self, ds: "xr.Dataset", names: Sequence[str]) -> None:
-        """InputError with advice if an atlas lacks one of these variables."""
+        """Raise InputError, with the hint, if an atlas lacks one of these variables."""
         for name in names:
             if name not in ds:
                 hint = f"; {self.hint}" if self.hint else ""
                 raise InputError(
-                    f"kind {self.name!r} draws the variable {name!r}, which this atlas does not hold{hint}"
+                    f"kind {self.name!r} needs the variable {name!r}, which this atlas does not have{hint}"
                 )
 
 
@@ -71,7 +78,7 @@ BASINS, LABELS, SCALAR = "basins", "labels", "scalar"
 """The kinds of planes of initial states, of labelled attractors, and of a named variable."""
 
 NUMBER, LOGARITHM = "number-", "-log"
-"""The map of a variable by itself is called NUMBER and its name, and LOGARITHM on such a scale."""
+"""Prefix of the name of a map of a variable, and suffix of that name for a logarithmic norm."""
 
 _PER_PERIOD = "[per forcing period]"
 _EXPONENTS = ColorScale(rf"$\lambda_i$ {_PER_PERIOD}")
@@ -82,11 +89,11 @@ _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
 _MEASURE = "measure its attractors by atlas attractors measure"
 _MOTIONS = ("impacts_upper", "impacts_lower", "period")
 
-# For each number of axes the first kind whose variable the atlas holds is the default.
+# For each number of axes the default is the first kind whose variable the atlas has.
 KIND_TABLE = {
     kind.name: kind
     for kind in (
-        PictureKind("exponent", 2, (LARGEST.name,), "the largest exponent, on a scale around zero",
+        PictureKind("exponent", 2, (LARGEST.name,), "the largest exponent, with colours around zero",
              ColorScale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
         PictureKind("period", 2, ("period",), "one colour for each period"),
         PictureKind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
@@ -102,20 +109,20 @@ KIND_TABLE = {
         PictureKind("cost", 2, ("periods_used",), "forcing periods simulated",
              ColorScale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
                    ("#dddddd", "none needed"), log=True)),
-        PictureKind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or in stick",
+        PictureKind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or sticking",
              ColorScale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
                    ("#f3f1ea", "never at rest"))),
         PictureKind("attractors", 2, ("attractors",), "how many attractors a cell has"),
         PictureKind("share", 2, ("share",),
-             "the share of initial states that reach the attractor shown, the one of most unless another is chosen",
+             "the share of initial states that reach the attractor shown, by default the most frequent one",
              ColorScale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2",
              "#f8f1ee"))),
         PictureKind(LABELS, 2, (LABEL.name,),
-             "which branch the attractor shown is on, in colours that persist, by atlas attractors label",
+             "the branch of the attractor shown, in lasting colours, from atlas attractors label",
              hint="label its attractors by atlas attractors label"),
         PictureKind(BASINS, 2, (SETTLED.name, LABEL.name),
-        "of a plane of initial states: which attractor each start goes to",
-             hint="both axes must be initial states, and the spec have [attractors]"),
+        "of a plane of initial states: the attractor that each of these reaches",
+             hint="both axes must be initial states, and the spec must have [attractors]"),
         PictureKind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
              ColorScale("return time [forcing periods]", _PALE_BLUE, log=True), hint=_MEASURE),
         PictureKind("reactivity", 2, ("reactivity",),
@@ -127,7 +134,7 @@ KIND_TABLE = {
              ColorScale("minimal fatal shock", _DARK_FIRST, log=True), hint=f"{_MEASURE} --shocks"),
         PictureKind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
              ColorScale("distance to the nearest curve", _DARK_FIRST), hint=f"{_MEASURE} --margin"),
-        PictureKind(SCALAR, 2, (), "any number of each cell, which --variable names", ColorScale("", _VIOLET)),
+        PictureKind(SCALAR, 2, (), "a variable with one number per cell, see --variable", ColorScale("", _VIOLET)),
         PictureKind("coexistence", 1, ("share",),
         "of one axis: bifurcation diagram of all attractors above their shares",
              _EXPONENTS),
@@ -147,13 +154,13 @@ MAPS = tuple(name for name in KINDS if KIND_TABLE[name].axes == 2 and name not i
 """Kinds over two axes of a parameter plane, drawn from its cells alone."""
 
 KIND_MEANINGS = {name: kind.description for name, kind in KIND_TABLE.items()}
-"""Content of each kind of picture, in the words of the command's help."""
+"""Meaning of each kind of picture, in the words of the command's help."""
 
 AXES = {1: "one axis", 2: "two axes"}
 """Numbers of axes in words."""
 
 MAX_PANELS = 12
-"""Most planes of a stack drawn together."""
+"""Maximum number of planes of a stack that are drawn together."""
 
 OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
@@ -163,11 +170,11 @@ OVERLAY_MEANINGS = {
     "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
-"""Meaning of each line over a picture, in the same words."""
+"""Meaning of each overlay, in the words of the command's help."""
 
 OVERLAYS = tuple(OVERLAY_MEANINGS)
 MAP_OVERLAYS = OVERLAYS[:4]
-"""All lines over pictures, and lines over any map."""
+"""All overlays, and the overlays of any map."""
 
 CURVES = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost",
@@ -175,11 +182,11 @@ CURVES = (
     "vertex", "exchange", "hopf", "border",
     "codimension_two",
 )  # fmt: skip
-"""Curves of a store that can be drawn alone: each kind, and the points of codimension two."""
+"""Curves of a store that can be drawn separately: each kind, and the points of codimension two."""
 
 
 class OverlayError(InputError):
-    """An overlay, named ``overlay``, that an atlas does not support. The map can be drawn without it."""
+    """Raised for an overlay, named ``overlay``, that an atlas does not support. The map can be drawn without it."""
 
     def __init__(self, overlay: str, reason: str) -> None:
         super().__init__(reason)
@@ -187,16 +194,16 @@ class OverlayError(InputError):
 
 
 def required_variables(kind: str) -> list[str]:
-    """The variables of a map of this kind, besides the regimes."""
+    """Return the variables of a map of this kind, besides the regimes."""
     return list(KIND_TABLE[kind].variables)
 
 
 def has_scale(kind: str) -> bool:
-    """Whether pictures of this kind have a scale with optional ends."""
+    """Return True if pictures of this kind have colour limits that can be set."""
     return KIND_TABLE[kind].scale is not CLASSES
 
 
 def found_axes(ds: "xr.Dataset") -> str:
-    """The axes of an atlas, for error messages."""
+    """Return the axes of an atlas, for error messages."""
     axes = axis_names(ds)
     return f"found {AXES.get(len(axes), f'{len(axes)} axes')} ({', '.join(axes)})"

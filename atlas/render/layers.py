@@ -1,4 +1,7 @@
-"""A map as data: codes of cells and their looks, fields on scales, textures, points, names; colours come last."""
+"""A map as data: codes of cells and their styles, and layers of numbers, hatches, points and labels.
+
+Colours are applied last, so that a matplotlib figure and a web page can be made from the same layers.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -21,16 +24,16 @@ from workers.results import NO_IMPACT, PENDING, REGIME, REGIMES
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
 Class: TypeAlias = tuple[Cells, str, str]
-"""Cells (y, x), their colour and their name."""
+"""A class of cells: mask (y, x), colour and name."""
 
 LINEAR, LOG, TWO_SIDED = "linear", "log", "two-sided"
 _FORMS = {Normalize: LINEAR, LogNorm: LOG, TwoSlopeNorm: TWO_SIDED}
-"""Placement of a number on a scale, for pages that do it themselves."""
+"""Names of the norms, for pages that apply them."""
 
 
 @dataclass(frozen=True)
 class MapView:
-    """The cells of an atlas in view, a kind of map, and the look of its drawing."""
+    """The input of a map: the dataset, its plane of cells, the kind of map, and the requested picture."""
 
     kind: PictureKind
     ds: xr.Dataset
@@ -39,15 +42,20 @@ class MapView:
 
     @property
     def page(self) -> FigureLayout:
-        """The page of the drawing."""
+        """The layout of the figure."""
         return self.wanted.page
 
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """A legend entry: a colour with its texture, or one that darkens to a share of its brightness.
+    """An entry of a legend: a colour, optionally hatched or darkened.
 
-    ``regime``: the code of the regime that it explains.
+    color           colour of the box
+    label           text of the entry
+    hatch           pattern over the colour, None for none
+    hatch_color     colour of the hatch
+    min_brightness  brightness at the dark end of a darkened entry
+    regime          code of the regime that the entry explains, None for other entries
     """
 
     color: ColorType
@@ -59,20 +67,25 @@ class LegendEntry:
 
     @classmethod
     def from_regime(cls, code: int) -> "LegendEntry":
-        """The entry of cells in the colour of this regime; impact-free cells in another colour get a texture."""
+        """Return the entry of cells in the colour of this regime; for impact-free cells in another colour it is
+        hatched.
+        """
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
         return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
 
     def to_artist(self) -> Patch:
-        """The entry as a matplotlib artist."""
+        """Return the entry as a matplotlib artist."""
         if self.min_brightness < 1.0:
             return style.GradientPatch(self.color, self.min_brightness, self.label)
         return style.swatch(self.color, self.label, self.hatch, self.hatch_color)
 
 
 class CellStyle(NamedTuple):
-    """The look of a code: a colour, or the number in the field with this index; ``regime``: the look of a regime."""
+    """The appearance of a code: a colour, or the index ``field`` of the ``ScalarLayer`` that colours its cells.
+
+    ``regime`` is set if the cells look like cells of that regime.
+    """
 
     color: str = "#ffffff"
     field: int | None = None
@@ -80,9 +93,9 @@ class CellStyle(NamedTuple):
 
 
 class HatchLayer(NamedTuple):
-    """A texture over cells (y, x), through which their colours show.
+    """A hatch over the cells (y, x) of a mask; their colours show through.
 
-    ``outlined`` are cells with a line around them; ``entry``: in the legend.
+    ``outlined`` is a mask of cells with an outline, ``entry`` the entry in the legend.
     """
 
     cells: Cells
@@ -93,19 +106,23 @@ class HatchLayer(NamedTuple):
 
     @classmethod
     def on_color(cls, color: Any, cells: Cells, hatch: str, label: str, outlined: Cells | None = None) -> "HatchLayer":
-        """A texture in an ink that is visible on this colour, with its legend entry."""
+        """Return a hatch in a colour that is visible on ``color``, with its legend entry."""
         ink = style.ink_on(color)
         return cls(cells, hatch, ink, outlined, LegendEntry(color, label, hatch, ink))
 
 
 @dataclass(frozen=True, eq=False)
 class ScalarLayer:
-    """Numbers of cells (y, x), NaN for none, on a scale of colours with a bar.
+    """Numbers of cells (y, x), NaN if there is none, with a colormap and a norm.
 
-    title   of the bar, if there are several
-    signs   the colours of positive numbers, and of both signs with zero in the middle, for a scale of both signs if
-            zero lies between its ends: ``colormap`` is the first, or a part of the second
-    bar     true if there is one
+    colormap  colours of the numbers
+    norm      placement of the numbers on the colormap
+    values    (y, x) the numbers
+    label     label of the colorbar
+    title     title of the colorbar if there are several
+    signs     colormaps for positive numbers and for both signs, if zero may lie inside the limits; ``colormap`` is the
+              first, or a part of the second
+    bar       True if the layer has a colorbar
     """
 
     colormap: Colormap
@@ -118,25 +135,27 @@ class ScalarLayer:
 
     @property
     def form(self) -> str | None:
-        """Placement of a number on the scale, None if it has no name."""
+        """The name of the norm for pages, None if it has no name."""
         return _FORMS.get(type(self.norm))
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The ends of the scale."""
+        """The colour limits."""
         return float(self.norm.vmin or 0.0), float(self.norm.vmax or 0.0)
 
     def colors(self, values: Array) -> Colors:
-        """The colours of values (..., 4) in bytes. Zero has no logarithm and gets the colour of the lower end."""
+        """Return the colours (..., 4), in bytes, of values. Zero has no logarithm and gets the colour of the lower
+        limit.
+        """
         least = self.ends[0]
         placed = self.norm(np.where(np.isnan(values), least, np.maximum(values, least)))
         return np.asarray(self.colormap(placed, bytes=True))
 
 
 class ShadingLayer(NamedTuple):
-    """Darkening of colours by numbers of cells (y, x), NaN for none.
+    """Darkening of colours by numbers of cells (y, x), NaN if there is none.
 
-    From ``low`` to ``high``, where the share ``dark`` of the brightness is left.
+    Brightness falls from 1 at ``low`` to ``min_brightness`` at ``high``.
     """
 
     values: Array
@@ -153,7 +172,7 @@ class ShadingLayer(NamedTuple):
 
 
 class PointLayer(NamedTuple):
-    """Points (n, 2) over a map, as arguments of ``style.mark``."""
+    """Points (n, 2) over a map; ``look`` are the arguments of ``style.mark``."""
 
     points: Array
     look: tuple[str, float, str, str, float]
@@ -161,14 +180,18 @@ class PointLayer(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MapLayers:
-    """A map as data, from which pictures and pages are made.
+    """All layers of a map.
 
-    codes      (y, x) indices into ``looks``
-    legend     entries for them; ``beside``: title of a legend to the right of the map
-    fields     numbers on scales; their bars from below
-    textures   over cells
-    points     over those, with their entry in the legend: label and look
-    names      cells (y, x), their name, written into them if it fits, and the colour under it
+    codes              (y, x) indices into ``styles``
+    styles             appearance of each code
+    legend             entries for the styles
+    fields             scalar layers, their colorbars from below
+    textures           hatch layers
+    shade              darkening of the colours, None for none
+    points             point layers
+    point_entry        legend entry of the points: label, and arguments of ``style.mark``
+    side_legend_title  title of a legend to the right of the map; None for a legend below
+    names              masks (y, x) of cells with a label and the colour under it; a label is drawn where it fits
     """
 
     codes: NDArray[np.intp]
@@ -184,20 +207,20 @@ class MapLayers:
 
     @property
     def entries(self) -> list[LegendEntry]:
-        """All entries of its legend except that of points."""
+        """All entries of the legend but that of points."""
         return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property
     def bars(self) -> list[ScalarLayer]:
-        """The fields with a bar."""
+        """The scalar layers with a colorbar."""
         return [field for field in self.fields if field.bar]
 
     def cells_on_scalar(self, place: int) -> Cells:
-        """The cells (y, x) whose look is a number in this field."""
+        """Return the mask (y, x) of cells that are coloured by the scalar layer with index ``place``."""
         return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.field == place])
 
     def as_regime(self, regime: int) -> Cells:
-        """The cells (y, x) with the look of this regime."""
+        """Return the mask (y, x) of cells that look like cells of this regime."""
         return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.regime == regime])
 
 
@@ -209,9 +232,14 @@ def build_layers(
     legend: Sequence[LegendEntry] = (),
     **others: Any,
 ) -> MapLayers:
-    """Layers of cells (y, x): classes over fields over coloured numbers; other cells have the look of their regime.
+    """Return the layers of cells (y, x): classes over scalar layers over numbered cells.
 
-    ``numbered`` are numbers (y, x), -1 for none, and the colour of each. ``legend`` goes before the classes' entries.
+    regime    (y, x) regimes; cells without any other style look like their regime
+    classes   classes of cells
+    fields    scalar layers
+    numbered  numbers (y, x) of cells, -1 for none, and the colour of each number
+    legend    entries before those of the classes
+    others    further fields of ``MapLayers``
     """
     number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
     codes, looks, entries = number.astype(np.intp), [CellStyle(color) for color in colors], [*legend]
@@ -224,7 +252,7 @@ def build_layers(
             looks.append(CellStyle(color))
             entries.append(LegendEntry(color, name))
     rest = codes < 0
-    for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending last in the legend
+    for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending comes last in the legend
         cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
         looks.append(CellStyle(entry.color, regime=entry.code))
@@ -234,7 +262,7 @@ def build_layers(
 
 
 def paint(layers: MapLayers) -> Colors:
-    """The colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the texture below."""
+    """Return the colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the hatch below."""
     table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.styles]
     rgba = np.array(table, np.uint8)[layers.codes]
     for place, field in enumerate(layers.fields):

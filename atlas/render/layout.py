@@ -1,4 +1,4 @@
-"""The page of a picture: its size, type and resolution, the ends of its scale, or given axes."""
+"""The layout of a figure: its size, type, resolution, legend, colour limits, or given axes."""
 
 import math
 import os
@@ -30,25 +30,25 @@ WIDTH = 7.0
 """Default width of a figure in inches: two columns of a journal."""
 
 _FONT = 10.0
-"""Points of the type at the standard width; all sizes of type here are relative to it."""
+"""Type size in points at the standard width; all type sizes here are relative to it."""
 _NARROW, _NARROW_FONT = 85.0 / 25.4, 8.0
-"""Width in inches of one column of a journal, and its type in points."""
+"""Width in inches of one column of a journal, and its type size in points."""
 _SHOWN_DPI = 144.0
-"""Dots per inch in a notebook, which shows 72 of them per inch of the page on coarse screens."""
+"""Dots per inch in a notebook, which shows 72 of them per inch of the figure on coarse screens."""
 _INCHES = {"mm": 1.0 / 25.4, "cm": 1.0 / 2.54, "in": 1.0}
 _PIXELS = (1500, 1100)
-"""Least size, (x, y), of a map's plot in a file of the standard page, in pixels: larger cells are all drawn."""
+"""Minimum size (x, y), in pixels, of a map's plot in a file of the standard layout: all larger cells are drawn."""
 _LENGTHS = (0.8, 60.0)
-"""Least and greatest length of a page in inches."""
+"""Minimum and maximum side of a figure in inches."""
 _BESIDE = 5.0
-"""Least width in inches of a page with a legend beside its plot."""
+"""Minimum width in inches of a figure with a legend beside its plot."""
 
 
 class NotebookFigure(Figure):
     """A figure that a notebook shows by itself, without pyplot or a magic line, and that threads draw in turn."""
 
     def savefig(self, *value: Any, **options: Any) -> None:
-        """As in Matplotlib."""
+        """Save the figure as Matplotlib does."""
         with drawing_context():
             super().savefig(*value, **options)
 
@@ -56,15 +56,24 @@ class NotebookFigure(Figure):
         width, height = self.get_size_inches()
         data = BytesIO()
         self.savefig(data, format="png", dpi=_SHOWN_DPI)
-        # At half of its pixels, for fine screens.
+        # Shown at half of its pixels, for fine screens.
         return data.getvalue(), {"width": round(width * _SHOWN_DPI / 2), "height": round(height * _SHOWN_DPI / 2)}
 
 
 @dataclass(frozen=True)
 class FigureLayout:
-    """A page, with lengths in inches and type in points; ``given`` are axes to draw into in place of a new figure.
+    """The layout of a figure.
 
-    ``explained``: true with a legend.
+    width      width in inches
+    height     height in inches, None for the default of the picture
+    font       type size in points
+    dpi        dots per inch
+    vmin       lower colour limit, None for the default
+    vmax       upper colour limit, None for the default
+    title      True if the figure has a title
+    explained  True if the figure has a legend
+    rc         settings of Matplotlib
+    given      axes to draw into, in place of a new figure
     """
 
     width: float = WIDTH
@@ -80,12 +89,12 @@ class FigureLayout:
 
     @property
     def scale(self) -> float:
-        """The size of the type relative to the standard page."""
+        """The type size relative to the standard layout."""
         return self.font / _FONT
 
     @property
     def has_side_legend(self) -> bool:
-        """Whether a legend fits beside the plot."""
+        """True if a legend fits beside the plot."""
         return self.width >= _BESIDE * self.scale
 
     @property
@@ -100,29 +109,29 @@ class FigureLayout:
 
     @property
     def map_pixels(self) -> tuple[int, int]:
-        """Size, (x, y), of a map's plot in pixels: finer cells are read from an overview."""
+        """Size (x, y), in pixels, of a map's plot; finer cells are read from an overview."""
         dots = self.dpi / DPI
         width, tall = (mine / standard for mine, standard in zip(self.map_size, STANDARD.map_size, strict=True))
         return max(1, round(_PIXELS[0] * width * dots)), max(1, round(_PIXELS[1] * tall * dots))
 
     def plot_size(self, height: float) -> tuple[float, float]:
-        """Nominal width and height of the plot in points, before the figure is laid out."""
+        """Return the nominal width and height of the plot in points, before the figure is laid out."""
         if self.given:
             extent, dots = self.given[0].get_window_extent(), _root(self.given[0]).dpi
             return float(extent.width) / dots * 72.0, float(extent.height) / dots * 72.0
         return 0.8 * self.width * 72.0, 0.8 * (self.height or height) * 72.0
 
     def context(self) -> AbstractContextManager[None]:
-        """Matplotlib's settings for drawing on this page, restored at the end."""
+        """Return a context with Matplotlib's settings for this layout, which are restored at the end."""
         settings: Any = rc_params(self.scale)
-        if self.given:  # given axes have their type already
+        if self.given:  # given axes have a type size already
             settings = {name: settings[name] for name in _OURS}
         else:
             settings = defaults() | settings | {"savefig.dpi": self.dpi}
         return drawing_context(settings | dict(self.rc))
 
     def figure(self, height: float) -> Figure:
-        """An empty figure with room for texts outside its axes; ``height`` is the default."""
+        """Return an empty figure with room for texts outside its axes; ``height`` is the default."""
         size, dpi = (self.width, self.height or height), self.dpi if self.dpi != DPI else None
         color = self.rc.get("figure.facecolor", "white")
         drawn = NotebookFigure(figsize=size, layout="constrained", facecolor=color, dpi=dpi)
@@ -130,12 +139,12 @@ class FigureLayout:
         return drawn
 
     def panels(self, height: float, count: int, title: str) -> tuple[Figure, list[Axes]]:
-        """A figure with ``count`` plots over one shared axis, or the given axes, under a title.
+        """Return a figure with ``count`` plots over one shared axis, or the given axes, under a title.
 
-        InputError for another number of given axes.
+        Raise InputError for another number of given axes.
         """
         if self.given and len(self.given) != count:
-            raise InputError(f"this picture has {count} plots, found {len(self.given)} axes in ax; give one for each")
+            raise InputError(f"ax: found {len(self.given)} axes, must be {count}, one for each plot")
         drawn = _root(self.given[0]) if self.given else self.figure(height)
         if self.given and self.explained:
             _make_room(drawn)
@@ -151,23 +160,26 @@ class FigureLayout:
             fig.suptitle(title, fontsize=size, ha="left", x=0.012, **style).set_gid(TITLE)
 
     def ends(self, low: float, high: float) -> tuple[float, float]:
-        """The ends of a scale: the given ones, else these; InputError unless they rise."""
+        """Return the colour limits: vmin and vmax, or else ``low`` and ``high``.
+
+        Raise InputError unless the limits increase.
+        """
         low = low if self.vmin is None else self.vmin
         high = high if self.vmax is None else self.vmax
         if not low < high:
-            raise InputError(f"the scale must rise: found {low:g} to {high:g}; give vmin, vmax or both")
+            raise InputError(f"colour limits: found {low:g} to {high:g}, must increase; give vmin, vmax or both")
         return low, high
 
     def check_no_limits(self, reason: str) -> None:
-        """InputError with this reason if ends of a scale are given."""
+        """Raise InputError, with this reason, if colour limits are given."""
         if self.vmin is not None or self.vmax is not None:
-            raise InputError(f"{reason}: it has no scale that vmin and vmax could end")
+            raise InputError(f"{reason}: there are no colour limits for vmin and vmax to set")
 
     def legend(self, fig: Figure, entries: Sequence[Artist], beside: str | None = None, **style: Any) -> None:
-        """A legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
+        """Draw a legend under the plots in as many columns as fit, or to the right if ``beside`` is a title or "".
 
-        Narrow pages always have it below. No legend without entries, or if none is wanted. A long legend extends a page
-        of default height rather than shrinking the plot.
+        Narrow figures have the legend below. There is no legend without entries, or with ``explained`` False. A long
+        legend extends a figure of default height instead of shrinking the plot.
         """
         if not (entries and self.explained):
             return
@@ -182,7 +194,7 @@ class FigureLayout:
         for columns in range(len(entries), 0, -1):
             rows = -(-len(entries) // columns)
             if columns > 1 and -(-len(entries) // rows) != columns:
-                continue  # legends fill columns first; rows of equal length look best
+                continue  # legends fill columns first; equal rows look best
             drawn_legend = self._one_legend(fig, entries, False, {"ncols": columns, **style})
             extent = drawn_legend.get_window_extent()
             if columns == 1 or extent.width <= room - 4.0:
@@ -208,7 +220,7 @@ class FigureLayout:
             fig.set_size_inches(self.width, fig.get_size_inches()[1] + dots / fig.dpi)
 
     def wrap_texts(self, fig: Figure) -> None:
-        """Break labels and titles that are longer than the page into lines, except in given axes."""
+        """Break labels and titles that are longer than the figure into lines, except in given axes."""
         if not self.given:
             with self.context():
                 fit(fig)
@@ -223,9 +235,10 @@ STANDARD = FigureLayout()
 
 
 def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
-    """The page with these options, see ``ScaleOptions``; ``ax``: axes to draw into, for a sweep one per plot.
+    """Return the layout with these options, see ``ScaleOptions``.
 
-    Raises InputError for an invalid length, size or resolution, and for an unreadable style.
+    ``ax`` are the axes to draw into, for a sweep one for each plot. Raise InputError for an invalid length, size or
+    resolution, and for an unreadable style.
     """
     unknown = set(style) - set(ScaleOptions.__annotations__)
     if unknown:
@@ -253,7 +266,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
     if asked:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
         rc |= {name: rc_params(font / _FONT)[name] for name in _SIZES if given}
-    styled = rc.pop("savefig.dpi", DPI)  # removed from the style, whose settings override the page's
+    styled = rc.pop("savefig.dpi", DPI)  # removed: settings of the style override the layout's
     dpi = _number("dpi", style.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
     if font * dpi / 72.0 < _LEAST_DOTS:
         raise InputError(
@@ -275,7 +288,10 @@ def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
 
 
 def _length(name: str, value: float | str | None) -> float | None:
-    """A length in inches from a number or from a text with a unit, such as "85mm"; InputError otherwise."""
+    """Return a length in inches from a number or from a text with a unit, such as "85mm".
+
+    Raise InputError for any other value.
+    """
     if value is None:
         return None
     if isinstance(value, str):
@@ -294,7 +310,10 @@ def _length(name: str, value: float | str | None) -> float | None:
 
 
 def _number(name: str, value: float | None, positive: bool = False) -> float | None:
-    """A finite number, positive and not too large if asked, or None; InputError otherwise."""
+    """Return a finite number, or None; with ``positive`` the number must be positive and not too large.
+
+    Raise InputError for any other value.
+    """
     if value is None:
         return None
     try:
@@ -309,20 +328,20 @@ def _number(name: str, value: float | None, positive: bool = False) -> float | N
 
 
 CURRENT = "current"
-"""The style of the settings of Matplotlib that the user has changed."""
+"""Name of the style that consists of the Matplotlib settings changed by the user."""
 _LEAST_DOTS = 4.0
-"""Settings of the type: an index of an index is half as large and needs a dot."""
+"""Minimum size of a letter in dots: an index of an index is half as large and needs a dot."""
 _OURS = ("legend.frameon", "legend.handlelength", "legend.handleheight", "hatch.linewidth")
-"""The settings of the type that also apply to given axes."""
+"""Settings of the type that also apply to given axes."""
 _SIZES = tuple(name for name in rc_params(1.0) if name.endswith("size"))
 
 
 def _style(chosen: str | Path | None) -> dict[str, Any]:
-    """The settings of a style, without those of windows."""
+    """Return the settings of a style, without those of windows and of the figure's layout."""
     if chosen is None:
         return {}
     if not isinstance(chosen, str | os.PathLike):
-        right = f"must be a style of matplotlib's, {CURRENT!r} or the path of a file"
+        right = f"must be a style of matplotlib, {CURRENT!r} or the path of a file"
         raise InputError(f"style: found {brief_repr(chosen)}, {right}")
     settings: Any
     if str(chosen) == CURRENT:
@@ -333,20 +352,20 @@ def _style(chosen: str | Path | None) -> dict[str, Any]:
         settings = mpl_style.library[str(chosen)]
     else:
         if os.path.exists(chosen) and not os.path.isfile(chosen) and not os.path.isdir(chosen):
-            raise InputError(f"style {chosen}: not a regular file")  # a device or a pipe may never end
+            raise InputError(f"style {chosen}: not a regular file")  # reading a device or a pipe may never end
         try:
             settings = mpl.rc_params_from_file(chosen, use_default_template=False)
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or error
-            raise InputError(f"style {chosen}: neither a style of matplotlib's nor a file to read: {why}") from None
+            raise InputError(f"style {chosen}: neither a style of matplotlib nor a readable file: {why}") from None
     layout = ("figure.autolayout", "figure.constrained_layout.use", "savefig.bbox", "savefig.format", "backend")
     return {name: settings[name] for name in settings if name not in layout and not name.startswith("figure.subplot")}
 
 
 def _make_room(fig: Figure) -> None:
-    """Have a figure without a layout engine make room for a legend beside or under its plots, which is cut off else.
+    """Give a figure without a layout engine room for a legend beside or under its plots, which otherwise is cut off.
 
-    The tight engine bears with a later ``tight_layout`` or ``subplots_adjust``. Axes at places of their own stay there.
+    The tight engine tolerates a later ``tight_layout`` or ``subplots_adjust``. Axes at explicit positions stay there.
     """
     if fig.get_layout_engine() is None and all(ax.get_subplotspec() is not None for ax in fig.axes):
         fig.set_layout_engine("tight")
@@ -355,5 +374,5 @@ def _make_room(fig: Figure) -> None:
 def _root(ax: Axes) -> Figure:
     root = ax.get_figure(root=True)
     if root is None:
-        raise InputError("ax: these axes belong to no figure any more")
+        raise InputError("ax: found axes that belong to no figure any more")
     return root

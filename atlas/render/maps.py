@@ -1,4 +1,4 @@
-"""The way from a plane of cells to its map: read, paint, frame, draw, overlays, bars, legend, names."""
+"""Drawing a map: read the cells, apply the layers, draw overlays, colorbars, legend and labels."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,16 +22,16 @@ from atlas.render.request import PictureRequest
 from workers.results import ATTRACTOR, LARGEST, PENDING
 
 LABEL_SIZE = 7.5
-"""Points of the type of names on a map."""
+"""Type size of labels on a map, in points."""
 _ARROW = {
     "arrowstyle": "-|>,head_length=0.25,head_width=0.1", "linewidth": 0.5, "shrinkA": 0.5, "shrinkB": 0.0,
     "color": "#555555",
 }  # fmt: skip
-"""The arrow from a name to its region."""
+"""Style of the arrow from a label to its region."""
 
 
 def draw_layers(view: MapView, layers: MapLayers) -> Figure:
-    """The map of a view as a figure, with its overlays."""
+    """Return the map of a view as a figure, with its overlays."""
     wanted, page, layers = view.wanted, view.page, with_legend_notes(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
@@ -45,9 +45,9 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
 
 
 def read(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> MapView:
-    """Read the variables and regimes needed for a map and its overlays, at most at the resolution of pixels.
+    """Read the variables and regimes that a map and its overlays need, at most at the resolution of the pixels.
 
-    InputError if the atlas lacks one. This is the only function of maps that reads an atlas.
+    Raise InputError if the atlas lacks one. No other function of maps reads an atlas.
     """
     names = [*kind.variables] if request.variable is None else [request.variable]
     names += [LARGEST.name] if "isolines" in request.overlays else []
@@ -78,8 +78,9 @@ def lay(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> list
 
 
 def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
-    """Layers whose legend has the words of the atlas's machine for regimes, and a note that cells without a result may
-    have too few attractors for the selected one.
+    """Return layers whose legend names regimes in the words of the atlas's machine.
+
+    The legend also notes that cells without a result may have too few attractors for the selected one.
     """
     own = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
     if ds.attrs.get(ATTRACTOR, 0):
@@ -96,14 +97,14 @@ def name_regions(
     limit: int = 2,
     free: Cells | None = None,
 ) -> None:
-    """Write names into the largest regions of sets of cells (y, x): see ``places``. The plot must have its final size.
+    """Write labels into the largest regions of sets of cells (y, x), see ``places``. The plot must have its final size.
 
-    ``named``: cells, name, and the colour under the name.
+    ``named`` has cells, label, and the colour under the label.
     """
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     place = np.ix_(rows, columns)
     extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
-    step = np.array([extent.height / rows.size, extent.width / columns.size]) / dots  # points between the places tried
+    step = np.array([extent.height / rows.size, extent.width / columns.size]) / dots  # in points
 
     def at(cell: tuple[int, int]) -> tuple[float, float]:
         return x.values[cell[1]], y.values[cell[0]]
@@ -115,7 +116,7 @@ def name_regions(
         _, name, color = named[number]
         look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
         if region is None:
-            look |= {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # turned about its middle
+            look |= {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # rotated about its centre
             ax.text(*at(cell), name, color=style.ink_on(color), **look)
         else:
             ax.annotate(name, at(region), at(cell), va="center", color=style.ink_on("white"), arrowprops=_ARROW, **look)

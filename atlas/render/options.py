@@ -1,4 +1,4 @@
-"""The options of pictures, named as in the commands, as keyword arguments of functions."""
+"""The options of pictures as keyword arguments of functions, with the same names as in the commands."""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,41 +18,41 @@ T = TypeVar("T")
 
 
 class FigureOptions(TypedDict, total=False):
-    """The options of every picture, each with its meaning."""
+    """Options of every picture."""
 
     width: Annotated[
         float | str | None,
         'width of the picture: inches as a number, or a text such as "85mm", "8.5cm" or "3.35in"; default: 7 in',
     ]
-    height: Annotated[float | str | None, "height of the picture, given likewise; default: by the width"]
-    font_size: Annotated[float | None, "points of the type; default: by the width"]
+    height: Annotated[float | str | None, "height of the picture, in the same form; default: by the width"]
+    font_size: Annotated[float | None, "type size in points; default: by the width"]
     dpi: Annotated[float | None, "dots per inch; default: 300"]
-    title: Annotated[bool, "whether the fixed parameters stand above"]
-    legend: Annotated[bool, "whether there is a legend"]
+    title: Annotated[bool, "show the fixed parameters above the picture"]
+    legend: Annotated[bool, "show a legend"]
     style: Annotated[
         str | Path | None, 'a matplotlib style: a file, a name of matplotlib\'s own, or "current" for your rcParams'
     ]
 
 
 class ScaleOptions(FigureOptions, total=False):
-    """The options of every picture with a scale."""
+    """Options of every picture with colour limits."""
 
-    vmin: Annotated[float | None, "lower end of the scale of numbers, or of the axis of exponents in a sweep"]
-    vmax: Annotated[float | None, "its upper end"]
+    vmin: Annotated[float | None, "lower colour limit, or lower limit of the exponents in a sweep"]
+    vmax: Annotated[float | None, "upper limit, likewise"]
 
 
 class _AtlasOnlyOptions(TypedDict, total=False):
     """Further options of a picture of one atlas."""
 
-    overlay: Annotated[str | Sequence[str], "lines over a map or a sweep, one or several of OVERLAYS"]
+    overlay: Annotated[str | Sequence[str], "overlays of a map or a sweep, one or several of OVERLAYS"]
     curves: Annotated[
         str | Sequence[str] | None, 'kinds of exact curves to draw, of CURVES, "fold,graze" or a list; default: all'
     ]
-    names: Annotated[bool, "whether names of points and motions, and levels of lines, stand on a map"]
+    names: Annotated[bool, "label points, motions and lines on a map"]
     against: Annotated["xr.Dataset | None", "a second sweep of the same axis, for hysteresis"]
-    variable: Annotated[str | None, "the number of each cell to map, such as max_impact_speed"]
+    variable: Annotated[str | None, "the variable to map, such as max_impact_speed"]
     observe: Annotated[str | None, "the observable that a sweep shows in place of section values: impact_phase:stop"]
-    log: Annotated[bool, "whether on a logarithmic scale, with variable"]
+    log: Annotated[bool, "use a logarithmic norm, with variable"]
     ax: Annotated[
         "Axes | Sequence[Axes] | None",
         "matplotlib axes to draw into, for a sweep one for each of its plots; they are returned",
@@ -60,17 +60,17 @@ class _AtlasOnlyOptions(TypedDict, total=False):
 
 
 class AtlasFigureOptions(_AtlasOnlyOptions, ScaleOptions, total=False):
-    """The options of a picture of one atlas."""
+    """Options of a picture of one atlas."""
 
 
 def split_look(named: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """The options of a picture among these arguments, and the other arguments."""
+    """Return the options of a picture among these arguments, and the other arguments."""
     look = {name: value for name, value in named.items() if name in FigureOptions.__annotations__}
     return look, {name: value for name, value in named.items() if name not in look}
 
 
 def names_in(option: str, value: object) -> tuple[str, ...]:
-    """The names in an option: one, or several in a list or separated by commas; InputError otherwise."""
+    """Return the names in an option: one, or several in a list or separated by commas. Raise InputError otherwise."""
     if isinstance(value, str):
         return tuple(value.split(","))
     names = tuple(value) if isinstance(value, Iterable) else (value,)
@@ -83,9 +83,10 @@ _DEFAULTS: dict[str, Any] = {"overlay": (), "names": True, "log": False, "title"
 
 
 def accepts_options(options: type, others: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Give a function with ``**look: Unpack[options]`` these keyword arguments in its signature and docstring.
+    """Return a decorator that adds these keyword arguments to a function with ``**options: Unpack[options]``.
 
-    A call with another option raises InputError with all possible ones, unless the function takes ``others``.
+    The arguments appear in the function's signature and docstring. A call with another option raises InputError with
+    all possible ones, unless the function takes ``others``.
     """
     asked: dict[str, Any] = options.__annotations__
 

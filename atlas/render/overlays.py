@@ -1,10 +1,10 @@
-"""Lines over a map.
+"""Overlays of a map: lines and marks over its cells.
 
-Grazing of impact-free motion, borders of regimes, lines of equal exponents, exact curves with their points of
-codimension two and ends, and over basins the saddles with their stable manifolds.
+They are the grazing of impact-free motion, borders between regimes, lines of equal exponents, exact curves with their
+ends and their points of codimension two, and over basins the saddles with their stable manifolds.
 
-A curve is drawn while its orbit is otherwise stable: there it bounds a region with attractors. The rest crosses regions
-without an effect and is left out.
+A curve is drawn while its orbit is otherwise stable: there it bounds a region with attractors. The rest of a curve
+crosses regions without an effect and is left out.
 """
 
 from collections.abc import Callable, Iterable
@@ -41,27 +41,27 @@ Array = NDArray[np.float64]
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
 MIN_LINE_LENGTH = 40.0
-"""Length in points below which a piece of an isoline is left out."""
+"""Minimum length in points of a piece of an isoline."""
 BOUNDARY = "#101418"
-"""The colour of regime boundaries."""
+"""Colour of regime boundaries."""
 SHADOW = "#3c4650"
-"""The edge of an isoline on pale cells; isolines are white, unlike boundaries."""
+"""Colour of the edge of an isoline on pale cells; isolines are white, unlike boundaries."""
 CASING = {False: 1.5, True: 0.7}
 """Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
 _WIDTHS = {False: 1.1, True: 0.75}
-"""Width in points of a curve, likewise."""
+"""Width in points of a curve, by whether another curve runs beside it."""
 _CROWDING_DISTANCE = 6.0
-"""Distance in points up to which two curves crowd each other."""
+"""Maximum distance in points at which two curves crowd each other."""
 _MARK, _END = 4.6, 2.6
 """Size in points of the mark of a point of codimension two, and of an end."""
 _FEW, _SMALLEST = 12, 0.6
-"""Number of marks from which on they are drawn smaller, and their least relative size."""
+"""Number of marks from which on they are drawn smaller, and their minimum relative size."""
 _MERGE_DISTANCE = 1.0
 """Distance in points below which two marks of the same kind are merged."""
 
 
 def draw(ax: Axes, view: MapView) -> list[Artist]:
-    """Draw overlays over a map and return their legend entries; OverlayError for one that cannot be drawn."""
+    """Draw overlays over a map and return their legend entries. Raise OverlayError for one that cannot be drawn."""
     entries: list[Artist] = []
     for name, lines in DRAW.items():
         if name in view.wanted.overlays:
@@ -73,12 +73,12 @@ def draw(ax: Axes, view: MapView) -> list[Artist]:
 
 
 def lines_of_grazing(view: MapView) -> list[Array]:
-    """Where motion without impact would just touch a stop, (N, 2) each."""
+    """Return the lines (N, 2) along which motion without impact grazes a stop."""
     return grazing_lines(view.ds, view.plane.x, view.plane.y)
 
 
 def grazing_label(view: MapView, lines: list[Array]) -> str:
-    """The legend entry of these lines."""
+    """Return the legend entry of these lines."""
     x, y = view.plane.x, view.plane.y
     symmetric = machine.twins_everywhere(view.ds, {x.name: x.values, y.name: y.values})
     label = r"grazing, $|Y| = b$" if symmetric else "impact-free motion\ngrazes a stop"
@@ -133,7 +133,7 @@ def _curves(ax: Axes, view: MapView) -> list[Artist]:
 
 
 def requested_curves(view: MapView, who: str) -> list[Curve]:
-    """The curves wanted on a map; InputError if ``who`` needs curves and there are none."""
+    """Return the curves requested on a map. Raise InputError if ``who`` needs curves and there are none."""
     try:
         stored = queries.curves_of(view.ds)
     except InputError as error:
@@ -145,7 +145,7 @@ def requested_curves(view: MapView, who: str) -> list[Curve]:
 
 
 def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool, float] | None = None) -> list[Artist]:
-    """Draw curves, each kind in its own colour and line style, and return the legend entries of those in view.
+    """Draw curves, each kind in its own colour and line style, and return the legend entries of the visible ones.
 
     Lines and casings of crowded curves are thinner, to show the map between them.
     """
@@ -185,7 +185,7 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool,
 def _draw_marks(
     ax: Axes, places: Iterable[Any], size: tuple[float, float], gid: str, zorder: float, style: dict[str, Any]
 ) -> list[Artist]:
-    """Mark the places (x, y) in view, coinciding ones once; returns the legend entry."""
+    """Mark the visible positions (x, y), coinciding ones once, and return the legend entry."""
     marked: list[Array] = []
     for x, y in places:
         at = raster.in_points(ax, np.array([[x, y]]), size)[0]

@@ -1,4 +1,4 @@
-"""The painters of kinds, and the picture of a kind."""
+"""The painter of each kind of picture, and drawing a kind."""
 
 from collections.abc import Callable, Mapping
 
@@ -20,17 +20,17 @@ PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
     "return_time": scalar_maps.scalar, "reactivity": scalar_maps.scalar, "amplification": scalar_maps.scalar,
     "fatal_shock": scalar_maps.scalar, "margin": scalar_maps.scalar, "scalar": scalar_maps.scalar,
 }  # fmt: skip
-"""For each kind of map the function that makes the layers of a view."""
+"""For each kind of map, the function that returns the layers of a view."""
 
 FIGURES: Mapping[str, Callable[[xr.Dataset, PictureRequest], Figure]] = {
     "regions": region_chart.figure, "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
     "spectrum": sweep.figure_of_all, "hysteresis": sweep.figure_of_two,
 }  # fmt: skip
-"""For each other kind the function that draws it."""
+"""For each other kind, the function that draws the figure."""
 
 
 def draw(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """The picture of a kind, for a map with its overlays; InputError if the atlas lacks its variables."""
+    """Return the picture of a kind, for a map with its overlays. Raise InputError if the atlas lacks its variables."""
     if kind.name in FIGURES:
         return FIGURES[kind.name](ds, request)
     view = maps.read(kind, ds, request)

@@ -24,15 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlottedValues:
-    """An observable, or None for section values, which every atlas with ``section_samples`` holds."""
+    """The plotted values: an observable, or None for section values, which every atlas with ``section_samples`` has."""
 
     observable: Observable | None = None
 
     @classmethod
     def resolve(cls, requested: str | None, *atlases: "xr.Dataset") -> "PlottedValues | None":
-        """The named observable, else section values, else the first observable held by all of these atlases, else None.
+        """Return the named observable, else section values, else the first observable that all of these atlases have,
+        else None.
 
-        InputError for an observable that one of them lacks.
+        Raise InputError for an observable that an atlas lacks.
         """
         if requested is None and all(SECTION.name in ds and ds[SECTION.name].size for ds in atlases):
             return cls()
@@ -43,33 +44,33 @@ class PlottedValues:
         for held in stored:
             if requested not in [observable.name for observable in held]:
                 possible = (
-                    f"it holds {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
+                    f"it has {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
                 )
-                raise InputError(f"observe: this atlas does not hold {requested!r}; {possible}")
+                raise InputError(f"observe: this atlas has no {requested!r}; {possible}")
         return cls(next(observable for observable in stored[0] if observable.name == requested))
 
     @property
     def name(self) -> str:
-        """Its variable."""
+        """The name of the variable."""
         return SECTION.name if self.observable is None else self.observable.variable
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """The variables needed for it."""
+        """The names of the variables that are read."""
         return (self.name,) if self.observable is None else (self.name, self.observable.number)
 
     def values(self, ds: "xr.Dataset", x: "PlaneAxis") -> NDArray[np.float64]:
-        """Its values (N, K) along a sweep."""
+        """Return the values (N, K) along a sweep."""
         if self.observable is None:
             return machine.gap_values(ds, x.name, ds[self.name])
         return np.asarray(ds[self.name].values)
 
     def label(self, ds: "xr.Dataset") -> str:
-        """The label of its axis."""
+        """Return the label of the axis."""
         return shown_label(self.observable, stored_system(ds.attrs))
 
     def notes(self, ds: "xr.Dataset") -> list[Any]:
-        """Legend entries with the number of orbits whose values are not all kept."""
+        """Return legend entries with the number of orbits of which only the first values are stored."""
         if self.observable is None or self.observable.number not in ds:
             return []
         number, kept = ds[self.observable.number].values, ds[self.name].shape[-1]
@@ -81,7 +82,7 @@ class PlottedValues:
 
 
 def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
-    """The observables of an atlas, from its spec."""
+    """Return the observables of an atlas, from its spec."""
     system, asked = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
     if system is None or not asked:
         return ()
@@ -89,7 +90,7 @@ def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
 
 
 def shown_label(observable: Observable | None, system: System | None) -> str:
-    """The axis label of an observable, its words in two lines and its unit, or of section values."""
+    """Return the axis label of an observable, in two lines with its unit, or of section values."""
     if observable is None:
         return text.gap_label(system)
     link = "at" if observable.kind.startswith("impact") else "of"

@@ -24,15 +24,20 @@ Array = NDArray[np.float64]
 LINE, STOP = "#3a6ea5", "#6f6f6f"
 """Colours of the motion and of the stops."""
 IMPACTS = {1.0: ("^", "#aa00ff", "upper"), -1.0: ("v", "#591b4a", "lower")}
-"""Marker, colour and name of impacts at the upper and at the lower stop; no regime and no exponent has these
-colours."""
+"""Marker, colour and name of impacts at the upper and at the lower stop; the colours are used for nothing else."""
 _STOP: dict[str, Any] = {"color": STOP, "linewidth": 0.8, "linestyle": (0, (4, 2))}
 _IN_A_COLUMN = 7
-"""Most exponents written in one column beside their averages."""
+"""Maximum number of exponents written in one column beside their averages."""
 
 
 class PortraitCoordinate(NamedTuple):
-    """A displacement in a portrait, row . x, its velocity row . x', and its stops; labels with units."""
+    """A displacement in a portrait.
+
+    row    displacement row . x, with the velocity row . x'
+    label  label of the displacement, with its unit
+    rate   label of the velocity, with its unit
+    stops  positions of its stops
+    """
 
     row: Array
     label: str
@@ -40,22 +45,22 @@ class PortraitCoordinate(NamedTuple):
     stops: tuple[float, ...]
 
     def project(self, states: Array) -> tuple[Array, Array]:
-        """The displacement and the velocity (N,) in states (N, 2n)."""
+        """Return the displacement and the velocity (N,) of states (N, 2n)."""
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
 def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD, gap_plane: bool = True) -> Figure:
-    """The portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
+    """Return the portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
-    Of a cell with observables the return map of the first one is in place of the section.
-    ``gap_plane`` false leaves out the phase plane of the gap coordinate, if it is shown elsewhere.
+    If the cell has observables, the return map of the first one replaces the section. ``gap_plane`` False leaves out
+    the phase plane of the gap coordinate, for a figure beside another one that has it.
     """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
     planes: list[tuple[PortraitCoordinate, PortraitCoordinate | None]] = [
         (mass, None) for mass in masses if gap_plane or not np.array_equal(mass.row, orbit.gap_row)
     ]
     if len(masses) > 1:
-        planes.append((masses[0], masses[1]))  # plane of both displacements
+        planes.append((masses[0], masses[1]))  # the plane of both displacements
     chatter = selection.chatter(orbit)
     many = len(selection.written(orbit)) > _IN_A_COLUMN
     with layout.context():
@@ -93,9 +98,9 @@ def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD, gap_plane: bo
 
 
 def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> tuple[list[list[str]], list[float]]:
-    """Plots by name in rows of 6 columns, 2 on a narrow page, and the heights of the rows.
+    """Return the plots by name in rows of 6 columns, 2 in a narrow figure, and the heights of the rows.
 
-    On a wide page phase planes are side by side, and the section beside the exponents.
+    In a wide figure phase planes are side by side, and the section is beside the exponents.
     """
     histories = [f"history {k}" for k in range(masses)]
     pairs = [f"plane {k}" for k in range(planes)]
@@ -136,7 +141,7 @@ def _history(ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate) -> None
 
 
 def _zoom(ax: Axes, orbit: CellTrajectory, chatter: slice) -> None:
-    """The distance from the stop during a chatter, whose flights become ever shorter and lower."""
+    """Draw the distance from the stop during a chatter, whose flights become ever shorter and lower."""
     impacts, side = orbit.impacts[chatter, 0] / orbit.unit, float(orbit.impacts[chatter.start, 1])
     times, away, ends, highest = selection.enlarged(orbit, chatter)
     ax.plot(times, away, color=LINE, linewidth=0.9)
@@ -156,7 +161,7 @@ def _mark_impacts(ax: Axes, side: float, at: Array, values: Array) -> None:
 def _phase_plane(
     ax: Axes, orbit: CellTrajectory, shown: PortraitCoordinate, other: PortraitCoordinate | None = None
 ) -> None:
-    """A displacement against its velocity, or two displacements against each other."""
+    """Draw a displacement against its velocity, or two displacements against each other."""
     across, rate = shown.project(orbit.states)
     up = other.project(orbit.states)[0] if other else rate
     closed = bool(orbit.cell["period"])
@@ -170,7 +175,7 @@ def _phase_plane(
 
 
 def _section(ax: Axes, orbit: CellTrajectory) -> None:
-    """The gap coordinate and its velocity at the section."""
+    """Draw the gap coordinate and its velocity at the section."""
     shown = _shown(orbit, orbit.gap_row)
     x, y = shown.project(orbit.section)
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
@@ -187,7 +192,7 @@ def _section(ax: Axes, orbit: CellTrajectory) -> None:
 
 
 def _return_map(ax: Axes, orbit: CellTrajectory, observable: Observable) -> None:
-    """Each value of an observable and the next one, in place of the section."""
+    """Draw each value of an observable against the next one, in place of the section."""
     values = orbit.cell[observable.variable]
     values = values[np.isfinite(values)]
     if int(orbit.cell["period"]) and int(orbit.cell[observable.number]) == len(values):  # the whole turn is known
@@ -218,7 +223,7 @@ def _convergence(ax: Axes, orbit: CellTrajectory) -> None:
 
 
 def _write_values(ax: Axes, orbit: CellTrajectory, columns: int) -> None:
-    """The exponents in numbers, with all known digits, in a separate plot area."""
+    """Write the exponents as numbers, with all known digits, into a separate plot area."""
     ax.set_axis_off()
     error, written = float(orbit.cell["error"]), selection.written(orbit)
     unknown = int(orbit.cell[REGIME.name]) == UNDETERMINED

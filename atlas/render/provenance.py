@@ -1,4 +1,4 @@
-"""Pictures as files: formats, and the source of the numbers in their metadata."""
+"""Writing pictures to files: formats, and metadata with the source of the numbers."""
 
 import json
 from collections.abc import Mapping
@@ -21,12 +21,19 @@ if TYPE_CHECKING:
     from atlas.render.layout import FigureLayout
 
 FORMATS = ("png", "svg", "pdf")
-"""The formats of a picture, by the suffix of the file."""
+"""Formats of a picture, by the suffix of the file."""
 UNKNOWN = "unknown"
 
 
 class Provenance(NamedTuple):
-    """A title, the digest of the spec, the version of the solver, the spec as JSON, and the software."""
+    """The source of the numbers of a picture.
+
+    title     title of the picture
+    digest    digest of the spec
+    solver    version of the solver
+    spec      the spec as JSON
+    software  versions of the software
+    """
 
     title: str
     digest: str
@@ -36,9 +43,9 @@ class Provenance(NamedTuple):
 
 
 def check_path(path: str | Path) -> str:
-    """The format of a picture's file, to be called before long work.
+    """Return the format of a picture's file; call it before long work.
 
-    InputError for an unknown suffix, and where no file can be written.
+    Raise InputError for an unknown suffix, and if the file cannot be written.
     """
     suffix = validate_suffix(validate_path(path), [f".{name}" for name in FORMATS])
     check_writable(Path(path))
@@ -46,28 +53,30 @@ def check_path(path: str | Path) -> str:
 
 
 def save(fig: "Figure", target: Path, provenance: Provenance, layout: "FigureLayout") -> None:
-    """Write a figure with its provenance; InputError if that fails: an older picture is then still there."""
+    """Write a figure with its provenance. Raise InputError if that fails: an older picture then remains."""
     suffix = check_path(target)
     with replace_on_success(target) as unfinished, layout.context():
         fig.savefig(unfinished, format=suffix, metadata=metadata(provenance, suffix))
 
 
 def provenance_of(*subjects: "xr.Dataset | CellTrajectory | BranchTable") -> Provenance:
-    """The provenance of a picture of an atlas, an orbit or branches; of several atlases, their differences in order."""
+    """Return the provenance of a picture of an atlas, an orbit or branches; of several atlases their differences in
+    order.
+    """
     every = [_of_one(subject) for subject in subjects]
     solvers = dict.fromkeys(one.solver for one in every)
     return every[0]._replace(digest=" ".join(one.digest for one in every), solver=" ".join(solvers))
 
 
 def provenance_of_values(title: str, spec: Mapping[str, Any], digest: str = "none") -> Provenance:
-    """The provenance of numbers computed by this process, from all that decides them."""
+    """Return the provenance of numbers computed by this process; ``spec`` has everything that decides the numbers."""
     return Provenance(f"impact-atlas: {title}", digest, str(SOLVER_VERSION), json.dumps(spec), _own())
 
 
 def metadata(provenance: Provenance, suffix: str) -> dict[str, str | None]:
-    """The provenance under the names of a format, for ``Figure.savefig``.
+    """Return the provenance under the names of a format, for ``Figure.savefig``.
 
-    Without a date: equal pictures are equal files.
+    There is no date: equal pictures are equal files.
     """
     title, digest, solver, spec, computed_by = provenance
     software = f"{_own()}, matplotlib {package_version('matplotlib')}"

@@ -1,4 +1,4 @@
-"""Cells in a plot, and its axes: colours from edge to edge, textures, borders, marks of cells that are too small."""
+"""Drawing cells and axes in a plot: colours from edge to edge, hatches, borders, marks of cells that are too small."""
 
 import math
 from collections.abc import Sequence
@@ -20,21 +20,23 @@ from atlas.render.layout import FigureLayout
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 
 VISIBLE = 2.0
-"""Points below which a single cell is invisible."""
+"""Size in points below which a single cell is invisible."""
 MAX_MARKS = 300
-"""Most marks of such cells: more are visible as a cloud anyway."""
+"""Maximum number of marks of such cells: more cells are visible as a cloud anyway."""
 _WITH_TEXTURE = [code for code in style.HATCH if code not in (PENDING, NO_IMPACT)]
 MARKED = (UNDETERMINED, INVALID, FAILED)
 
 
 def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) -> set[int]:
-    """Draw the cells of a map from edge to edge, as pixels also in vector files; returns codes of enlarged regimes.
+    """Draw the cells of a map from edge to edge, as pixels also in vector files, and return the codes of enlarged
+    regimes.
 
-    An image for equal cells, else quadrilaterals. Colours are never blended between cells. A cell with the look of its
-    regime has the regime's texture; those without a result that would be invisible get a mark of visible size.
+    Equal cells are drawn as an image, others as quadrilaterals. Colours are never blended between cells. A cell that
+    looks like its regime has the regime's hatch. Cells without a result that would be invisible get a mark of visible
+    size.
     """
     x, y = plane.x, plane.y
-    # Pending cells are transparent and show this texture.
+    # Pending cells are transparent and show this hatch.
     ax.patch.set(facecolor="white", edgecolor=style.TEXTURE, hatch=style.HATCH[PENDING], linewidth=0.0)
     if x.uniform and y.uniform:
         extent = (x.edges[0], x.edges[-1], y.edges[0], y.edges[-1])
@@ -53,7 +55,10 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
 
 
 def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[float, float]) -> bool:
-    """Mark the small ones of these cells unless visible anyway, or too many; returns whether there are marks."""
+    """Mark small cells of a class, and return True if there are marks.
+
+    There are none if the cells are visible anyway, or too many.
+    """
     step = np.array(size[::-1]) / plane.regime.shape
     if step.max() >= VISIBLE:
         return False
@@ -65,9 +70,9 @@ def _mark_small(ax: Axes, plane: Plane, cells: Cells, color: str, size: tuple[fl
 
 
 def hatch(ax: Axes, plane: Plane, inside: Cells, pattern: str, color: str) -> None:
-    """Cover a set of cells with a texture through which their colours show."""
+    """Cover a set of cells with a hatch through which their colours show."""
     rectangles = row_rectangles(inside, plane.x.edges, plane.y.edges)
-    if len(rectangles):  # all rectangles are one path, so the texture has no seams
+    if len(rectangles):  # all rectangles are one path, so the hatch has no seams
         codes = np.tile([Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY], len(rectangles))
         path = Path(rectangles.reshape(-1, 2), codes)
         ax.add_patch(PathPatch(path, fill=False, hatch=pattern, edgecolor=color, linewidth=0, rasterized=True))
@@ -81,19 +86,19 @@ def outline(ax: Axes, plane: Plane, inside: Cells, color: str, width: float) -> 
 
 
 def in_points(ax: Axes, at: NDArray[np.float64], size: tuple[float, float]) -> NDArray[np.float64]:
-    """Data coordinates in points from the lower left corner of the plot, by its nominal size.
+    """Return data coordinates in points from the lower left corner of the plot, by its nominal size.
 
-    Approximately the coordinates after the layout.
+    They are approximately the coordinates after the layout.
     """
     return np.asarray(ax.transAxes.inverted().transform(ax.transData.transform(at)) * np.array(size))
 
 
 def scale_axes(ax: Axes, labels: bool = True, **axes: PlaneAxis) -> None:
-    """Set scales, limits and ticks of the axes ``x`` and ``y`` of a plot, and their labels if wanted."""
+    """Set scales, limits and ticks of the axes ``x`` and ``y`` of a plot, and with ``labels`` their labels."""
     for name, axis in axes.items():
         if axis.log:
             ax.set(**{f"{name}scale": "log"})
-            # Over few decades the default labels one or two powers of ten; 1, 2, 5 in plain numbers read better.
+            # Over few decades the default labels only one or two powers of ten; 1, 2, 5 in plain numbers read better.
             if math.log10(axis.values[-1] / axis.values[0]) <= 3.0:
                 plain_ticks(getattr(ax, f"{name}axis"), (1.0, 2.0, 5.0))
         ax.set(**{f"{name}lim": (axis.edges[0], axis.edges[-1])})

@@ -16,18 +16,18 @@ from atlas.render.kinds import KIND_TABLE
 from atlas.render.request import PictureRequest
 
 _TYPE = (9.0, 7.5, 6.0)
-"""Points of the type of names: the first that fits is used."""
+"""Type sizes of names in points; the first that fits is used."""
 _MAX_REPEATS = 4
-"""Most regions with the same name that get it: the largest."""
+"""Maximum number of regions with the same name that are labelled: the largest ones."""
 _FINE = 1.0
-"""Points between the places tried for a name."""
+"""Distance in points between the positions tried for a name."""
 _CORNER = 3.0 * np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-"""Half size in points covered by the mark of a point of codimension two."""
+"""Corners, in points, of the box that the mark of a point of codimension two covers."""
 _SIDES = "\ns: symmetric, u: unsymmetric"
 
 
 def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """The region chart as a figure; InputError if the atlas has no curves or no impact counts."""
+    """Return the region chart as a figure. Raise InputError if the atlas has no curves or no impact counts."""
     sides, row = ("symmetric",) if "symmetric" in ds else (), KIND_TABLE["regions"]
     view = maps.read(replace(row, variables=(*row.variables, *sides)), ds, request)
     plane, page, size = view.plane, view.page, view.page.map_size

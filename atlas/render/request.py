@@ -1,4 +1,4 @@
-"""The wanted picture of an atlas: its arguments, checked, and the kind and overlays that fit."""
+"""The request for a picture of an atlas: its validated arguments, and the kind and overlays that fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,9 +30,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """The wanted picture of an atlas: the arguments of ``atlas.render.figure``, checked.
+    """The validated arguments of ``atlas.render.figure`` for an atlas.
 
-    ``curves`` are kinds of exact curves, None for all; ``names``: true for names and levels on a map.
+    page      layout of the figure
+    kind      name of the kind, None for the default
+    window    (low, high) limits by axis
+    overlays  names of overlays
+    curves    kinds of exact curves, None for all
+    names     True for labels and levels on a map
+    against   second sweep
+    pixels    size (x, y) of the plot area
+    variable  variable to map
+    log       True for a logarithmic norm
+    observe   observable of a sweep
     """
 
     page: "FigureLayout"
@@ -55,7 +65,7 @@ class PictureRequest:
         pixels: tuple[int, int] | None = None,
         **options: Unpack[AtlasFigureOptions],
     ) -> "PictureRequest":
-        """The picture wanted by these arguments of ``figure``; InputError for an invalid one."""
+        """Return the request for these arguments of ``figure``. Raise InputError for an invalid argument."""
         from atlas.render.layout import page  # imports matplotlib
 
         look: dict[str, Any] = dict(options)
@@ -74,7 +84,7 @@ class PictureRequest:
 
 
 def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
-    """The kind to draw: the named one, or the first that fits; InputError if it does not fit."""
+    """Return the kind to draw: the named one, or the first that fits. Raise InputError if it does not fit."""
     axes, atlases, axes_found = len(axis_names(ds)), 1 if request.against is None else 2, found_axes(ds)
     if request.kind == SCALAR or request.variable is not None or request.log:
         _check_scalar(ds, request)
@@ -98,12 +108,12 @@ def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
 
 
 def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
-    """InputError unless the named variable is a number of each cell of a plane."""
+    """Raise InputError unless the named variable has one number per cell of a plane."""
     name = request.variable
     if request.kind not in (None, SCALAR):
-        raise InputError(f"a variable or a logarithmic scale goes with kind {SCALAR!r}, found {request.kind!r}")
+        raise InputError(f"a variable or a logarithmic norm needs kind {SCALAR!r}, found {request.kind!r}")
     if name is None:
-        raise InputError(f"kind {SCALAR!r} draws a variable, and none is named")
+        raise InputError(f"kind {SCALAR!r} needs the name of a variable")
     if request.against is not None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
@@ -112,7 +122,7 @@ def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
 
 
 def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """The named kinds of curves, from a list, a text with commas, or "all"; None for no curves."""
+    """Return the named kinds of curves, from a list, a text with commas, or "all"; None for no curves."""
     if curves is None:
         return None
     if isinstance(curves, str) and curves == "all":
@@ -123,7 +133,7 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
 
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:
-    """Raise InputError unless all are overlays for this number of axes."""
+    """Raise InputError unless all names are overlays for this number of axes."""
     for overlay in overlays:
         if overlay not in OVERLAYS:
             raise InputError(f"unknown overlay {overlay!r}; possible: {', '.join(OVERLAYS)}")

@@ -1,4 +1,4 @@
-"""Several atlases in one figure: the differences of two, and maps side by side on one scale."""
+"""Several atlases in one figure: the differences of two, and maps side by side with common colour limits."""
 
 import math
 import textwrap
@@ -29,19 +29,19 @@ from atlas.render.text_wrap import OWN_TITLE
 from workers.results import LARGEST, PENDING, PER_PERIOD
 
 KINDS = ("exponent", "period")
-"""The kinds of map for side-by-side drawing."""
+"""Kinds of maps that can be drawn side by side."""
 DIFFERENCE = colormaps["PuOr_r"]
 SAME, WITHOUT = "#ffffff", "#9a9a9a"
 """Colours of cells with the same regime in both atlases, and of cells without an exponent in one of them."""
 
 _SHARE = 2.0
-"""Percentage of the differences that may lie beyond the ends of the scale."""
+"""Percentage of the differences that may lie beyond the colour limits."""
 
 
 def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
-    """Two maps: the difference of the exponents, there minus here, and the regimes there where they differ.
+    """Return two maps: exponents of the second atlas minus the first, and the second regimes where they differ.
 
-    Without exponents only the second map. InputError for atlases with one axis.
+    Without exponents there is only the second map. Raise InputError for atlases with one axis.
     """
     count = len(axis_names(compared.first))
     if count != 2:
@@ -70,11 +70,12 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
 
 
 def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: Sequence[str] = ()) -> Figure:
-    """Maps of several atlases in one figure, on one scale, each under the parameters that differ.
+    """Return maps of several atlases in one figure, with common colour limits, each titled by the parameters that
+    differ.
 
-    Their kind is one of KINDS, by default the first that all of them hold; ``names`` are titles if no parameter
-    differs. Axes have the same limits. Raises InputError for fewer than two atlases, for another kind, and for
-    different axes or variables.
+    The kind is one of KINDS, by default the first that all atlases have; ``names`` are titles if no parameter differs.
+    Axes have the same limits. Raise InputError for fewer than two atlases, for another kind, and for different axes or
+    variables.
     """
     chosen, page = KIND_TABLE[_check(atlases, request.kind)], request.page
     if chosen.name == "period":
@@ -92,7 +93,7 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
             label = text.in_its_unit(shown[0], rf"$\lambda_1$ [{PER_PERIOD}]")
             bars = [ScalarLayer(scalar_maps.EXPONENT, norm, known, label)]
         entries: dict[str, Artist] = {}
-        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # of a name in a line as wide as a map
+        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # number of letters in a line as wide as a map
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
@@ -110,14 +111,14 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
 
 
 def _sheet(layout: FigureLayout, count: int, limit: int) -> tuple[Figure, list[Axes], FigureLayout]:
-    """A figure of several plots with common axes, the plots, and the page of one plot.
+    """Return a figure of several plots with common axes, its plots, and the layout of one plot.
 
-    Rows have at most ``limit`` plots on a wide page, one less on a narrow page.
+    Rows have at most ``limit`` plots in a wide figure, one less in a narrow figure.
     """
     limit = limit if layout.has_side_legend else limit - 1
     columns = count if count <= limit else 2 if count == 4 else limit
     rows = math.ceil(count / columns)
-    under = 0.9 if layout.has_side_legend else 1.5  # with a colour bar
+    under = 0.9 if layout.has_side_legend else 1.5  # with a colorbar
     # The height of a row grows with the width of its maps.
     height = layout.scale * (under + 1.1 * rows) + 0.51 * layout.width / columns * rows
     drawn = layout.figure(height)
@@ -128,7 +129,7 @@ def _sheet(layout: FigureLayout, count: int, limit: int) -> tuple[Figure, list[A
 
 
 def _label_outside(plots: Sequence[Axes]) -> None:
-    """Remove the labels of axes with another map to their left or below."""
+    """Remove the labels of axes that have another map to their left or below."""
     grid: Any = plots[0].get_gridspec()
     for k, ax in enumerate(plots):
         if k % grid.ncols:
@@ -140,7 +141,7 @@ def _label_outside(plots: Sequence[Axes]) -> None:
 
 
 def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
-    """The kind to draw."""
+    """Return the kind to draw. Raise InputError if the atlases cannot be drawn side by side."""
     if len(atlases) < 2:
         raise InputError(f"maps side by side need two atlases or more, found {len(atlases)}")
     first = axis_names(atlases[0])
@@ -167,23 +168,23 @@ def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
 
 
 def _title(compared: Comparison) -> str:
-    """The common parameters, and below them the differing ones there and here."""
+    """Return the common parameters, and below them the differing ones of the second and of the first atlas."""
     common = text.title_line(compared.first.drop_vars(compared.differing))
     sides = [_values(ds, compared.differing) for ds in (compared.second, compared.first)]
     return f"{common}\n{sides[0]}  compared with  {sides[1]}" if compared.differing else common
 
 
 def _coarseness(block: int) -> str:
-    """Note below a title if cells stand for several."""
+    """Return a note below a title if cells stand for several."""
     return f"\none cell drawn for {block} × {block} computed" if block > 1 else ""
 
 
 def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayout, label: str) -> MapLayers:
-    """The differences of exponents, with their scale under this label."""
+    """Return the layers of the differences of exponents, with this label of the colorbar."""
     change = differences(first.regime, second.regime, first[LARGEST.name], second[LARGEST.name])
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
-    # The scale is symmetric: one given end decides the other.
+    # The limits are symmetric: one given limit decides the other.
     wanted = [end for end in (layout.vmax, layout.vmin) if end is not None]
     end = abs(wanted[0]) if wanted else most or 1.0
     norm = scalar_maps.two_sided(layout, -end, end)
@@ -196,7 +197,7 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
 
 
 def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> MapLayers:
-    """The regimes there, in the words of that atlas, of cells with another regime here."""
+    """Return the layers of the regimes of the second atlas, in its words, where the first has another regime."""
     same = (first.regime == second.regime) & ~pending, SAME, "same regime"
     layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
     own = LegendEntry(*same[1:])

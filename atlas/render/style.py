@@ -1,4 +1,4 @@
-"""Look of every picture: type, colours, textures, entries of legends, curves and events."""
+"""The style of every picture: type, colours, hatches, legend entries, curves and events."""
 
 import threading
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ DPI = 300.0
 
 
 def rc_params(scale: float) -> dict[str, Any]:
-    """Matplotlib's settings of a page with this scale of type relative to the standard page."""
+    """Return Matplotlib's settings for type sizes ``scale`` times those of the standard layout."""
     return {
         "font.family": "STIXGeneral",
         "mathtext.fontset": "stix",
@@ -41,7 +41,7 @@ def rc_params(scale: float) -> dict[str, Any]:
         "legend.handleheight": 0.95,
         "hatch.linewidth": 0.5,
         "savefig.dpi": DPI,
-        "savefig.bbox": None,  # the page has the given size
+        "savefig.bbox": None,  # keeps the given size of the figure
         "pdf.fonttype": 42,
         "svg.hashsalt": "impact-atlas",
     }
@@ -51,11 +51,13 @@ _OF_LOOKS = {
     "axes", "figure", "font", "grid", "hatch", "image", "legend", "lines", "markers", "mathtext", "patch", "path",
     "savefig", "text", "xtick", "ytick",
 }  # fmt: skip
-"""The parts of Matplotlib's settings that decide how a figure looks."""
+"""Groups of Matplotlib's settings that decide how a figure looks."""
 
 
 def defaults() -> dict[str, Any]:
-    """Matplotlib's own settings of looks, from which a page begins: what a user has set holds for other figures."""
+    """Return Matplotlib's own settings of these groups, from which a layout begins; a user's settings are for other
+    figures.
+    """
     return {name: value for name, value in mpl.rcParamsDefault.items() if name.partition(".")[0] in _OF_LOOKS}
 
 
@@ -64,11 +66,11 @@ _alone = threading.RLock()
 
 @contextmanager
 def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw in one thread at a time, with these settings of Matplotlib; restores the former settings.
+    """Draw in one thread at a time, with these settings of Matplotlib; the former settings are restored.
 
-    Settings belong to the whole process, and drawing of text is not thread-safe: the explorer's painters, its portraits
-    and files, and its user's drawings in a notebook take turns. Other settings changed meanwhile by another thread of
-    the user stay.
+    Settings belong to the whole process, and drawing of text is not thread-safe. The explorer's renderers, its
+    portraits and files, and its user's drawings in a notebook therefore take turns. Settings that another thread of the
+    user changes meanwhile stay, if they are not among these.
     """
     of_all: Any = mpl.rcParams
     with _alone:
@@ -81,39 +83,42 @@ def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]
 
 
 TEXTURE = "#8c8c8c"
-"""The grey of textures."""
+"""Grey of hatches."""
 
 COLORS = {regime.code: regime.color for regime in REGIMES}
-"""The colour of each regime code, as in the data's flag_colors."""
+"""Colour of each regime code, as in the data's flag_colors."""
 
 INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
-"""The same for points and lines on white, where pale colours of areas are invisible."""
+"""Colour of each regime for points and lines on white, where pale colours of areas are invisible."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
-"""The texture of regimes that colour alone does not distinguish: white is no value, impact-free cells have exponents,
-grey and black may be the ends of a scale, and green looks like a shade of chaos without red receptors."""
+"""Hatch of each regime that colour alone does not distinguish.
+
+White is no value, and impact-free cells have exponents. Grey and black may be colours at a limit, and green looks like
+a shade of chaos without red receptors.
+"""
 
 HATCH_INK = {PENDING: TEXTURE, QUASIPERIODIC: "#a9dcb1", INVALID: "#f0f0f0", FAILED: "#ffffff"}
-"""The ink of those textures; other textures have an ink that suits their cells."""
+"""Colour of these hatches; all other hatches have a colour that suits their cells."""
 
 LOST_HATCH = "||"
-"""The texture of exponents that are -inf: rest on a stop erases disturbances."""
+"""Hatch of exponents that are -inf: rest on a stop erases disturbances."""
 
 
 def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
-    """A colour in bytes."""
+    """Return a colour in bytes."""
     red, green, blue = (round(255 * channel) for channel in to_rgb(color))
     return red, green, blue, alpha
 
 
 def swatch(color: ColorType, label: str, hatch: str | None = None, ink: str = TEXTURE) -> Patch:
-    """A legend entry: a framed box of a colour, with a texture in its own ink if given."""
+    """Return a legend entry: a framed box of a colour, with a hatch in its own colour if given."""
     edge = ink if hatch else "#404040"
     return Patch(facecolor=color, edgecolor=edge, linewidth=0.5, hatch=hatch and 2 * hatch, label=label)
 
 
 class GradientPatch(Patch):
-    """A legend entry: a box of a colour that darkens to a share of its brightness from left to right."""
+    """A legend entry: a box of a colour that darkens from left to right, to a share of its brightness."""
 
     def __init__(self, color: ColorType, dark: float, label: str) -> None:
         super().__init__(facecolor=color, edgecolor="#404040", linewidth=0.5, label=label)
@@ -138,15 +143,19 @@ Legend.update_default_handler_map({GradientPatch: _GradientHandler()})
 
 
 def ink_on(color: ColorType) -> str:
-    """Dark or light, whichever is visible on a colour."""
+    """Return dark or light, whichever is visible on a colour."""
     red, green, blue = to_rgb(color)
     return "#1a2433" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.45 else "#f4f7fb"
 
 
 class EventStyle(NamedTuple):
-    """The look of a kind of event: its name in a legend, its colour, the dashes of curves, the marker of points.
+    """The style of a kind of event. Colours differ without red or green receptors, dashes and markers without any
+    colour.
 
-    Colours differ without red or green receptors, dashes and markers without any colour.
+    label   name in a legend
+    color   colour
+    dashes  dashes of curves
+    marker  marker of points
     """
 
     label: str
@@ -173,7 +182,7 @@ EVENT_STYLES = {
     "hopf": EventStyle("Hopf", "#00785a", (0, (4, 1, 1, 3)), "*"),
     "border": EventStyle("end of an equilibrium", "#000000", (0, (8, 3)), "H"),
 }
-"""Kinds with one condition, in the order of legends."""
+"""Styles of events with one condition, in the order of legends."""
 
 CORNERS = {
     "cusp": ("cusp", "^"),
@@ -188,11 +197,11 @@ CORNERS = {
     "graze_symmetry_breaking": ("graze–symmetry breaking", "P"),
     "graze_neimark_sacker": ("graze–Neimark–Sacker", "h"),
 }
-"""Points of codimension two: name in a legend and marker, white with a black edge."""
+"""Points of codimension two: name in a legend, and marker, white with a black edge."""
 
 
 def corner_look(kind: str, size: float) -> dict[str, Any]:
-    """Name and marker of a point of codimension two, as arguments of ``Axes.plot``."""
+    """Return name and marker of a point of codimension two, as arguments of ``Axes.plot``."""
     label, marker = CORNERS.get(kind, ("", "*"))
     for name, look in EVENT_STYLES.items():
         if not label and kind.endswith(f"_{name}"):
@@ -203,7 +212,7 @@ def corner_look(kind: str, size: float) -> dict[str, Any]:
 
 
 def mark(marker: str, size: float, color: str, edge: str, width: float) -> dict[str, Any]:
-    """Look of points as arguments of ``Axes.plot``: size and width of the edge in points."""
+    """Return the style of points as arguments of ``Axes.plot``; size and width of the edge are in points."""
     return {
         "linestyle": "", "marker": marker, "markersize": size, "color": color, "markeredgecolor": edge,
         "markeredgewidth": width,

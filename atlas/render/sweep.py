@@ -38,33 +38,35 @@ LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
 COLORS = ("#0a6ebd", "#e8701a")
 """Colours of two sweeps in one picture."""
 SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
-"""Colours of the ground where two sweeps end on mirror images, and on different motions."""
+"""Background colours where two sweeps end on mirror images, and on different motions."""
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
-"""The colour of each exponent, largest first; repeated for systems with more."""
+"""Colour of each exponent, the largest first; repeated for systems with more."""
 INTERVAL = ("share_low", "share_high")
-"""The ends of the interval of a share; a legend gives its width."""
+"""Limits of the interval of a share; a legend gives its width."""
 _POINT = 2.0
-"""Least diameter of a point in points of the page: still visible on white."""
+"""Minimum diameter of a point, in points of the page: still visible on white."""
 INK = "#1a1a1a"
-"""The colour of branches."""
+"""Colour of branches."""
 DASHES: dict[bool, Any] = {True: "solid", False: (0, (3.2, 1.4))}
 """Line styles of stable and of unstable parts."""
 _WIDTHS = {True: 1.1, False: 0.6}
 _MARKER = 3.6
 """Size of an event's marker in points."""
 _HEIGHT = {1: (1.25, 0.25), 2: (1.7, 0.5)}
-"""Height in inches of a figure with one panel, or two, less a share of its width; that share."""
+"""Height of a figure with one or two panels: inches, and the share of the width that is subtracted."""
 _FEW, _MANY = 2.2, 1.5
-"""Least diameter in points of the points of an orbit, and of a cloud such as chaos."""
+"""Minimum diameter, in points, of the points of an orbit, and of a cloud such as chaos."""
 
 
 def figure(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """The sweep as a figure, each panel if the atlas holds its variable; InputError if it holds neither."""
+    """Return the sweep as a figure, each panel if the atlas has its variable. Raise InputError if the atlas has
+    neither.
+    """
     return _of_one(ds, request, dict.fromkeys(held([LARGEST.name], ds), _draw_largest))
 
 
 def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """The sweep with all exponents as a figure; InputError if the atlas lacks them."""
+    """Return the sweep with all exponents as a figure. Raise InputError if the atlas lacks the exponents."""
     KIND_TABLE["spectrum"].require(ds, [SPECTRUM.name])
     numbers = range(ds[SPECTRUM.name].shape[-1])
     entries = [Line2D([], [], color=color_of(i), linewidth=1.5, label=rf"$\lambda_{{{i + 1}}}$") for i in numbers]
@@ -74,13 +76,13 @@ def figure_of_all(ds: xr.Dataset, request: PictureRequest) -> Figure:
 def _of_one(
     ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
-    """The plotted points of a sweep over a panel of its exponents, which has these entries in the legend."""
+    """Return the plotted values of a sweep over a panel of its exponents, with these entries in the legend."""
     shown = PlottedValues.resolve(request.observe, ds)
     panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
     if not panels:
-        raise InputError("kind 'sweep' draws 'section' or 'largest', and this atlas holds neither; see section_samples")
+        raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
     more = () if shown is None else shown.reads
-    errors = held([ERROR.name], ds) if LARGEST.name in panels else []  # an atlas of another origin may lack error bars
+    errors = held([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
     read = line(ds, [*panels, *more, *errors])
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
     notes = [] if shown is None else shown.notes(read[0])
@@ -88,9 +90,10 @@ def _of_one(
 
 
 def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
+    """Return two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
 
-    The rule is ``atlas.query.hysteresis.compare``. InputError unless they have the same axis and a common variable.
+    The rule is ``atlas.query.hysteresis.compare``. Raise InputError unless the sweeps have the same axis and a common
+    variable.
     """
     against = request.against
     assert against is not None
@@ -99,7 +102,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     shown = PlottedValues.resolve(request.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
-        raise InputError("kind 'hysteresis' draws 'section' or 'largest', and the two atlases do not both hold either")
+        raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
     (first, x), (second, _) = (line(ds, [*names, *held(hysteresis.COMPARED, *atlases)]) for ds in atlases)
     outcome = hysteresis.compare(first, second)
 
@@ -107,7 +110,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
         for what, color in SHADES.items():
             for stretch in row_rectangles(outcome[None] == what, x.edges, np.arange(2.0)):
                 ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
-        # The second is smaller and on top, so that both are visible if they agree.
+        # The second sweep is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, request.page) * larger
             draw_points(ax, x, _values(cells, x, name, shown), color, size, zorder=zorder)
@@ -125,14 +128,13 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
 
 def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """The sections of all attractors in the colours of their regimes, over their shares.
+    """Return the sections of all attractors in the colours of their regimes, over their shares.
 
-    Over their exponents if no sections are kept. Orbits of labelled attractors have the colours of their labels.
-
-    InputError if the atlas does not hold all attractors.
+    Without stored sections the exponents of the attractors are drawn. Orbits of labelled attractors have the colours of
+    their labels. Raise InputError if the atlas does not have all attractors.
     """
     if ATTRACTOR not in ds.dims:
-        raise InputError("kind 'coexistence' draws all attractors, and this atlas has one a cell; see [attractors]")
+        raise InputError("kind 'coexistence' needs all attractors, and this atlas has one per cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
     shown = PlottedValues.resolve(request.observe, ds)
     names = held([LARGEST.name], ds) if shown is None else [shown.name]
@@ -155,7 +157,7 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
 
 
 def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD) -> Figure:
-    """Branches as a separate figure, under the title line of the other parameters."""
+    """Return branches as a separate figure, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = CoordinateInfo(parameter.meaning, parameter.symbol, parameter.unit)
     shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
@@ -170,12 +172,12 @@ def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD)
 
 
 def held(names: Iterable[str], *atlases: xr.Dataset) -> list[str]:
-    """The variables among these that all of the atlases hold, with values."""
+    """Return those variables that all of the atlases have, with values."""
     return [name for name in names if all(name in atlas and atlas[name].size for atlas in atlases)]
 
 
 def line(ds: xr.Dataset, variables: Sequence[str]) -> tuple[xr.Dataset, PlaneAxis]:
-    """These variables and the regimes along the axis of a sweep in rising order, and that axis.
+    """Return these variables and the regimes along the axis of a sweep in rising order, and that axis.
 
     Pictures of sweeps read only here.
     """
@@ -191,19 +193,17 @@ def stack(
     request: PictureRequest,
     shown: PlottedValues | None = None,
 ) -> Figure:
-    """Panels over one shared axis, under the title line of the fixed parameters; branches over the section.
+    """Return a figure with panels over one shared axis, under the title line of the fixed parameters.
 
-    ``shown`` is drawn by the first panel.
+    The overlay of branches is drawn over the section. ``shown`` is drawn by the first panel.
     """
     page, (cells, x), (least, share) = request.page, read, _HEIGHT[len(panels)]
     branches = None
     if "branches" in request.overlays:
         sweeps = [select_dominant(ds), *([] if request.against is None else [request.against])]
         if shown is None:
-            raise InputError(
-                "overlay 'branches' is drawn over section values, and this atlas holds none; see section_samples"
-            )
-        from atlas.orbits.branches.from_sweep import tree_through  # imports Numba
+            raise InputError("overlay 'branches' needs section values, and this atlas has none; see section_samples")
+        from atlas.orbits.branches.from_sweep import tree_through  # imports Numba, which is slow
         from atlas.orbits.branches.table import BranchTable
 
         branches = BranchTable.from_tree(tree_through(sweeps), shown.observable)
@@ -223,7 +223,7 @@ def stack(
 
 
 def _panel_of_points(shown: PlottedValues) -> Panel:
-    """Section values, or values of an observable."""
+    """Return the panel of section values, or of values of an observable."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         regime, values = ds[REGIME.name].values, shown.values(ds, x)
@@ -263,7 +263,7 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
 
 
 def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValues | None) -> Panel:
-    """Section values, an observable or exponents of every attractor; larger shares lie on top."""
+    """Return the panel of section values, an observable or exponents of every attractor; larger shares lie on top."""
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
@@ -278,7 +278,9 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValu
 
 
 def _panel_of_shares(known: xr.Dataset | None) -> Panel:
-    """The shares of all attractors stacked, separated by white lines; the rest up to 1 is undecided."""
+    """Return the panel of the shares of all attractors, stacked, with white lines between; the rest up to 1 is
+    undecided.
+    """
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         bands: list[tuple[str, Array]] = []
@@ -300,7 +302,7 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
 
 
 def _groups(here: xr.Dataset, known: xr.Dataset | None) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """Masks of cells with an attractor of one colour, and that colour; ``here`` has one attractor per cell."""
+    """Yield masks of cells with an attractor of one colour, and that colour; ``here`` has one attractor per cell."""
     regime = here[REGIME.name].values
     label = here[LABEL.name].values if known is not None else np.full(regime.shape, -1)
     for code in np.unique(regime[(regime != PENDING) & (label < 0)]):
@@ -319,7 +321,7 @@ def _mark_lost(ax: Axes, x: PlaneAxis, lost: Any, label: str, note: str) -> None
 
 
 def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> list[Artist]:
-    """Draw branches, also of mirror images, with their events, and return the legend entries drawn."""
+    """Draw branches, also of mirror images, with their events, and return the legend entries."""
     lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
         shown, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
@@ -338,12 +340,12 @@ def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> li
 
 
 def color_of(i: int) -> str:
-    """The colour of an exponent by its number, the largest being 0."""
+    """Return the colour of an exponent by its number; number 0 is the largest."""
     return EXPONENTS[i % len(EXPONENTS)]
 
 
 def point_size(x: PlaneAxis, minimum: float, layout: FigureLayout) -> float:
-    """The diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
+    """Return the diameter of a point in points: wider than a cell, within the limits of visibility and separation."""
     return float(np.clip(1.6 * layout.plot_size(1.0)[0] / x.values.size, minimum, 4.0))
 
 
@@ -357,19 +359,19 @@ def draw_points(
     zorder: float = 3,
     cells: Any = True,
 ) -> None:
-    """Draw the finite values (N,) or (N, n) of these cells (N,), by default all, as points of ``size`` points."""
+    """Draw the finite values (N,) or (N, n) of ``cells`` (N,), by default all, as points of ``size`` points."""
     at, shown = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
     ax.plot(at[shown], values[shown], marker, **look)
 
 
 def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedValues | None) -> Array:
-    """The values of a variable along a sweep, or of the plotted points of each cell."""
+    """Return the values of a variable along a sweep, or the plotted values of each cell."""
     return np.asarray(ds[name].values) if shown is None or name != shown.name else shown.values(ds, x)
 
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
-    """Legend entries for the regimes of points of an atlas."""
+    """Return legend entries for the regimes of the points of an atlas."""
     own = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
     return [_dot(style.INK[code], own.meaning(code).text, 4.0) for code in codes]

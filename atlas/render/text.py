@@ -14,12 +14,12 @@ from workers.model.system import System
 from workers.results import PER_PERIOD, PER_TIME, REGIME, Variable
 
 _TERMS = 3
-"""Most terms of a gap coordinate in a label."""
+"""Maximum number of terms of a gap coordinate in a label."""
 
 
 @lru_cache(maxsize=1024)
 def shown_symbol(symbol: str, name: str) -> str:
-    r"""A symbol as mathtext, without the dollars; the name if it is empty or invalid, as ``\frac{``."""
+    r"""Return a symbol as mathtext, without the dollars; the name if the symbol is empty or invalid, as ``\frac{``."""
     try:
         parsed = bool(symbol) and MathTextParser("path").parse(f"${symbol}$")
     except ValueError:
@@ -28,21 +28,21 @@ def shown_symbol(symbol: str, name: str) -> str:
 
 
 def symbol(ds: xr.Dataset, name: str) -> str:
-    """The symbol of an atlas's parameter as mathtext, without the dollars."""
+    """Return the symbol of an atlas's parameter as mathtext, without the dollars."""
     return shown_symbol(CoordinateInfo.from_dataset(ds, name).symbol, name)
 
 
 def axis_label(name: str, meaning: CoordinateInfo) -> str:
-    r"""Meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has none.
+    """Return meaning, symbol and unit of an axis, as ``impact speed $v$ [m/s]``; a pure number has no unit.
 
-    For a parameter without a meaning its symbol suffices.
+    A parameter without a meaning is labelled by its symbol.
     """
     symbol, text = shown_symbol(meaning.symbol, name), meaning.words.split(":")[0]
     return f"{text if text != name else ''} ${symbol}${unit_ending(meaning.unit or '1')}".strip()
 
 
 def variable_label(ds: xr.Dataset, name: str) -> str:
-    """Meaning and unit of a variable, for a colour bar."""
+    """Return meaning and unit of a variable, for a colorbar."""
     meaning, unit = str(ds[name].attrs.get("long_name", name)).split(";")[0], str(ds[name].attrs.get("units", "1"))
     for rate in (PER_PERIOD, PER_TIME):
         if meaning.endswith(f" {rate}"):
@@ -51,43 +51,45 @@ def variable_label(ds: xr.Dataset, name: str) -> str:
 
 
 def in_its_unit(ds: xr.Dataset, label: str) -> str:
-    """A label of exponents: per unit time for machines without a force."""
+    """Return a label of exponents in the machine's unit: per unit time for machines without a force."""
     return label.replace(PER_PERIOD, PER_TIME) if is_unforced(ds) else label
 
 
 def is_unforced(ds: xr.Dataset) -> bool:
-    """Whether the machine of an atlas has no force."""
+    """Return True if the machine of an atlas has no force."""
     system = stored_system(ds.attrs)
     return system is not None and system.definition.unforced
 
 
 def regime(ds: xr.Dataset) -> Variable:
-    """The regime of an atlas's cells, whose codes have the words for its machine."""
+    """Return the variable of regimes, whose codes have the words for the atlas's machine."""
     system = stored_system(ds.attrs)
     return REGIME if system is None else system.regime
 
 
 def motion_key(ds: xr.Dataset) -> str:
-    """Title of a legend that explains the names n-p-q of motions."""
+    """Return the title of a legend that explains the names n-p-q of motions."""
     return f"$n$-$p$-$q$: $n$ {'passages' if is_unforced(ds) else 'periods'},\n$p$ impacts above, $q$ below"
 
 
 def rest(ds: xr.Dataset) -> str:
-    """The rest of an atlas's machine that erases disturbances: on a rigid stop, or in stick where it has none."""
+    """Return the words for the rest that erases disturbances: on a rigid stop, or sticking in a machine without one."""
     system = stored_system(ds.attrs)
     rigid = system is None or any(contact.restitution is not None for contact in system.definition.contacts)
     return "rest on a stop" if rigid else "stick"
 
 
 def unit_ending(*units: str) -> str:
-    """Ending of a label: its CF unit in brackets, empty for the 1 of pure numbers or for several units."""
+    """Return the ending of a label: its CF unit in brackets, empty for the 1 of pure numbers or for several units."""
     return "" if len({*units}) > 1 or units[0] == "1" else f" [{units[0]}]"
 
 
 def title_line(ds: xr.Dataset) -> str:
-    r"""The fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without zero initial states.
+    r"""Return the fixed parameters in the system's order, as ``$R = 0.8$,  $\zeta = 0.05$``, without initial states of
+                                                                        zero.
 
-    The title of a machine whose constants are numbers, with no fixed parameter but the phase of its force.
+    If all constants of the machine are numbers, with no fixed parameter but the phase of its force, the line is the
+    title of the machine.
     """
     system = stored_system(ds.attrs)
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
@@ -102,18 +104,18 @@ def title_line(ds: xr.Dataset) -> str:
 
 
 def system_line(system: System, values: Mapping[str, float]) -> str:
-    """title_line for these parameters of a system."""
+    """Return the ``title_line`` for these parameters of a system."""
     shown = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
     return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:
-    """Symbols with their values on one line, which ``fit`` breaks at commas."""
+    """Return symbols with their values on one line, which ``text_wrap.fit`` breaks at commas."""
     return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
 
 
 def number(value: float) -> str:
-    """A number as mathtext: up to six digits, with simple multiples of pi as such."""
+    """Return a number as mathtext: up to six digits, with simple multiples of pi as such."""
     for below in (1, 2, 3, 4, 6):
         above = value / math.pi * below
         times = round(above)
@@ -124,7 +126,7 @@ def number(value: float) -> str:
 
 
 def gap_label(system: System | None) -> str:
-    """Meaning, symbol and unit of the gap coordinate at a section, in two lines."""
+    """Return meaning, symbol and unit of the gap coordinate at a section, in two lines."""
     if system is None:
         return "first state at $t = kT$"
     entries = [entry.constant for entry in system.definition.picture_row]
@@ -136,20 +138,20 @@ def gap_label(system: System | None) -> str:
         return f"gap coordinate\n$y${ending}"
     formula = combination(known, [state_symbol(system, state.name) for state in states])
     alone = [(state, c) for state, c in zip(states, known, strict=True) if c != 0.0]
-    own = alone[0][0].meaning.removeprefix("initial ").split(",")[0]  # what follows the comma would take lines
+    own = alone[0][0].meaning.removeprefix("initial ").split(",")[0]  # the text after the comma would take more lines
     meaning = own if [c for _, c in alone] == [1.0] else "gap coordinate"
     return f"{meaning}\n${formula}${ending}"
 
 
 def state_symbol(system: System, state: str) -> str:
-    """The symbol of a component of the state, from the parameter of its initial value."""
+    """Return the symbol of a component of the state, from the parameter of its initial value."""
     return shown_symbol(system.parameter(state).symbol.removesuffix("(0)"), state)
 
 
 def combination(row: Sequence[float], symbols: Sequence[str], otherwise: str = "y") -> str:
-    """The sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
+    """Return the sum of symbols with these coefficients as mathtext, positive ones first: ``x_2 - x_1``.
 
-    ``otherwise`` for more than three terms.
+    Return ``otherwise`` for more than three terms.
     """
     terms = [(c, symbol) for c, symbol in zip(row, symbols, strict=True) if c != 0.0]
     terms.sort(key=lambda term: term[0] < 0.0)

@@ -1,4 +1,4 @@
-"""Breaking of labels and titles that are longer than their figure into lines."""
+"""Breaking labels and titles that are longer than their figure into lines."""
 
 import re
 from collections.abc import Sequence
@@ -9,16 +9,16 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 TITLE = "title"
-"""The mark, as a group's name, of texts whose parts may move to the next line."""
+"""Group name that marks texts whose parts may move to the next line."""
 _LEAST = 3.0
-"""Length of an upright label, in its own widths, from which on it may be broken: small plots have no room for lines."""
+"""Minimum length of an upright label that may be broken, in its own widths: small plots have no room for lines."""
 OWN_TITLE = "own title"
-"""The same for titles limited to the width of their plot by neighbours."""
+"""Group name that marks titles limited to the width of their plot by neighbours."""
 
 
 def fit(fig: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
-    for _ in range(3):  # a label in two lines leaves less room for others
+    for _ in range(3):  # a label in two lines leaves less room for all others
         fig.draw_without_rendering()
         titles: Any = fig.findobj(lambda artist: isinstance(artist, Text) and artist.get_gid() in (TITLE, OWN_TITLE))
         if not any([_fit_title(fig, title) for title in titles] + [_fit_labels(fig)]):
@@ -26,7 +26,7 @@ def fit(fig: Figure) -> None:
 
 
 def _fit_title(fig: Figure, text: Text) -> bool:
-    """Put as many comma-separated parts of a title into each line as fit."""
+    """Put as many comma-separated parts of a title into each line as fit, and return True if the title has changed."""
     before = text.get_text()
     end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else fig.bbox.x1 - 3.0
     place = text.get_window_extent()
@@ -36,7 +36,7 @@ def _fit_title(fig: Figure, text: Text) -> bool:
             end = min(end, box.x0 - 3.0)
     room = end - place.x0
     lines = []
-    for line in before.replace(",\n", ",  ").split("\n"):  # a line broken before may fit now
+    for line in before.replace(",\n", ",  ").split("\n"):  # a line broken earlier may fit now
         kept, *rest = re.split(r"(?<=,)( +)", line)
         for space, part in zip(rest[::2], rest[1::2], strict=True):
             text.set_text(f"{kept}{space}{part}")
@@ -51,7 +51,9 @@ def _fit_title(fig: Figure, text: Text) -> bool:
 
 
 def _fit_labels(fig: Figure) -> bool:
-    """Break labels that leave the figure, exceed an upright axis, or meet their neighbours."""
+    """Break labels that leave the figure, exceed an upright axis, or meet their neighbours; return True if any has
+    changed.
+    """
     levels = [ax.xaxis.label.get_window_extent() for ax in fig.axes if ax.get_xlabel()]
     uprights = [ax.yaxis.label.get_window_extent() for ax in fig.axes if ax.get_ylabel()]
     changed = False
@@ -72,12 +74,12 @@ def _fit_labels(fig: Figure) -> bool:
 
 
 def _meets(box: Bbox, boxes: Sequence[Bbox]) -> bool:
-    """Whether a box overlaps another of these."""
+    """Return True if a box overlaps another of ``boxes``."""
     return box.padded(2.0).count_overlaps([other for other in boxes if other.bounds != box.bounds]) > 0
 
 
 def _broken(label: str) -> str:
-    """A label with its longest line broken at the space nearest to its middle outside formulas and brackets."""
+    """Return a label with its longest line broken at the space nearest to its middle, outside formulas and brackets."""
     lines = label.split("\n")
     longest = max(range(len(lines)), key=lambda i: len(_read(lines[i])))
     line = lines[longest]
@@ -94,5 +96,5 @@ def _broken(label: str) -> str:
 
 
 def _read(text: str) -> str:
-    """A text of about the visible length: a symbol of mathtext as one letter."""
+    """Return a text of about the visible length, with each symbol of mathtext as one letter."""
     return re.sub(r"\\[a-z]+", "x", text).translate(str.maketrans("", "", "${}_^"))

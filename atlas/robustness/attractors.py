@@ -1,4 +1,4 @@
-"""All attractors of one cell, found in this process: the search that attractors, measures and saddles start from."""
+"""All attractors of one cell, found in this process, for ``attractors``, stability measures and saddles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class AttractorSearch:
-    """A search for all attractors of one cell: its arguments, and its results, computed when first used."""
+    """A search for all attractors of one cell, with results that are computed when first used.
+
+    record      system of the cell
+    parameters  value of each parameter
+    settings    settings of the solver
+    starts      settings of the search
+    """
 
     record: System
     parameters: Mapping[str, float]
@@ -37,7 +43,7 @@ class AttractorSearch:
         settings: Settings | None,
         starts: int,
     ) -> Self:
-        """The search of a question; InputError for a parameter that does not exist or is out of range, and so on."""
+        """Return the search for these arguments. Raise InputError for an invalid one, such as an unknown parameter."""
         record, settings = parse_system(system), given_settings(settings)
         return cls(record, validate_parameters(record, parameters), settings, cell_attractors(starts, record, settings))
 
@@ -47,21 +53,21 @@ class AttractorSearch:
         return search_to_json(self.record, self.parameters, self.settings, self.starts)
 
     def weights(self, norm: Mapping[str, float] | None) -> "Array":
-        """The weights (2n,) of a norm in which those of some components of the state are given."""
+        """Return the weights (2n,) of a norm; ``norm`` gives those of some components of the state."""
         return weights_of(norm or {}, self.record, float(self.table.oscillators.period[0]))
 
     @cached_property
     def table(self) -> "AttractorTable":
-        """The attractors themselves, the largest share first."""
+        """The attractors, the largest share first."""
         from workers.attractors.basins import AttractorTable
 
         return AttractorTable(self.record, self.parameters, self.settings, self.starts)
 
     @cached_property
     def results(self) -> dict[str, Any]:
-        """The numbers of the cell, and ``coexisting``, the attractors that are kept with all of theirs.
+        """The results of the cell, with the list ``coexisting`` of the stored attractors and their results.
 
-        Where there is none, the regime and the reason of the cell's own initial state.
+        If there are none, the regime and the reason are those of the cell's own initial state.
         """
         from workers.tile import result_arrays
 
@@ -86,16 +92,27 @@ def attractors(
     starts: int = AttractorSettings.count,
     **named: Any,
 ) -> dict[str, Any]:
-    """All attractors that initial states of one cell reach, with their shares, as ``[attractors]`` finds them.
+    """Return all attractors that initial states of one cell reach, with their shares, as ``[attractors]`` in a spec
+    does.
 
     ``omega=4.0`` or a mapping gives parameters other than the defaults. ``starts`` initial states are solved: the
-    cell's own and others that fill a box evenly; only half of them if these all reach one attractor.
-    Result by name: ``attractors``, the number found; ``starts`` solved; ``own``, the place of the attractor that the
-    cell's own initial state reaches; ``undecided`` initial states; ``unseen_share``, the share of an attractor that 5 %
-    of such cells miss; ``periods_used`` by all; ``coexisting``, the attractors with all their numbers, the largest
-    share first; where there is none, the ``regime`` and ``reason`` of the cell's own initial state; and ``system``,
-    ``parameters``, ``solve`` and ``search`` in full.
-    Raises InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
+    cell's own, and others that fill a box evenly; only half of them if these all reach one attractor. The results are:
+
+    attractors    number of attractors found
+    starts        number of initial states solved
+    own           index of the attractor that the cell's own initial state reaches
+    undecided     number of undecided initial states
+    unseen_share  share of an attractor that 5 % of such searches miss
+    periods_used  forcing periods simulated for all initial states
+    coexisting    list of the attractors with all their results, the largest share first
+    regime        regime of the cell's own initial state, if ``coexisting`` is empty
+    reason        reason of the cell's own initial state, likewise
+    system        the system in full
+    parameters    value of each parameter
+    solve         settings of the solver
+    search        settings of the search
+
+    Raise InputError for a parameter that does not exist or is out of range, and for settings that find no attractors.
 
     >>> import atlas
     >>> found = atlas.attractors(omega=4.0, b=0.1, starts=8)

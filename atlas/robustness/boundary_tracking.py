@@ -1,11 +1,12 @@
 """Saddles on the boundaries of basins: the unstable orbits that decide which attractor a motion reaches.
 
-A boundary between two basins is, where it is smooth, the stable manifold of an unstable orbit with a single multiplier
-outside the unit circle. A motion on the boundary tends to that orbit. It is found so: two states with a boundary
-between them are bisected until they are BRACKET apart; both are taken on by the map; when they are more than APART from
-each other they are bisected again. What stays between them is a motion on the boundary. Once it recurs after q periods,
-Newton's method on P^q(z) - z gives the orbit, its Jacobian the multipliers. The left eigenvector l of the multiplier
-outside is the normal of the stable manifold there: l dz = 0 for deviations dz along it.
+Where a boundary between two basins is smooth, it is the stable manifold of an unstable orbit with a single multiplier
+outside the unit circle. A motion on the boundary tends to that orbit, which is found as follows. Two states with a
+boundary between them are bisected until their distance is BRACKET. Both are then mapped from section to section. When
+they are more than RESTART_DISTANCE apart, they are bisected again. What stays between them is a motion on the boundary.
+Once that motion recurs after q periods, Newton's method on P^q(z) - z gives the orbit, and its Jacobian the
+multipliers. The left eigenvector l of the multiplier outside the unit circle is the normal of the stable manifold:
+deviations dz along the manifold have l dz = 0.
 
 Skufca, Yorke & Eckhardt, Phys. Rev. Lett. 96 (2006) 174101 (edge tracking).
 """
@@ -25,17 +26,17 @@ from workers.model.oscillator import Array
 from workers.results import UNKNOWN_LABEL
 
 BRACKET, RESTART_DISTANCE = 1e-10, 1e-6
-"""Distances of the two states after a bisection, and before the next, relative to that of the first two."""
+"""Distances of the two states after a bisection, and before the next, relative to that of the first two states."""
 MAX_STEPS, BURN = 400, 12
-"""Forcing periods for which a boundary is tracked; those before its motion may recur."""
+"""Maximum number of forcing periods for which a boundary is tracked, and number before its motion may recur."""
 MAX_PERIOD, RECURRENCE_DISTANCE = 12, 1e-3
-"""Longest period of a saddle; distance within which its motion recurs, relative to that of the first two states."""
+"""Maximum period of a saddle, and distance within which its motion recurs, relative to that of the first two states."""
 PARTS = 8
-"""Parts that an interval is divided into at once."""
+"""Number of parts into which an interval is divided at once."""
 MAX_ATTEMPTS, NEWTON, CLOSED = 12, 30, 1e-11
-"""Searches for an orbit, Newton's steps in each; residual of an orbit, relative to its largest component."""
+"""Maximum number of searches for an orbit, of Newton steps in each, and residual relative to the largest component."""
 SAME_ORBIT = 1e-6
-"""Distance of states of one orbit, relative to its largest component."""
+"""Maximum distance between states of one orbit, relative to its largest component."""
 ASIDE = 1e-5
 """Deviation along the unstable direction that shows which basins meet at a saddle, relative to its size."""
 
@@ -44,12 +45,13 @@ ASIDE = 1e-5
 class Saddle:
     """An unstable orbit between basins.
 
-    states (q, 2n)        section states, physical; the multipliers (2n,) are those of the whole orbit
-    normal (q, 2n)        of its stable manifold at each state, of length 1 in the norm's coordinates w z
-    along (q, 2n)         for n = 1 the stable direction at each state, likewise of length 1; else empty
-    sides                 the labels reached a little to either side of the first state, against its normal and along it
-    residual              the largest component of P^q(z) - z
-    weights (2n,)         those of the norm
+    states (q, 2n)     section states, physical
+    multipliers (2n,)  multipliers of the whole orbit
+    normal (q, 2n)     normal of its stable manifold at each state, of length 1 in the norm's coordinates w z
+    along (q, 2n)      for n = 1 the stable direction at each state, of length 1 in these coordinates; else empty
+    sides              labels reached a little to either side of the first state, against its normal and along it
+    residual           largest component of P^q(z) - z
+    weights (2n,)      weights of the norm
     """
 
     states: Array
@@ -62,7 +64,7 @@ class Saddle:
 
     @property
     def period(self) -> int:
-        """Its forcing periods q."""
+        """The period q in forcing periods."""
         return len(self.states)
 
     @property
@@ -73,20 +75,22 @@ class Saddle:
 
 
 class TrackingResult(NamedTuple):
-    """The saddles that were found, and why no more were: one line for each boundary without one."""
+    """The saddles found, and for each boundary without one the reason, as a line of text."""
 
     saddles: list[Saddle]
     troubles: list[str]
 
 
 def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
-    """The saddles between the basins of the attractors of a table, found from each pair of them, either way."""
+    """Return the saddles between the basins of a table's attractors, tracked from each pair of attractors in both
+    directions.
+    """
     count = max([CHAOS_STATES, *(attractor.period for attractor in table.attractors)])
     points = section_points(table, count)
     saddles, troubles = list[Saddle](), list[str]()
     if len(table.attractors) < 2:
         count = len(table.attractors)
-        troubles.append(f"between basins: attractors that the initial states reach: {count}, fewer than two")
+        troubles.append(f"between basins: number of attractors: found {count}, must be 2 or more")
     for own, other in permutations(range(len(table.attractors)), 2):
         tracker = _Tracker(table, own, weights)
         saddle = tracker.track(points[own, 0], points[other, 0])
@@ -98,7 +102,7 @@ def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
 
 
 def _same(one: Saddle, other: Saddle) -> bool:
-    """Whether two saddles are one orbit."""
+    """Return True if two saddles are one orbit."""
     if one.period != other.period:
         return False
     away = np.abs(other.states - one.states[0]).max(axis=1).min()
@@ -106,21 +110,23 @@ def _same(one: Saddle, other: Saddle) -> bool:
 
 
 class _Tracker:
-    """The boundary of one attractor's basin being tracked."""
+    """Tracks the boundary of one attractor's basin."""
 
     def __init__(self, table: AttractorTable, own: int, weights: Array) -> None:
         self.table, self.own, self.weights = table, own, weights
         self.map = SectionMap(table.cell.oscillator)
 
     def inside(self, states: Array) -> NDArray[np.bool_]:
-        """Which states (N, 2n) reach the own attractor."""
+        """Return the mask of states (N, 2n) that reach the basin's attractor."""
         return np.asarray(reached(self.table, states) == self.own)
 
     def size(self, deviation: Array) -> float:
         return float(np.linalg.norm(self.weights * deviation))
 
     def track(self, first: Array, last: Array) -> Saddle | str:
-        """The saddle that a boundary between a state inside and one outside leads to; or why there is none."""
+        """Return the saddle to which the boundary between a state inside and one outside leads, or the reason why there
+        is none.
+        """
         whole = self.size(last - first)
         pair = self.bisected(first, last, whole)
         history: list[Array] = []
@@ -137,34 +143,37 @@ class _Tracker:
                     return orbit
             pair = self.map.images(pair, 1)
             if not np.isfinite(pair).all():
-                return "its motion cannot be followed"
+                return "the motion on the boundary cannot be followed"
         if tried:
-            return f"its motion nearly recurs, but no orbit there could be shown to be a saddle in {tried} attempts"
-        return (
-            f"its motion settles on no orbit of up to {MAX_PERIOD} periods in {MAX_STEPS}: the boundary may be fractal"
-        )
+            return f"the motion on the boundary nearly recurs, but {tried} attempts found no saddle there"
+        return f"found no orbit of up to {MAX_PERIOD} periods in {MAX_STEPS} on the boundary, which may be fractal"
 
     def bisected(self, first: Array, last: Array, whole: float) -> Array:
-        """Two states (2, 2n) on the way from one inside to one outside, BRACKET apart, with the boundary between."""
+        """Return two states (2, 2n), BRACKET apart, on the line from a state inside to a state outside.
+
+        The boundary lies between them.
+        """
         low, high, length = 0.0, 1.0, self.size(last - first)
         while (high - low) * length > BRACKET * whole:
             shares = np.linspace(low, high, PARTS + 1)
             if not np.all(np.diff(shares) > 0.0):
                 break
             inside = self.inside(first + shares[1:-1, None] * (last - first))
-            place = int(np.argmin(np.append(inside, False)))  # the first one outside
+            place = int(np.argmin(np.append(inside, False)))  # the first state outside
             low, high = float(shares[place]), float(shares[place + 1])
         return np.stack([first + low * (last - first), first + high * (last - first)])
 
     def _recurs(self, history: list[Array], whole: float) -> int:
-        """After how many periods the motion has come back to where it is; 0 if it has not."""
+        """Return the number of periods after which the motion has returned to its last state; 0 if it has not."""
         for period in range(1, min(MAX_PERIOD, len(history) - 1) + 1):
             if self.size(history[-1] - history[-1 - period]) <= RECURRENCE_DISTANCE * whole:
                 return period
         return 0
 
     def orbit(self, state: Array, period: int, whole: float) -> Saddle | None:
-        """The saddle of a period, or of a divisor of it, next to a state by Newton's method; None if there is none."""
+        """Return the saddle of this period, or of a divisor of it, next to a state, by Newton's method; None if there
+        is none.
+        """
         z, eye = state.copy(), np.eye(len(state))
         for _ in range(NEWTON):
             states, last, jacobian = self.map.orbit_with_jacobian(z, period)
@@ -179,7 +188,7 @@ class _Tracker:
                 return None
         else:
             return None
-        for turn in range(1, period):  # a motion that turns on its way to an orbit may recur after several of its turns
+        for turn in range(1, period):  # a rotating motion recurs after multiples of its orbit's period
             if period % turn == 0 and np.abs(states[turn] - z).max() <= SAME_ORBIT * np.abs(states).max():
                 return self.orbit(z, turn, whole)
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
@@ -195,7 +204,7 @@ class _Tracker:
         )
 
     def _directions(self, state: Array, period: int) -> tuple[Array, Array]:
-        """The normal of the stable manifold, and for n = 1 its direction, both in the norm's coordinates."""
+        """Return the normal of the stable manifold, and for n = 1 its direction, both in the norm's coordinates."""
         jacobian = self.weights[:, None] * self.map.orbit_with_jacobian(state, period)[2] / self.weights
         values, vectors = np.linalg.eig(jacobian.T)
         normal = np.real(vectors[:, np.argmax(np.abs(values))])

@@ -37,22 +37,30 @@ def stability(
     shocks: bool = False,
     **named: Any,
 ) -> dict[str, Any]:
-    """How stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
+    """Return how stable each attractor of one cell is: basin stability, return time, reactivity, amplification.
 
-    ``omega=4.0`` or a mapping gives parameters other than the defaults. The attractors are the ones
-    of ``atlas.attractors`` with as many ``starts``; ``share`` is the basin stability, with its 95 % interval.
-    ``norm`` has weights w > 0 of components of the state, ``|dz|`` = sqrt(sum (w dz)^2); the others have 1 if
-    displacements, 1/omega if velocities.
-    Each of ``coexisting`` has ``return_time`` in forcing periods, -1 / largest exponent; ``reactivity``, the largest
-    log growth of a small deviation over one forcing period; ``amplification``, its largest growth over any number of
-    periods, and ``amplified_after``, that number. Unknown numbers are NaN, or -1, and ``reason`` says why; chaos and
-    tori have none of these.
-    With ``shocks``, which costs thousands of motions, also ``fatal_shock``: the size ``|dz|`` of the smallest deviation
-    found at the section that takes the motion to another attractor, ``shock_state``, the state it leads to, and
-    ``shock_reaches``, the place of the attractor reached from there, -2 for an orbit that is not listed. It is an upper
-    bound of the minimal fatal shock; ``shock_tried`` states that fill the ball of this size evenly are not fatal. NaN
-    and ``shock_reason`` if no other attractor is known.
-    Raises InputError for a parameter or a component that does not exist, and for a value out of range.
+    ``omega=4.0`` or a mapping gives parameters other than the defaults. The attractors are those of
+    ``atlas.attractors`` with the same ``starts``; ``share`` is the basin stability, with its 95 % interval. ``norm``
+    has weights w > 0 of components of the state, ``|dz|`` = sqrt(sum (w dz)^2); other weights are 1 for displacements
+    and 1/omega for velocities. Each attractor in ``coexisting`` has these measures:
+
+    return_time      time in forcing periods, -1 / largest exponent
+    reactivity       largest log growth of a small deviation over one forcing period
+    amplification    largest growth of a small deviation over any number of periods
+    amplified_after  that number of periods
+    reason           why a measure is unknown; missing if all are known
+
+    Unknown measures are NaN, or -1; chaos and tori have none. With ``shocks``, which costs thousands of motions, each
+    attractor also has:
+
+    fatal_shock    size ``|dz|`` of the smallest deviation found, at the section, that leads to another attractor
+    shock_state    the state after this deviation
+    shock_reaches  index of the attractor reached from this state; -2 for an orbit that is not listed
+    shock_tried    number of states tried that fill the ball of this size evenly and are not fatal
+    shock_reason   why there is no shock, if no other attractor is known; ``fatal_shock`` is then NaN
+
+    ``fatal_shock`` is an upper bound of the minimal fatal shock. Raise InputError for a parameter or a component that
+    does not exist, and for a value out of range.
 
     >>> import atlas
     >>> found = atlas.stability(omega=4.0, b=0.1, starts=8)
@@ -78,7 +86,7 @@ def stability(
 
 
 def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
-    """The linear measures of the attractor in this place of the table."""
+    """Return the linear measures of an attractor of the table."""
     from atlas.robustness.linear_measures import measures_of
 
     measures = measures_of(table.cell.oscillator, table.attractors[index], weights)._asdict()
@@ -86,7 +94,7 @@ def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str
 
 
 def _shocked(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:
-    """The minimal fatal shock of the attractor in this place of the table."""
+    """Return the minimal fatal shock of an attractor of the table."""
     from atlas.robustness.fatal_shock import shock_of
 
     shock = shock_of(table, index, weights)

@@ -3,10 +3,10 @@
     min |W dz|  over deviations dz of the section states z_k of an attractor from which z_k + dz reaches another one
 
 Any fatal shock is an upper bound, so the search only has to find small ones. It begins with the nearest states that are
-known to reach another attractor, and improves the best few of them: rays in directions near that of the best shock are
-tried at smaller sizes; where none is fatal, nearer directions are tried. The best shock is bisected along its ray. Then
-states that fill the ball of its size evenly are tried. The search begins again from any that is fatal, and ends where
-none is: a part of that ball with the share ``unseen`` of its volume, all fatal, is missed in one search of twenty.
+known to reach another attractor, and improves the best few. Rays in directions near that of the best shock are tried at
+smaller sizes; if none is fatal, nearer directions are tried. The best shock is bisected along its ray. Then states that
+fill the ball of its size evenly are tried. The search begins again from any fatal state, and ends if there is none. A
+part of that ball that is fatal throughout, with the share ``unseen`` of its volume, is missed in one search of twenty.
 
 Halekotte & Feudel, Sci. Rep. 10 (2020) 11783.
 """
@@ -26,34 +26,43 @@ from workers.results import BEYOND_TABLE, INVALID, UNKNOWN_LABEL
 
 Labels = NDArray[np.int64]
 Reached = Callable[[Array], Labels]
-"""The attractor that each physical section state (N, 2n) reaches; UNKNOWN_LABEL where it is not known, NO_MOTION where
-the state lies beyond a stop."""
+"""Function that returns the attractor that each physical section state (N, 2n) reaches.
+
+The result is UNKNOWN_LABEL if the attractor is unknown, and NO_MOTION if the state lies beyond a stop.
+"""
 
 CHAOS_STATES = 64
-"""Section states from which shocks of chaos and tori begin; of an orbit all of them."""
+"""Number of section states from which shocks of chaos and tori begin; an orbit has all of its states."""
 
 NO_MOTION = -3
-"""In the place of a label: no motion begins at that state."""
+"""Label of a state at which no motion begins."""
 
 CANDIDATES, DIRECTIONS, SIZES = 4, 8, 6
-"""Shocks that are improved together; directions tried about a shock in a round; sizes tried along a direction."""
+"""Numbers of shocks improved together, of directions tried about a shock in a round, and of sizes per direction."""
 
 WIDEST, NARROWEST = 0.5, 2e-4
-"""Angles between a shock and the directions tried about it: at first, and at last. A smooth boundary is met at
-distances that differ by half of their square."""
+"""Angles between a shock and the directions tried about it, at first and at last.
+
+A smooth boundary is met at distances that differ by half of the angle's square.
+"""
 
 PARTS, EXACT = 8, 1e-9
-"""Parts that an interval along a ray is divided into at once; relative length at which the last one ends."""
+"""Number of parts into which an interval along a ray is divided at once, and relative length of the last interval."""
 
 BEGINNINGS = 8
-"""Searches at most, each from a smaller shock than the last."""
+"""Maximum number of searches, each from a smaller shock than the last."""
 
 
 class FatalShock(NamedTuple):
-    """A fatal shock: |W dz| = size, from section state ``phase`` of the attractor to ``state`` (2n,), which ``reached``
-    another one. ``safe``: the largest size tried along its ray that is not fatal and below it.
+    """A fatal shock of an attractor.
 
-    tried    states in the ball of that size of which none is fatal; unseen: see above
+    size         size |W dz|
+    phase        index of the section state from which the shock leads
+    state (2n,)  the state after the shock
+    reached      label of the attractor reached from that state
+    safe         largest smaller size tried along the same ray that is not fatal
+    tried        number of states tried in the ball of this size, none of them fatal
+    unseen       share of the ball that a fatal part may have and be missed in one search of twenty
     """
 
     size: float
@@ -68,11 +77,15 @@ class FatalShock(NamedTuple):
 def minimal_fatal_shock(
     reached: Reached, own: int, states: Array, weights: Array, known: Array, seed: int = 0, tries: int = 256
 ) -> FatalShock | None:
-    """The smallest fatal shock found of the attractor with label ``own`` and section states (p, 2n).
+    """Return the smallest fatal shock found; None if no known state reaches another attractor.
 
-    known    states (K, 2n) from which another attractor is reached
-    tries    states in the ball that is tried last
-    None where no known state reaches another attractor.
+    reached         function that returns the label of the attractor that states reach
+    own             label of the attractor
+    states (p, 2n)  section states of the attractor
+    weights (2n,)   weights of the norm
+    known (K, 2n)   states from which another attractor is reached
+    seed            seed of the random directions and of the ball
+    tries           number of states in the ball that is tried last
     """
     search = _ShockSearch(reached, own, states, weights, np.random.default_rng(seed))
     best = search.nearest(known)
@@ -89,10 +102,10 @@ def minimal_fatal_shock(
 
 
 def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | None:
-    """The minimal fatal shock of the attractor with label ``own``; None if no other attractor is known.
+    """Return the minimal fatal shock of the attractor with label ``own``; None if no other attractor is known.
 
-    The nearest states known to reach another attractor are the initial states of the table and the section states of
-    the other attractors.
+    The states known to reach another attractor are initial states of the table, and the section states of the other
+    attractors.
     """
     count = max(CHAOS_STATES, *(attractor.period for attractor in table.attractors))
     sections = section_points(table, count)
@@ -106,13 +119,14 @@ def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | No
 
 
 def reached(table: AttractorTable, states: Array) -> Labels:
-    """The label of the attractor that each physical section state (N, 2n) reaches.
+    """Return the label of the attractor that each physical section state (N, 2n) reaches.
 
-    BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, UNKNOWN_LABEL if not known.
+    The label is BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, and UNKNOWN_LABEL if
+    not known.
     """
     search = table.search_from(states, references=False)
     labels, regime = search.label.copy(), search.regime
-    for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # proved anew
+    for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # these are proved again
         new = attractor_of(table.oscillators, search, r)
         place = table.label(table.cell.find_same(new)[0]) if new else UNKNOWN_LABEL
         labels[r] = BEYOND_TABLE if new and place == UNKNOWN_LABEL else place
@@ -121,7 +135,12 @@ def reached(table: AttractorTable, states: Array) -> Labels:
 
 
 class _Shocks(NamedTuple):
-    """Fatal shocks, the smallest first: phase (K,), direction (K, 2n) of norm 1 as W sees it, size (K,)."""
+    """Fatal shocks, the smallest first.
+
+    phase (K,)         indices of the section states
+    direction (K, 2n)  directions, of norm 1 after W
+    size (K,)          sizes
+    """
 
     phase: Labels
     direction: Array
@@ -136,22 +155,22 @@ class _ShockSearch:
         self.reached, self.own, self.states, self.weights, self.rng = reached, own, states, weights, rng
 
     def at(self, phase: Labels, direction: Array, size: Array) -> Array:
-        """The states (..., 2n) that shocks lead to."""
+        """Return the states (..., 2n) after the shocks."""
         return self.states[phase] + size[..., None] * direction / self.weights
 
     def labels(self, states: Array) -> Labels:
         return self.reached(states.reshape(-1, states.shape[-1])).reshape(states.shape[:-1])
 
     def fatal(self, states: Array) -> NDArray[np.bool_]:
-        """Which states (..., 2n) reach another attractor, as is known."""
+        """Return the mask of states (..., 2n) that are known to reach another attractor."""
         return self.others(self.labels(states))
 
     def others(self, labels: Labels) -> NDArray[np.bool_]:
-        """Which labels are those of another attractor, as is known."""
+        """Return the mask of labels that are known to be those of another attractor."""
         return ~np.isin(labels, (self.own, UNKNOWN_LABEL, NO_MOTION))
 
     def shocks_to(self, states: Array) -> _Shocks:
-        """The shocks from the nearest phases to these states (K, 2n), the smallest first."""
+        """Return the shocks from the nearest section states to these states (K, 2n), the smallest first."""
         away = (states[:, None] - self.states) * self.weights
         sizes = np.linalg.norm(away, axis=2)
         phase, rows = sizes.argmin(axis=1), np.arange(len(states))
@@ -160,12 +179,12 @@ class _ShockSearch:
         return shocks.at_rows(np.argsort(size, kind="stable"))
 
     def nearest(self, states: Array) -> _Shocks | None:
-        """The smallest shocks to some of these states (K, 2n) that are fatal; None where none is."""
+        """Return the smallest shocks to the fatal ones of these states (K, 2n); None if no state is fatal."""
         states = states[self.fatal(states)] if len(states) else states
         return self.shocks_to(states).at_rows(np.arange(min(CANDIDATES, len(states)))) if len(states) else None
 
     def improved(self, shocks: _Shocks) -> _Shocks:
-        """The smallest shock that rays near these lead to."""
+        """Return the smallest shock to which rays near these shocks lead."""
         angle = np.full(len(shocks.size), WIDEST)
         while len(rows := np.flatnonzero(angle > NARROWEST)):
             phase, direction, size = shocks.at_rows(rows)
@@ -183,7 +202,9 @@ class _ShockSearch:
         return shocks.at_rows(np.array([np.argmin(shocks.size)]))
 
     def _near(self, direction: Array, angle: Array) -> Array:
-        """Directions (K, DIRECTIONS + 1, 2n) about some (K, 2n), each its own first, at these angles (K,)."""
+        """Return directions (K, DIRECTIONS + 1, 2n): each of (K, 2n) first, then random ones at these angles (K,) to
+        it.
+        """
         across = self.rng.standard_normal((len(direction), DIRECTIONS, direction.shape[1]))
         across -= np.vecdot(across, direction[:, None])[..., None] * direction[:, None]
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
@@ -191,7 +212,9 @@ class _ShockSearch:
         return np.concatenate([direction[:, None], np.cos(angles) * direction[:, None] + np.sin(angles) * across], 1)
 
     def bisected(self, one: _Shocks) -> _Shocks:
-        """A shock made as small as it can be along its ray; ``safe`` is the state just below it that is not fatal."""
+        """Return a shock shortened as far as possible along its ray; set ``safe`` to the size just below that is not
+        fatal.
+        """
         low, high = 0.0, float(one.size[0])
         while high - low > EXACT * high:
             sizes = np.linspace(low, high, PARTS + 1)[1:-1]
@@ -202,7 +225,9 @@ class _ShockSearch:
         return one._replace(size=np.array([high]))
 
     def within(self, size: float, ball: Array) -> tuple[_Shocks | None, int]:
-        """The smallest fatal shocks to states that fill a ball of this size; if there is none, how many were tried."""
+        """Return the smallest fatal shocks to states that fill a ball of this size; None, and the number tried, if
+        there is none.
+        """
         phase = np.arange(len(ball)) % len(self.states)
         states = self.at(phase, ball, np.full(len(ball), size))
         labels = self.labels(states)
@@ -215,7 +240,7 @@ class _ShockSearch:
         return _Shocks(phase[fatal][order], direction[order], sizes[order]), 0
 
     def reported(self, best: _Shocks, tried: int) -> FatalShock:
-        """The shock as a user sees it."""
+        """Return the result for the user."""
         state = self.at(best.phase, best.direction, best.size)
         reached = int(self.labels(state)[0])
         unseen = float(unseen_share(tried)) if tried else 1.0
@@ -223,9 +248,9 @@ class _ShockSearch:
 
 
 def _ball(size: int, count: int, seed: int) -> Array:
-    """Points (count, size) that fill the unit ball evenly, of a scrambled Halton sequence."""
+    """Return points (count, size) of a scrambled Halton sequence that fill the unit ball evenly."""
     from scipy.special import ndtri
-    from scipy.stats import qmc  # it takes a while to load
+    from scipy.stats import qmc  # slow to import
 
     points = qmc.Halton(size + 1, scramble=True, rng=seed).random(count)
     normal = ndtri(np.clip(points[:, :size], 1e-12, 1.0 - 1e-12))

@@ -1,4 +1,4 @@
-"""Measuring some cells of a tile on a worker: the message and its execution."""
+"""The job that measures some cells of a tile on a worker."""
 
 import io
 import time
@@ -22,21 +22,28 @@ from atlas.task.store_ref import PartReport, StoreRef, stored_part, translate_fi
 from workers.results import LARGEST, REGIME
 
 NEEDED = (REGIME.name, "period", LARGEST.name, "state")
-"""Results that the measures of a cell depend on, besides its parameters."""
+"""Results on which the measures of a cell depend, besides its parameters."""
 CELLS_PER_JOB = {LINEAR: 2048, SHOCKS: 4}
-"""Cells of a job: a second or a few of work, up to minutes for shocks."""
+"""Number of cells of a job: a few seconds of work, up to minutes for shocks."""
 
 
 def group_of(family: str) -> str:
-    """The group of a family's parts while it is measured; another request has other parts."""
+    """Return the group of a family's parts during measurement; another request has other parts."""
     return f"{STABILITY}/{family}"
 
 
 @dataclass(frozen=True)
 class MeasureJob:
-    """Some cells of a tile, in C order from ``first`` to before ``last``, and the name of the part for their measures.
+    """A job for some cells of a tile. ``measure_and_keep`` runs it locally.
 
-    ``measure_and_keep`` runs it locally.
+    index      index of the job
+    name       name of the part for the measures
+    family     family of measures
+    tile       index of the tile
+    first      first cell, in C order
+    last       end of the cells, exclusive
+    norm       weights of the norm, by component
+    store_ref  reference to the store
     """
 
     index: tuple[int, ...]
@@ -50,7 +57,7 @@ class MeasureJob:
 
 
 def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ...], int, int]]:
-    """Name, tile and cells, from the first to before the last, of each part that the measures of a family take."""
+    """Yield (name, tile, first cell, end of the cells) of each part for the measures of a family."""
     for tile in (one.index for one in handle.tiling.tiles()):
         count, most = int(np.prod(handle.tiling.at(tile).shape)), CELLS_PER_JOB[family]
         for first in range(0, count, most):
@@ -58,7 +65,7 @@ def pieces(handle: AtlasStore, family: str) -> Iterator[tuple[str, tuple[int, ..
 
 
 def measure_and_keep(job: MeasureJob) -> PartReport:
-    """Measure some cells and keep the measures as a part of the store."""
+    """Measure some cells and write the measures as a part of the store."""
     handle = job.store_ref.open()
     with translate_file_errors(job.store_ref.store):
         cells = columns_of(handle, NEEDED, job.tile)
@@ -73,13 +80,13 @@ def measure_and_keep(job: MeasureJob) -> PartReport:
 
 
 def read_measured(handle: AtlasStore, name: str) -> Arrays:
-    """The measures that a part holds; RefusedError if there is none."""
+    """Return the measures of a part. Raise RefusedError if there is none."""
     with np.load(io.BytesIO(stored_part(handle, STABILITY, name))) as arrays:
         return dict(arrays)
 
 
 def check_store(handle: AtlasStore) -> None:
-    """InputError unless a store is a finished atlas whose attractors can be measured."""
+    """Raise InputError unless a store is a finished atlas whose attractors can be measured."""
     spec = handle.spec
     if spec.basins:
         raise InputError(
@@ -89,15 +96,15 @@ def check_store(handle: AtlasStore) -> None:
     check_names(handle)
     held = {variable.name for variable in handle.variables}
     if lacking := [name for name in NEEDED if name not in held]:
-        raise InputError(f"{handle.backend}: lacks {lacking[0]!r}; measures need a spec with exponents")
-    check_table_size(handle, of_family(LINEAR))  # no measure is larger
+        raise InputError(f"{handle.backend}: found no {lacking[0]!r}; measures need a spec with exponents")
+    check_table_size(handle, of_family(LINEAR))  # the largest measures
     must_be_finished(handle)
 
 
 def _measured(
     spec: Spec, job: MeasureJob, params: dict[str, NDArray[np.float64]], cells: dict[str, NDArray[Any]]
 ) -> Arrays:
-    from atlas.robustness.stored_cells import linear_measures, shock_measures  # with it Numba
+    from atlas.robustness.stored_cells import linear_measures, shock_measures  # imports Numba, which is slow
 
     some = slice(job.first, job.last)
     params = {name: values[some].copy() for name, values in params.items()}

@@ -8,7 +8,7 @@ small deviation dz of z_k is J_k dz one period later. In the norm |W dz| of ``no
                     decays
     amplification   max_m max_k |W J_{k+m-1} ... J_k W^-1|, m = 0, 1, ...: the largest growth ever, at least 1
 
-The amplification is exact: if every product of m matrices has a norm below 1, then no longer product exceeds the
+The amplification is exact. If every product of m matrices has a norm below 1, then no longer product exceeds the
 largest of the shorter ones, since |A B| <= |A| |B|. The search ends at the first such m.
 
 Neubert & Caswell, Ecology 78 (1997) 653; Krakovska, Kuehn & Longo, Eur. J. Appl. Math. 35 (2024) 155.
@@ -29,45 +29,53 @@ from workers.model.oscillator import Array, Oscillator, take_one
 from workers.orbit.map import iterate, jacobian_of
 
 MAX_PRODUCTS = 100_000
-"""Matrix products after which the growth of deviations is no longer followed."""
+"""Maximum number of matrix products in the search for the growth of deviations."""
 
 AT_SECTION = 1e-9
 """Share of a period before and after the section within which an impact counts as at the section."""
 
 ENDLESS = 1e-10
-"""Decay per forcing period below which a deviation is taken to last."""
+"""Decay per forcing period below which a deviation is considered persistent."""
 
 EVEN = 1e-12
-"""Share by which a force may exceed kinetic friction and count as equal to it."""
+"""Relative excess of a force over kinetic friction up to which both count as equal."""
 
 NO_ORBIT, TOUCHES, STICKS, DRIFTS, LASTING, LONG, LOST, JUMPS = (
     "chaos or a torus: there is no orbit to linearise about",
     "the orbit touches a stop at the section, where the map is not smooth",
-    "friction holds the orbit at rest: deviations there last",
-    "a coordinate drifts: deviations of it last",
+    "friction makes the orbit stick: deviations there persist",
+    "a coordinate drifts: deviations of the coordinate persist",
     "a deviation in some direction does not decay",
     f"deviations may still grow after {MAX_PRODUCTS} products of Jacobians",
     "one turn of the orbit could not be followed",
     "friction sticks at the section under a force above the kinetic one: the map jumps there",
 )
-"""Why a measure of an attractor is not known."""
+"""Reasons why a measure of an attractor is unknown."""
 UNMEASURED = {NO_ORBIT: 0, TOUCHES: 1, STICKS: 2, DRIFTS: 3, LASTING: 4, LONG: 5, LOST: 6, JUMPS: 7}
-"""Their codes in a store; a new one gets a new code."""
+"""Codes of the reasons in a store; a new reason gets a new code."""
 FLAGS = ("no_orbit", "touches_stop", "sticks", "drifts", "lasting", "long", "lost", "jumps")
-"""Their names in a store, by code."""
+"""Names of the reasons in a store, by code."""
 
 
 class OrbitPhases(NamedTuple):
-    """The section states (p, 2n) of an orbit, physical, and the Jacobians (p, 2n, 2n) of one forcing period there."""
+    """An orbit at its sections.
+
+    states (p, 2n)         section states, physical
+    jacobians (p, 2n, 2n)  Jacobians of one forcing period there
+    """
 
     states: Array
     jacobians: Array
 
 
 class LinearMeasures(NamedTuple):
-    """The measures of an orbit, NaN or -1 if unknown, and the reason; ``amplified_after``: the m of the amplification.
+    """The measures of an orbit, with the names of a store's table.
 
-    Their names are those of a store's table.
+    return_time      return time in forcing periods, NaN if unknown
+    reactivity       largest log growth over one period, NaN if unknown
+    amplification    largest growth, NaN if unknown
+    amplified_after  number of periods m of the amplification, -1 if unknown
+    reason           reason why a measure is unknown, empty if all are known
     """
 
     return_time: float = np.nan
@@ -78,7 +86,10 @@ class LinearMeasures(NamedTuple):
 
 
 def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) -> LinearMeasures:
-    """The measures of an attractor of one machine, a record of many, in the norm of weights (2n,)."""
+    """Return the measures of an attractor, in the norm of weights (2n,).
+
+    ``oscillator`` is a record with one machine.
+    """
     if attractor.regime not in STABLE:
         return LinearMeasures(reason=NO_ORBIT)
     largest = float(attractor.result["largest"])
@@ -95,7 +106,10 @@ def measures_of(oscillator: Oscillator, attractor: Attractor, weights: Array) ->
 
 
 def phases_of(oscillator: Oscillator, orbit: Attractor) -> OrbitPhases | str:
-    """The phases of an orbit of one machine, a record of many; or the reason if its map has no Jacobian there."""
+    """Return an orbit at its sections, or the reason if its map has no Jacobian there.
+
+    ``oscillator`` is a record with one machine.
+    """
     if oscillator.drifts:
         return DRIFTS
     h, mode = orbit.h, orbit.mode
@@ -115,9 +129,9 @@ def phases_of(oscillator: Oscillator, orbit: Attractor) -> OrbitPhases | str:
 
 
 def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Array]:
-    """The motion one period after block state h (n, 2) of one machine, a record of many, and the Jacobian (2n, 2n).
+    """Return the motion one period after block state h (n, 2), and the Jacobian (2n, 2n) of physical states.
 
-    The Jacobian is that of physical states.
+    ``oscillator`` is a record with one machine.
     """
     none, one = (np.zeros(0), np.zeros((0, 0))), (1, np.bool_(False))
     osc = take_one(oscillator, 0)
@@ -126,14 +140,14 @@ def one_period(oscillator: Oscillator, h: Array, mode: int) -> tuple[Motion, Arr
 
 
 def not_smooth(oscillator: Oscillator, states: Array) -> str:
-    """Why the map of one machine has no derivative at one of these section states (p, 2n), "" if it has."""
+    """Return why the map has no derivative at one of these section states (p, 2n), "" if it has one everywhere."""
     if touches_a_stop(oscillator, states):
         return TOUCHES
     return JUMPS if slips_at_a_push(oscillator, states) else ""
 
 
 def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
-    """Whether one of these section states (p, 2n) of one machine is on a rigid stop, to within AT_SECTION periods."""
+    """Return True if one of these section states (p, 2n) is on a rigid stop, to within AT_SECTION periods."""
     n, period = states.shape[1] // 2, float(oscillator.period[0])
     for row, *stops in oscillator.rigid_stops:
         y, v = states[:, :n] @ row[0], states[:, n:] @ row[0]
@@ -145,10 +159,10 @@ def touches_a_stop(oscillator: Oscillator, states: Array) -> bool:
 
 
 def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
-    """Whether friction sticks in one of these states (p, 2n) of one machine's sections under a force above the kinetic.
+    """Return True if friction sticks at one of these section states (p, 2n) under a force above the kinetic friction.
 
-    A push along the force, however small, makes it slide on then; a push against it does not. The machine has been
-    through these states.
+    A push along the force, however small, then starts sliding; a push against the force does not. The states must be
+    those of a motion of this machine.
     """
     if not oscillator.has_modes:
         return False
@@ -165,15 +179,15 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
 
 
 def reactivity(matrices: Array) -> float:
-    """The log of the largest 2-norm of matrices (p, d, d); -infinity if all are zero."""
+    """Return the log of the largest 2-norm of matrices (p, d, d); -infinity if all are zero."""
     with np.errstate(divide="ignore"):
         return float(np.log(np.linalg.norm(matrices, 2, axis=(1, 2)).max()))
 
 
 def amplification(matrices: Array, limit: int = MAX_PRODUCTS) -> tuple[float, int] | None:
-    """The largest 2-norm of products of consecutive matrices (p, d, d), cyclic; and the number of factors.
+    """Return the largest 2-norm of products of consecutive matrices (p, d, d), cyclic, and the number of factors.
 
-    1 and 0 if no product has a norm above 1; None if that is still open after ``limit`` products.
+    The result is (1, 0) if no product has a norm above 1, and None if that is undecided after ``limit`` products.
     """
     p = len(matrices)
     products, best = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape), (1.0, 0)

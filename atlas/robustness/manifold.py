@@ -1,14 +1,14 @@
 """The stable manifold of a saddle of a map of the plane, grown point by point without the inverse of the map.
 
-The points z_0 (the saddle), z_1, ... of a branch lie on the manifold in order. The next one is looked for on a circle
-about the last one: f maps it into the part that is known, since f draws the manifold towards the saddle. The directions
-of a fan about the last step are mapped, and the one whose image lies on the known polyline is found by sections of
-intervals. The radius Delta of the circle adapts to the angle alpha between steps: alpha below
-BEND, and Delta alpha below SAGITTA times the extent. Deviations across the manifold grow by f, so that an error of an
-image is smaller at its preimage: chords bound the accuracy, not the steps.
+The points z_0 (the saddle), z_1, ... of a branch lie on the manifold in order. The next point is searched on a circle
+about the last one. The map f takes it into the known part, since f moves the manifold towards the saddle. The
+directions of a fan about the last step are mapped, and intervals of directions are refined until an image lies on the
+known polyline. The radius Delta of the circle adapts to the angle alpha between steps: alpha stays below BEND, and
+Delta alpha below SAGITTA times the extent. Deviations across the manifold grow under f, so an error of an image is
+smaller at its preimage. Chords therefore bound the accuracy, not the steps.
 
-At a rigid stop a state before an impact, (b, v), and after it, (b, -R v), are one: the manifold leaves at the one and
-continues at the other.
+At a rigid stop, the state before an impact (b, v) and the state after it (b, -R v) are the same. The manifold leaves at
+one of them and continues at the other.
 
 England, Krauskopf & Osinga, SIAM J. Appl. Dyn. Syst. 3 (2004) 161; Hobson, J. Comput. Phys. 104 (1993) 14.
 """
@@ -23,31 +23,39 @@ from atlas.orbits.curves.chords import distances
 from workers.model.oscillator import Array
 
 Map = Callable[[Array], Array]
-"""Images (N, 2) of states (N, 2), NaN for states that are none."""
+"""Function that returns the images (N, 2) of states (N, 2), NaN if there is none."""
 Across = Callable[[Array, Array], tuple[Array, Array, Array] | None]
-"""Of a state (2,) and a step (2,) that meets a stop: the state there, the one at which the branch continues, and the
-direction away from the stop; None if there is no stop on the way.
+"""Function of a state (2,) and a step (2,) that may meet a stop; None if there is no stop on the way.
+
+It returns the state at the stop, the state at which the branch continues, and the direction away from the stop.
 """
 
 FIRST, MIN_STEP, MAX_STEP = 1e-4, 1e-7, 1e-2
-"""Steps relative to the extent of the picture: the first, the shortest and the longest."""
+"""First, minimum and maximum step, relative to the extent of the box."""
 BEND, STRAIGHT, SAGITTA = 0.3, 0.1, 1e-5
-"""Largest angle between steps; that below which a step may double; largest Delta alpha relative to the extent."""
+"""Maximum angle between steps; angle below which a step may double; maximum of Delta alpha, relative to the extent."""
 FAN, WIDE = np.pi / 4.0, 0.8 * np.pi
-"""Half of the fan of directions; at a sharp bend, and after a stop."""
+"""Half angle of the fan of directions; half angle at a sharp bend and after a stop."""
 DIRECTIONS, ROUNDS = 17, 12
-"""Directions that are mapped at once, and rounds, each in the interval that the last one has found."""
+"""Number of directions that are mapped at once, and of rounds, each in the interval found by the round before."""
 ON = 1e-7
-"""Distance of an image from the known part, relative to the extent, at which its point is taken to lie on it."""
+"""Distance of an image from the known part, relative to the extent, up to which it counts as on it."""
 MAX_POINTS = 4000
 
 LENGTH, OUTSIDE, BUDGET, LOST = "length", "outside", "budget", "lost"
-"""Why a branch ends: it has the requested length; it leaves the box; MOST_POINTS; no direction leads on."""
+"""Reasons why a branch ends: it has the requested length, leaves the box, has MAX_POINTS points, or cannot be
+continued.
+"""
 
 
 @dataclass
 class ManifoldBranch:
-    """One half of a manifold: points (N, 2) in order, from the saddle; ``breaks``: points that begin anew at a stop."""
+    """One half of a manifold.
+
+    points  (2,) points in order, from the saddle
+    breaks  indices of the points at which the branch starts again at a stop
+    end     reason why the branch ends
+    """
 
     points: list[Array]
     breaks: list[int] = field(default_factory=list)
@@ -55,18 +63,21 @@ class ManifoldBranch:
 
     @property
     def pieces(self) -> list[Array]:
-        """Its parts between stops."""
+        """The pieces between stops, (N, 2) each."""
         return np.split(np.array(self.points), self.breaks)
 
 
 def grow_manifold(
     image: Map, saddle: Array, direction: Array, box: tuple[Array, Array], length: float, across: Across
 ) -> ManifoldBranch:
-    """The branch of the stable manifold that leaves a fixed point along a direction, both of length-1 coordinates.
+    """Return the branch of the stable manifold that leaves a fixed point along a direction.
 
-    image    the map, of a positive multiplier inside: f o f where it is negative
-    box      lowest and highest state; a branch ends a step after it leaves
-    length   at which it ends
+    image      the map, with a positive multiplier inside the unit circle: f o f if that of f is negative
+    saddle     (2,) the fixed point
+    direction  (2,) direction of the branch, of length 1
+    box        lowest and highest state; a branch ends one step after it leaves the box
+    length     length at which the branch ends
+    across     continuation at a stop
     """
     low, high = box
     extent = float(np.linalg.norm(high - low))
@@ -115,9 +126,9 @@ def grow_manifold(
 def _next(
     image: Map, branch: ManifoldBranch, heading: Array, step: float, half: float, at: int, tolerance: float
 ) -> tuple[Array, int] | None:
-    """The point a step from the last one whose image lies on the branch, and the segment it lies on; None without one.
+    """Return the point one step from the last one whose image lies on the branch, and the segment of the image.
 
-    at   segment of the branch on which the image of the last point lies
+    Return None if there is no such point. ``at`` is the segment with the image of the last point.
     """
     points = np.array(branch.points)
     first, last = points[:-1], points[1:]
@@ -127,20 +138,20 @@ def _next(
     base = np.arctan2(heading[1], heading[0])
     centre, place, whole = base, -1, (base, half)
     for _ in range(ROUNDS):
-        for middle, wide in ((centre, half), whole):  # the second if the image bends so much that the first misses it
+        for middle, wide in ((centre, half), whole):  # whole: if the image bends too much for half
             angle = np.linspace(middle - wide, middle + wide, DIRECTIONS)
             images = image(points[-1] + step * np.stack([np.cos(angle), np.sin(angle)], axis=1))
             segments = known[_near(images, first[known], last[known])]
             hit = _crossing(images, first[segments], last[segments], np.abs(angle - base))
             if hit is not None or place < 0:
                 break
-        if hit is None:  # at last the images differ by rounding alone
+        if hit is None:  # finally images differ only by rounding
             break
         k, share, segment = hit
         between = angle[k + 1] - angle[k]
         centre, place = angle[k] + share * between, int(segments[segment])
         half, whole = between / 8.0, (angle[k] + 0.5 * between, 0.55 * between)
-        if np.linalg.norm(images[k + 1] - images[k]) <= 0.1 * tolerance:  # beside a graze they are far apart for long
+        if np.linalg.norm(images[k + 1] - images[k]) <= 0.1 * tolerance:  # beside a graze images stay far apart
             break
     if place < 0:
         return None
@@ -150,15 +161,15 @@ def _next(
 
 
 def _near(images: Array, first: Array, last: Array) -> NDArray[np.int64]:
-    """Which segments (S, 2) may meet a polyline of images (D, 2): their boxes meet its box."""
-    low, high = np.fmin.reduce(images, initial=np.inf), np.fmax.reduce(images, initial=-np.inf)  # which pass over NaN
+    """Return the indices of segments (S, 2) that may meet a polyline of images (D, 2): their boxes overlap its box."""
+    low, high = np.fmin.reduce(images, initial=np.inf), np.fmax.reduce(images, initial=-np.inf)  # these ignore NaN
     return np.flatnonzero(np.all((np.maximum(first, last) >= low) & (np.minimum(first, last) <= high), axis=1))
 
 
 def _crossing(images: Array, first: Array, last: Array, turn: Array) -> tuple[int, float, int] | None:
-    """Where the polyline of images (D, 2) crosses segments (S, 2): after which image and at which share, which segment.
+    """Return where the polyline of images (D, 2) crosses segments (S, 2): image before, share of the way, and segment.
 
-    Of several the one of the least ``turn`` (D,). None without any.
+    Of several crossings the one with the least ``turn`` (D,) is returned; None if there is none.
     """
     a, d = images[:-1, None], (images[1:] - images[:-1])[:, None]
     b, e = first[None], (last - first)[None]

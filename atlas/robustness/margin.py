@@ -1,4 +1,4 @@
-"""Margins of the cells of a store's plane to the curves that it keeps."""
+"""Margins of the cells of a store's plane to its stored curves."""
 
 import hashlib
 from collections.abc import Mapping
@@ -18,9 +18,10 @@ from atlas.store.store import AtlasStore
 
 
 def validate_scale(handle: AtlasStore, parameters: Mapping[str, Any] | None) -> dict[str, float]:
-    """The unit of distance along each axis, x first: those given, else the width of the plane.
+    """Return the unit of distance along each axis, x first: the given one, else the width of the plane.
 
-    Along a logarithmic axis it is a unit of the natural logarithm. InputError for a bad name or a unit not above 0.
+    Along a logarithmic axis the unit is one of the natural logarithm. Raise InputError for an unknown name or a unit
+    that is not above 0.
     """
     plane = plane_of(handle)
     parameters = (
@@ -40,7 +41,7 @@ def validate_scale(handle: AtlasStore, parameters: Mapping[str, Any] | None) -> 
 
 
 def margin_request(handle: AtlasStore, scale: Mapping[str, float]) -> dict[str, Any]:
-    """What decides the margins of a plane; InputError if it has no curves."""
+    """Return what decides the margins of a plane. Raise InputError if the store has no curves."""
     curves = _curves(handle)
     content = hashlib.sha256(handle.digest.encode())
     for curve in curves:
@@ -49,7 +50,7 @@ def margin_request(handle: AtlasStore, scale: Mapping[str, float]) -> dict[str, 
 
 
 def margins_hold(handle: AtlasStore, request: Mapping[str, Any]) -> bool:
-    """Whether the margins that answer a request are to the curves that the store has now."""
+    """Return True if the margins of a request are those to the curves that the store has now."""
     try:
         return margin_request(handle, request["scale"]) == request
     except (ChunkError, InputError, KeyError):
@@ -57,9 +58,9 @@ def margins_hold(handle: AtlasStore, request: Mapping[str, Any]) -> bool:
 
 
 def margins_of(handle: AtlasStore, scale: Mapping[str, float]) -> Arrays:
-    """The margin of each cell: its distance to the nearest part of a curve along which an attractor begins or ends.
+    """Return the margin of each cell: its distance to the nearest part of a curve at which an attractor begins or ends.
 
-    Not known of cells whose parameters make no sense, and where there is no such curve.
+    The margin is unknown for cells with invalid parameters, and if there is no such curve.
     """
     plane, curves = plane_of(handle), _curves(handle)
     chords = chords_of((_placed(plane, curve.points, scale), curve.is_bounding) for curve in curves)
@@ -76,12 +77,12 @@ def margins_of(handle: AtlasStore, scale: Mapping[str, float]) -> Arrays:
 def _curves(handle: AtlasStore) -> Curves:
     curves = read_curves(handle)
     if curves is None:
-        raise InputError(f"{handle.backend}: has no curves to measure margins to; find them with atlas find curves")
+        raise InputError(f"{handle.backend}: found no curves, which margins need; find them with atlas find curves")
     return curves
 
 
 def _placed(plane: CurvePlane, values: NDArray[np.float64], scale: Mapping[str, float]) -> NDArray[np.float64]:
-    """Points (N, 2) of the plane in units of the scale."""
+    """Return points (N, 2) of the plane in units of the scale."""
     columns = [
         (np.log(column) if log else column) / scale[name]
         for column, name, log in zip(values.T, plane.axes, plane.log, strict=True)

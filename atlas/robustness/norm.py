@@ -13,10 +13,12 @@ from workers.model.system import System
 
 
 def validate_weights(parameters: Mapping[str, Any] | None, system: System) -> dict[str, float]:
-    """The weights that a user gives, by component of the state; InputError for a bad name or a weight that is not > 0.
+    """Return the weights that a user gives, by component of the state.
+
+    Raise InputError for an unknown name or a weight that is not above 0.
 
     >>> from workers.model.system import find_system
-    >>> checked_weights({"v1": 2}, find_system("two-mass"))
+    >>> validate_weights({"v1": 2}, find_system("two-mass"))
     {'v1': 2.0}
     """
     parameters = (
@@ -33,9 +35,10 @@ def validate_weights(parameters: Mapping[str, Any] | None, system: System) -> di
 
 
 def weights_of(parameters: Mapping[str, float], system: System, period: float) -> Array:
-    """The weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2): those given, else 1, for velocities 1 / omega.
+    """Return the weights w (2n,) of the norm |dz| = sqrt(sum (w_i dz_i)^2).
 
-    So the norm has the unit of displacement by default. period: the forcing period T
+    Weights that are not given are 1, and 1 / omega for velocities, so the norm has the unit of displacement by default.
+    ``period`` is the forcing period T.
     """
     n, time = len(system.states) // 2, period / (2.0 * np.pi * system.definition.turns)
     default = [1.0] * n + [time] * n
@@ -43,5 +46,8 @@ def weights_of(parameters: Mapping[str, float], system: System, period: float) -
 
 
 def weight_matrices(matrices: Array, weights: Array) -> Array:
-    """W J W^-1 of matrices J (..., d, d), W the diagonal matrix of weights (d,): its 2-norm is the norm of J."""
+    """Return W J W^-1 of matrices J (..., d, d), with W the diagonal matrix of weights (d,).
+
+    The 2-norm of a result is the norm of J.
+    """
     return np.asarray(weights[:, None] * matrices / weights)

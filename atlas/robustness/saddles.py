@@ -28,11 +28,14 @@ if TYPE_CHECKING:
 Box = Mapping[str, tuple[float, float]]
 
 CONTRACTED = 0.5
-"""Largest multiplier along a manifold of the map that it is grown by, a power of P."""
+"""Maximum multiplier, along a manifold, of the map that grows it, a power of P."""
 TIMES = 20.0
 """Length of a branch of a manifold, in diagonals of the box."""
 BEYOND = 0.5
-"""How far beyond a plane the manifolds of its saddles are grown, in parts of its sides: they leave it and come back."""
+"""Margin around a plane in which the manifolds of its saddles are grown, relative to its sides.
+
+Manifolds may leave the plane and return.
+"""
 
 
 def saddles(
@@ -47,16 +50,24 @@ def saddles(
     box: Box | None = None,
     **named: Any,
 ) -> dict[str, Any]:
-    """The unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction there.
+    """Return the unstable orbits between the basins of one cell's attractors, exact, with the boundary's direction
+    there.
 
-    Parameters, ``starts`` and ``norm`` as in ``atlas.stability``; attractors have the places that ``atlas.attractors``
-    gives them. Each of ``saddles`` has its ``period``; ``between``, the two attractors whose basins meet at it;
-    ``multipliers`` as [real, imaginary], one of them outside the unit circle; ``states``, its section states; the
-    ``normal`` of the boundary at each, a unit vector in the norm's coordinates w z; for one mass ``slopes``, dv/dx
-    along the boundary at each. With ``manifolds``, for one mass, ``manifold``: lines, lists of states (x, v) in order,
-    that are the boundary within ``box``, (low, high) of x and v, by default that of the initial states; and ``ends``,
-    why its branches end. ``troubles`` has boundaries on which no saddle was found, in words.
-    Raises InputError as ``atlas.stability`` does, for manifolds of more than one mass, and where a coordinate drifts.
+    Parameters, ``starts`` and ``norm`` are as in ``atlas.stability``; attractors have their indices in
+    ``atlas.attractors``. Each of ``saddles`` has:
+
+    period       its period in forcing periods
+    between      the two attractors whose basins meet at the saddle
+    multipliers  multipliers as [real, imaginary], one of them outside the unit circle
+    states       its section states
+    normal       normal of the boundary at each state, a unit vector in the norm's coordinates w z
+    slopes       for one mass, dv/dx along the boundary at each state
+    manifold     with ``manifolds``, for one mass: lines, lists of states (x, v) in order, on the boundary
+    ends         with ``manifolds``: why the branches of the manifold end
+
+    ``box`` limits the manifolds by (low, high) of x and v; the default is the box of the initial states. ``troubles``
+    lists boundaries on which no saddle was found, in words. Raise InputError as ``atlas.stability`` does, for manifolds
+    of more than one mass, and if a coordinate drifts.
 
     >>> import atlas
     >>> found = atlas.saddles(system="gear-mesh", starts=8)
@@ -71,13 +82,13 @@ def saddles(
 def saddles_between(
     requested: AttractorSearch, norm: Mapping[str, float] | None = None, manifolds: bool = False, box: Box | None = None
 ) -> dict[str, Any]:
-    """``saddles`` of a search."""
+    """Return the ``saddles`` of an attractor search."""
     from atlas.robustness.boundary_tracking import saddles_of
 
     record = requested.record
     must_offer(record, "saddles")
     if manifolds and len(record.states) != 2:
-        raise InputError(f"manifolds are lines for one mass, and {record.name!r} has {len(record.states) // 2}")
+        raise InputError(f"manifolds need a system with one mass, and {record.name!r} has {len(record.states) // 2}")
     table = requested.table
     w = requested.weights(norm)
     tracked = saddles_of(table, w)
@@ -93,15 +104,14 @@ def saddles_between(
 
 
 def saddles_in(ds: "xr.Dataset", spec: "Spec", box: Box) -> "tuple[list[Array], list[Array]]":
-    """The section points (N, 2) of the saddles between the basins of one mass, and lines that make up their stable
-    manifolds; ``box`` gives the ends of both axes, x first.
+    """Return the section points (N, 2) of the saddles between the basins of one mass, and the lines of their manifolds.
 
-    InputError where the atlas is not one of basins of one mass.
+    ``box`` has the limits of both axes, x first. Raise InputError if the atlas is not one of basins of one mass.
     """
     from workers.attractors.basins import fixed_values
 
     if not is_basin_atlas(ds) or len(spec.system_def.states) != 2 or spec.attractors is None:
-        raise InputError("overlay 'saddles' is drawn over basins of one mass")
+        raise InputError("overlay 'saddles' needs basins of one mass")
     values, order = fixed_values(spec.system_def, spec.parameters), [spec.system_def.states.index(name) for name in box]
     wide = {name: (low - BEYOND * (high - low), high + BEYOND * (high - low)) for name, (low, high) in box.items()}
     asked = AttractorSearch(spec.system_def, values, spec.settings, spec.attractors)
@@ -123,7 +133,7 @@ def _described(saddle: "Saddle") -> dict[str, Any]:
 
 
 def _box(table: "AttractorTable", parameters: Box | None) -> tuple["Array", "Array"]:
-    """The lowest and the highest state; InputError for a bad name or ends that do not rise."""
+    """Return the lowest and the highest state. Raise InputError for an unknown name, or limits that do not increase."""
     from workers.attractors.initial_states import boxes
 
     names = table.record.states
@@ -133,13 +143,15 @@ def _box(table: "AttractorTable", parameters: Box | None) -> tuple["Array", "Arr
     ).items():
         first, last = validate_interval(f"box.{name}", ends)
         if name not in names or not first < last:
-            raise InputError(f"box.{name}: found {first:g} to {last:g}; must rise, of {' or '.join(names)}")
+            raise InputError(f"box.{name}: found {first:g} to {last:g}, must increase and be of {' or '.join(names)}")
         low[names.index(name)], high[names.index(name)] = first, last
     return low, high
 
 
 def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "Array"]) -> "Sequence[ManifoldBranch]":
-    """The branches of the stable manifold of a saddle of one mass, two at each of its states, in coordinates w z."""
+    """Return the branches of the stable manifold of a saddle of one mass, two at each of its states, in coordinates w
+    z.
+    """
     from atlas.robustness.manifold import grow_manifold
     from atlas.robustness.section_map import SectionMap
 
@@ -162,7 +174,7 @@ def manifold_of(table: "AttractorTable", saddle: "Saddle", box: tuple["Array", "
 
 
 def _stops(table: "AttractorTable") -> list[tuple[float, float]]:
-    """The position x of each rigid stop of one mass, and on which side it is: 1 above, -1 below."""
+    """Return the position x of each rigid stop of one mass, and its side: 1 above, -1 below."""
     return [
         (stop[0] / row[0, 0], side if row[0, 0] > 0.0 else -side)
         for row, *both in table.cell.oscillator.rigid_stops
@@ -172,7 +184,7 @@ def _stops(table: "AttractorTable") -> list[tuple[float, float]]:
 
 
 def _beyond_stops(table: "AttractorTable", box: tuple["Array", "Array"], w: "Array") -> tuple["Array", "Array"]:
-    """The ends of the box in coordinates w z, beyond a stop at its edge: a manifold continues there."""
+    """Return the limits of the box in coordinates w z, extended beyond a stop at its edge: manifolds continue there."""
     low, high = box[0] * w, box[1] * w
     room = 0.01 * (high[0] - low[0])
     for stop, side in _stops(table):
@@ -184,7 +196,7 @@ def _beyond_stops(table: "AttractorTable", box: tuple["Array", "Array"], w: "Arr
 
 
 def _across(table: "AttractorTable", w: "Array") -> "Across":
-    """The continuation of a manifold at a rigid stop, in coordinates w z."""
+    """Return the continuation of a manifold at a rigid stop, in coordinates w z."""
     from workers.model.oscillator import HEAD
 
     oscillator = table.cell.oscillator

@@ -1,4 +1,4 @@
-"""The map of one machine over forcing periods, from physical section states to physical section states."""
+"""The map of one machine over forcing periods, from section states to section states, both physical."""
 
 from functools import lru_cache
 
@@ -15,14 +15,17 @@ FIRST = np.zeros(1, dtype=np.int64)
 
 
 class SectionMap:
-    """P^m of a machine, a record of many of one: images of many states, and the Jacobian at one."""
+    """The map P^m of a machine, whose record has one machine: images of many states, and the Jacobian at one state."""
 
     def __init__(self, oscillator: Oscillator) -> None:
         self.oscillator = oscillator
         self.many = lru_cache(maxsize=4)(lambda count: at_rows(oscillator, np.zeros(count, dtype=np.int64)))
 
     def orbits(self, states: Array, periods: int) -> Array:
-        """The states (N, periods + 1, 2n) of motions from states (N, 2n); NaN beyond a stop, and where one ends."""
+        """Return the states (N, periods + 1, 2n) of motions from states (N, 2n).
+
+        States are NaN beyond a stop, and after a motion ends.
+        """
         many = self.many(len(states))
         motions, reasons = begin(many, np.full(len(states), NO_REASON, dtype=np.int8), np.ascontiguousarray(states))
         sections = sections_from(many, motions, np.where(reasons == NO_REASON, periods + 1, 0))
@@ -31,13 +34,14 @@ class SectionMap:
         return np.full((len(states), periods + 1, states.shape[1]), np.nan)
 
     def images(self, states: Array, periods: int) -> Array:
-        """P^periods of states (N, 2n)."""
+        """Return P^periods of states (N, 2n)."""
         return np.asarray(self.orbits(states, periods)[:, -1])
 
     def orbit_with_jacobian(self, state: Array, periods: int) -> tuple[Array, Array, Array]:
-        """The states (periods, 2n) of the motion from a state, its last one (2n,) and the Jacobian (2n, 2n) of it all.
+        """Return the states (periods, 2n) of a motion, its last state (2n,), and the Jacobian (2n, 2n) over all
+        periods.
 
-        NaN where the motion cannot be followed.
+        All are NaN if the motion cannot be followed.
         """
         size = len(state)
         motions, _ = begin(self.oscillator, np.full(1, NO_REASON, dtype=np.int8), state[None])

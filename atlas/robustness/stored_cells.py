@@ -20,16 +20,18 @@ from workers.results import BEYOND_TABLE, NO_REASON, UNKNOWN_LABEL
 from workers.settings import Settings
 
 SAME_ATTRACTOR = 1e-6
-"""Distance of the states of one attractor, relative to the largest component of any."""
+"""Maximum distance between states of one attractor, relative to the largest component of any."""
 
 
 def linear_measures(
     system: System, params: Mapping[str, Array], cells: Mapping[str, NDArray[Any]], norm: Mapping[str, float]
 ) -> Arrays:
-    """Return time, reactivity and amplification of attractors (N, keep) of cells, in a norm of weights by name.
+    """Return return time, reactivity and amplification of attractors (N, keep) of cells.
 
-    params   of the cells (N,)
-    cells    regime, period, largest (N, keep), and state (N, keep, 2n): a section state of each attractor
+    system  system of the cells
+    params  (N,) parameters of the cells, by name
+    cells   regime, period, largest (N, keep), and state (N, keep, 2n): a section state of each attractor
+    norm    weights of the norm, by component
     """
     regime = cells["regime"]
     measures = empty(of_family(LINEAR), regime.shape)
@@ -64,9 +66,9 @@ def shock_measures(
     settings: Settings,
     starts: AttractorSettings,
 ) -> Arrays:
-    """The minimal fatal shocks of attractors (N, keep) of cells; arguments as in ``linear_measures``.
+    """Return the minimal fatal shocks of attractors (N, keep) of cells; arguments are as in ``linear_measures``.
 
-    The attractors of a cell are found anew from the same initial states; one that is not found again has no shock.
+    The attractors of a cell are found again from the same initial states; one that is not found again has no shock.
     """
     measures = empty(of_family(SHOCKS), cells["regime"].shape)
     for n in np.flatnonzero(np.isin(cells["regime"], ON_ATTRACTOR).any(axis=1)).tolist():
@@ -88,7 +90,9 @@ def shock_measures(
 
 
 def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
-    """The place (keep,) of a cell's stored attractors that an attractor has; UNKNOWN_LABEL if it has none."""
+    """Return the index (keep,) of the stored attractor of a cell that is this attractor; UNKNOWN_LABEL if there is
+    none.
+    """
     state = np.asarray(attractor.result["state"])
     away = np.abs(cell["state"] - state).max(axis=-1)
     same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))

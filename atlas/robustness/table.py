@@ -1,4 +1,4 @@
-"""The measures of an atlas as values, and the group ``stability`` of a store that keeps them."""
+"""The stability measures of an atlas, and the group ``stability`` of a store that has them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -20,15 +20,15 @@ from workers.results import ATTRACTOR, CodeMeaning, Variable
 Arrays = dict[str, NDArray[Any]]
 
 VERSION = 1
-"""Of the way in which measures are computed: raised whenever any may change."""
+"""Version of the computation of measures; incremented whenever a measure may change."""
 
 LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
-"""The groups of measures computed together."""
+"""Families of measures that are computed together."""
 
 
 @dataclass(frozen=True)
 class MeasureVariable(Variable):
-    """A measure of each attractor, or of each cell: a variable of a family."""
+    """A measure of each attractor, or with ``of_cell`` of each cell; ``family`` is its family."""
 
     family: str = ""
     of_cell: bool = False
@@ -70,32 +70,36 @@ MEASURES = {
 
 
 def of_family(family: str) -> list[MeasureVariable]:
-    """The measures that are computed together."""
+    """Return the measures of a family."""
     return [measure for measure in MEASURES.values() if measure.family == family]
 
 
 def empty(measures: Iterable[MeasureVariable], shape: tuple[int, ...]) -> Arrays:
-    """Arrays of one shape in which no measure is known."""
+    """Return arrays of one shape in which every measure is unknown."""
     return {measure.name: np.full(shape, measure.fill, dtype=measure.dtype) for measure in measures}
 
 
 @dataclass(frozen=True, eq=False)
 class StoredMeasures:
-    """The measures that a store has, by name, and of each family the request that they answer."""
+    """The measures of a store.
+
+    arrays    values by name of the measure
+    requests  request that decided the measures, by family
+    """
 
     arrays: Arrays
     requests: dict[str, dict[str, Any]]
 
 
 def read_measures(handle: AtlasStore) -> StoredMeasures:
-    """The measures of a store; none if it has none, or damaged ones, or those of another version."""
+    """Return the measures of a store; none if there are none, if they are damaged, or of another version."""
     arrays, attributes = current_group(handle, STABILITY, VERSION) or ({}, {})
     requests = {family: dict(attributes[family]) for family in FAMILIES if family in attributes}
     return StoredMeasures({name: arrays[name] for name in MEASURES if name in arrays}, requests)
 
 
 def write_measures(handle: AtlasStore, stored: StoredMeasures) -> None:
-    """Keep measures in the store, in the place of any before."""
+    """Write measures into the store, replacing any earlier ones."""
     dims = handle.spec.dims
     many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
     columns = {
@@ -115,14 +119,14 @@ def drop_family(handle: AtlasStore, family: str) -> None:
 
 
 def check_names(handle: AtlasStore) -> None:
-    """InputError if its machine has a parameter or a result with the name of a measure."""
+    """Raise InputError if the machine has a parameter or a result with the name of a measure."""
     shared = {*handle.array_names} & MEASURES.keys()
     if shared:
-        raise InputError(f"{handle.backend}: {min(shared)!r} is a name of its own, and that of a measure")
+        raise InputError(f"{handle.backend}: {min(shared)!r} is also the name of a measure; rename it in the system")
 
 
 def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]]:
-    """Of each measure that is a number how often it is known, and its least, middle and largest finite value."""
+    """Return for each numeric measure how often it is known, and its smallest, median and largest finite value."""
     summary = {}
     for name, values in arrays.items():
         if MEASURES[name].dtype != "float64" or name == "margin_error":

@@ -247,7 +247,7 @@ def test_orbits_are_followed_along_parameters_and_not_along_initial_states(subje
 
 
 def test_the_orbit_of_a_chaotic_cell_is_refused_in_one_line(subject: Subject) -> None:
-    with pytest.raises(InputError, match="this cell is chaotic: a branch starts from a periodic one"):
+    with pytest.raises(InputError, match="this cell is chaotic: a branch starts from a periodic cell"):
         followed(subject, at_cell(subject, {"omega": 1.5, "b": 0.1}), "omega")
 
 

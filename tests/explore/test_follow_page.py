@@ -147,6 +147,6 @@ def test_the_machine_moves_on_the_orbit_that_is_followed(tab: Tab) -> None:
 def test_an_orbit_that_cannot_be_followed_says_so_in_one_line(running: ExplorerSession, browser: Any) -> None:
     query = "omega=1.4:1.6&b=0.05:0.15&cell=1.5,0.1&follow.orbit=omega,1.4,1.6,0,1.5"
     with opened(browser, f"{running.url}&{query}", 1440, 900) as tab:
-        tab.until(lambda: "this cell is chaotic: a branch starts from a periodic one" in tab.text(), 120.0)
+        tab.until(lambda: "this cell is chaotic: a branch starts from a periodic cell" in tab.text(), 120.0)
         tab.until(lambda: "follow.orbit=" not in tab.address())
         assert tab.complaints == []

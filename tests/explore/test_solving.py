@@ -509,7 +509,7 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
 
 
 def test_workers_need_no_bokeh() -> None:
-    tasks = "patch import solve_patch, cut import follow, branches import follow_orbit, basins import solve_rows"
+    tasks = "grid_patch import solve_patch, cut import follow_branches, branches import follow_orbit, basins import solve_rows"
     imports = "\n".join(f"from atlas.explore.{task}" for task in tasks.split(", "))
     program = f"import sys\n{imports}\nprint('bokeh' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -126,7 +126,7 @@ def test_a_plane_with_a_logarithmic_axis_has_a_page_that_draws_it_as_pictures_do
     """On a log scale from a ratio of 4 of its ends on; below, evenly."""
     create.create_store(tmp_path / "log.zarr", synthetic.spec_of(8, 6, start=start, stop=4.0, scale="log"), (6, 8))
     page = tmp_path / "log.html"
-    assert atlas.open(tmp_path / "log.zarr").atlas.page(page) == page
+    assert atlas.open(tmp_path / "log.zarr").atlas.to_html(page) == page
     x, y = described(page.read_text("utf-8"))["axes"]
     assert (x["log"], y["log"]) == (start == 0.5, False)
     assert np.allclose(x["values"], np.geomspace(start, 4.0, 8), rtol=1e-12)
@@ -412,7 +412,7 @@ def test_one_plane_of_a_stack_is_shown_and_a_whole_stack_is_refused(stack: Path,
 def test_a_line_and_exponents_in_another_unit_are_refused(opened: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a page shows two axes, found one \(omega\)"):
         opened.isel(b=0).atlas.to_html(tmp_path / "page.html")
-    with pytest.raises(InputError, match="pictures draw exponents per forcing period"):
+    with pytest.raises(InputError, match="pictures need exponents per forcing period"):
         opened.atlas.per_unit_time().atlas.to_html(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 

@@ -259,7 +259,7 @@ def test_options_of_cells_that_do_not_go_together_are_refused(args: list[str], s
 
 
 def test_a_portrait_needs_to_know_how_the_atlas_was_solved() -> None:
-    with pytest.raises(InputError, match="does not say how it was solved"):
+    with pytest.raises(InputError, match="has no record of how it was solved"):
         plane([1, 2], [0.1, 0.2]).atlas.portrait(omega=1, b=0.1)
 
 

@@ -300,7 +300,7 @@ def test_an_unreachable_scheduler_is_refused(folder: Path, tmp_path: Path, addre
         (("point", "--set", "omega=fast"), "--set omega: found 'fast', must be a number"),
         (("point", "--set", "omega=2", "--set", "omega=3"), "--set omega: given twice"),
         (("point", "--tolerance", "0"), "solve.tolerance: found 0.0"),
-        (("query", "OUT", "--at", "omega=3"), "the point lacks b"),
+        (("query", "OUT", "--at", "omega=3"), "point: found no b"),
         (("query", "OUT", "--at", "omega=99", "--at", "b=0.2"), "omega = 99 lies outside"),
         (("query", "OUT", "--window", "omega=3:2"), "must be LOW:HIGH with LOW <= HIGH"),
         (("query", "OUT", "--window", "omega=2:3", "--at", "b=1"), "give only one"),

@@ -47,7 +47,7 @@ def at_work(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ("compare a.zarr b.zarr -o a.png --dpi 1", "dpi: found 1, with type of 10 points"),
         ("portrait --set omega=3 -o a.png --font-size 0", "font_size: found 0, must be positive"),
         ("branch --along omega --from 2 --to 3 -o no/a.csv", "no/a.csv: cannot be written: there is no folder"),
-        ("branch --along omega --from 2 --to 3 -o a.png --style no", "style no: neither a style of matplotlib's"),
+        ("branch --along omega --from 2 --to 3 -o a.png --style no", "style no: neither a style of matplotlib"),
     ],
 )
 def test_a_bad_option_is_found_before_slow_work(

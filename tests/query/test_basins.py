@@ -232,7 +232,7 @@ def test_labels_of_branches_are_refused_where_labels_are_those_of_basins(solved:
 def test_what_is_no_atlas_of_basins_has_none(solved_plane: Path) -> None:
     with pytest.raises(InputError, match="not an atlas of basins"):
         atlas.open(solved_plane).atlas.basin_measures()
-    with pytest.raises(InputError, match="both axes must be initial states, and the spec have"):
+    with pytest.raises(InputError, match="both axes must be initial states, and the spec must have"):
         render.figure(atlas.open(solved_plane), "basins")
 
 

@@ -228,7 +228,7 @@ def test_a_sweep_of_all_attractors_is_drawn_with_their_shares(tmp_path: Path, cl
 
 
 def test_a_plain_atlas_has_no_second_attractor(solved_plane: Path) -> None:
-    with pytest.raises(InputError, match="draws all attractors, and this atlas has one a cell"):
+    with pytest.raises(InputError, match="needs all attractors, and this atlas has one per cell"):
         render.figure(atlas.open(solved_plane).isel(b=0), "coexistence")
 
 

@@ -138,6 +138,6 @@ def test_a_file_that_cannot_be_written_leaves_nothing(ds: xr.Dataset, tmp_path: 
 
 
 def test_a_window_too_large_for_netcdf_is_refused(ds: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="bytes in this window, netCDF takes 1000"):
+    with pytest.raises(InputError, match="bytes, netCDF allows 1000"):
         export(ds, tmp_path / "a.nc", netcdf_bytes=1000)
     assert list(tmp_path.iterdir()) == []

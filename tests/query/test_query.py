@@ -95,7 +95,7 @@ def test_at_finds_the_only_point_of_an_axis() -> None:
         ({"omega": float("nan"), "b": 0.1}, "omega = nan: must be a finite number"),
         ({"omega": 1.0, "zeta": 0.1}, "unknown axis 'zeta'; the axes are: omega, b"),
         ({"omega": 1.0, "R": 0.7}, "R is not an axis here but fixed at 0.8; axes: omega, b"),
-        ({"omega": 1.0}, "the point lacks b; it needs a value for each axis: omega, b"),
+        ({"omega": 1.0}, "point: found no b, must have a value for each axis: omega, b"),
     ],
 )
 def test_at_answers_a_bad_point_with_one_line(point: Mapping[str, float], message: str) -> None:

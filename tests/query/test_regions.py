@@ -172,7 +172,7 @@ def test_a_sweep_has_regions_too() -> None:
         ("regime", "pending", "unknown regime 'pending'"),
         ("period", 0, "period: found 0, must be a whole number, 1 or more"),
         ("period", 2.5, "period: found 2.5, must be a whole number"),
-        ("impacts", "3-2", "this atlas does not hold 'impacts_upper'"),
+        ("impacts", "3-2", "this atlas has no variable 'impacts_upper'"),
     ],
 )
 def test_a_class_that_cannot_be_is_answered_with_one_line(by: str, value: object, message: str) -> None:

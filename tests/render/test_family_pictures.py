@@ -152,7 +152,7 @@ def test_the_grazing_line_of_a_machine_with_modes_is_drawn(name: str) -> None:
 def test_where_motion_without_impact_is_not_linear_the_way_on_is_named() -> None:
     mass = find_system("stick-slip")
     ds = periodic_plane(mass, {parameter: np.linspace(low, high, 4) for parameter, low, high in mass.axes})
-    with pytest.raises(InputError, match=r"has friction, so that .*; atlas find curves finds the grazes of its orbits"):
+    with pytest.raises(InputError, match=r"has friction, so .*; atlas find curves finds the grazes of its orbits"):
         render.figure(ds, "period", overlay="grazing")
 
 
@@ -222,7 +222,7 @@ def test_a_symmetry_map_without_mirror_images_is_refused_with_the_reason(
 ) -> None:
     other = "alpha" if system.name == "impact-pair" else "A"
     ds = periodic_plane(system, {"omega": [0.5, 0.7], other: [0.1, 0.2]}, **given)
-    with pytest.raises(InputError, match=f"which no motion has here: .*{why}"):
+    with pytest.raises(InputError, match=f"no motion here has one: .*{why}"):
         render.figure(ds, "symmetry")
 
 

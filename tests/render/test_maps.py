@@ -317,7 +317,7 @@ def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
 
 
 def test_ends_of_a_scale_that_are_equal_are_refused() -> None:
-    with pytest.raises(InputError, match=r"the scale must rise: found 0\.5 to 0\.5; give vmin, vmax or both"):
+    with pytest.raises(InputError, match=r"colour limits: found 0\.5 to 0\.5, must increase; give vmin, vmax or both"):
         render.figure(plane(), "exponent", vmin=0.5, vmax=0.5)
 
 
@@ -541,7 +541,7 @@ def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
 
 
 def test_isolines_of_an_atlas_without_exponents_are_refused() -> None:
-    with pytest.raises(InputError, match="'largest', which this atlas does not hold"):
+    with pytest.raises(InputError, match="'largest', which this atlas does not have"):
         render.figure(plane().drop_vars("largest"), "period", overlay=["isolines"])
 
 

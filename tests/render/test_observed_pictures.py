@@ -52,7 +52,7 @@ def test_a_sweep_shows_the_first_observable_where_it_holds_no_sections_and_anoth
 
 
 def test_an_observable_that_an_atlas_does_not_hold_is_refused_with_those_that_it_holds(store: Path) -> None:
-    with pytest.raises(InputError, match=r"does not hold 'maximum:gap'; it holds impact_phase:stop, energy_loss"):
+    with pytest.raises(InputError, match=r"has no 'maximum:gap'; it has impact_phase:stop, energy_loss"):
         atlas.open(store).atlas.plot(observe="maximum:gap")
 
 

@@ -112,9 +112,9 @@ def test_a_file_has_the_width_that_was_asked_for(tmp_path: Path, width: str | fl
         ({"width": "2mm"}, r"must be 0.8 to 60 inches"),
         ({"dpi": -1}, "dpi: found -1, must be positive"),
         ({"font_size": float("nan")}, "font_size: found nan, must be a number"),
-        ({"vmin": 2.0, "vmax": 1.0}, "the scale must rise: found 2 to 1"),
-        ({"vmin": 0.5, "vmax": 1.0}, "zero in its middle"),
-        ({"style": "no-such-style"}, "style no-such-style: neither a style of matplotlib's nor a file to read"),
+        ({"vmin": 2.0, "vmax": 1.0}, "colour limits: found 2 to 1, must increase"),
+        ({"vmin": 0.5, "vmax": 1.0}, "must have zero between them"),
+        ({"style": "no-such-style"}, "style no-such-style: neither a style of matplotlib nor a readable file"),
         ({"style": "/dev/zero"}, "style /dev/zero: not a regular file"),
         ({"colour": 1}, "unknown option 'colour'; possible: width, height"),
     ],
@@ -146,7 +146,7 @@ def test_maps_side_by_side_take_the_ends_of_their_scale() -> None:
 def test_the_scale_of_differences_takes_its_ends_and_one_decides_the_other() -> None:
     assert draw("compared", vmin=-2.0, vmax=1.0).axes[-1].get_xlim() == (-2.0, 1.0)
     assert draw("compared", vmax=3.0).axes[-1].get_xlim() == (-3.0, 3.0)
-    with pytest.raises(InputError, match="zero in its middle: found 1 to 3"):
+    with pytest.raises(InputError, match="found 1 to 3, must have zero between them"):
         draw("compared", vmin=1.0, vmax=3.0)
     without = plane().drop_vars("largest")
     with pytest.raises(InputError, match="a comparison without exponents draws classes"):
@@ -156,7 +156,7 @@ def test_the_scale_of_differences_takes_its_ends_and_one_decides_the_other() -> 
 @pytest.mark.parametrize("kind", ["beside2", "compared"])
 def test_a_figure_of_several_maps_shows_itself_in_a_notebook_and_is_not_drawn_into_axes(kind: str) -> None:
     assert draw(kind)._repr_png_()[0].startswith(b"\x89PNG")  # type: ignore[attr-defined]
-    with pytest.raises(InputError, match="several maps make a figure of their own"):
+    with pytest.raises(InputError, match="several maps need a figure of their own"):
         draw(kind, ax=Figure().subplots())
 
 
@@ -289,7 +289,7 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
     figure, axes = plt.subplots(2, 1)
     assert list(render.figure(line(), ax=axes)) == list(axes)
     assert all(ax.lines for ax in axes)
-    with pytest.raises(InputError, match="this picture has 2 plots, found 1 axes in ax"):
+    with pytest.raises(InputError, match="ax: found 1 axes, must be 2, one for each plot"):
         render.figure(line(), ax=axes[0])
     with pytest.raises(InputError, match="width: the given axes have a size already"):
         render.figure(line(), ax=axes, width=3)
@@ -302,7 +302,7 @@ def test_a_sweep_is_drawn_into_one_of_ones_own_axes_for_each_plot() -> None:
         ("ax", r"^ax: found 3, must be matplotlib axes"),
         ("overlay", r"^overlay: found 3, must be a name or a list of names$"),
         ("curves", r"^curves: found 3, must be a name or a list of names$"),
-        ("style", r"^style: found 3, must be a style of matplotlib's, 'current' or the path of a file$"),
+        ("style", r"^style: found 3, must be a style of matplotlib, 'current' or the path of a file$"),
     ],
 )
 def test_a_number_where_an_option_is_none_is_named_in_one_line(option: str, says: str) -> None:

@@ -102,7 +102,7 @@ def test_an_unknown_kind_is_refused_with_all_that_there_are(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("kind", "variable"), [("exponent", "largest"), ("period", "period")])
 def test_a_map_of_what_is_not_stored_is_refused(tmp_path: Path, kind: str, variable: str) -> None:
-    with pytest.raises(InputError, match=f"kind '{kind}' draws the variable '{variable}'"):
+    with pytest.raises(InputError, match=f"kind '{kind}' needs the variable '{variable}'"):
         render.render(every_regime().drop_vars(variable), tmp_path / "map.png", kind)
     assert not (tmp_path / "map.png").exists()
 
@@ -407,7 +407,7 @@ def test_a_sweep_with_one_of_its_variables_draws_that_panel_alone(tmp_path: Path
 
 
 def test_a_sweep_with_nothing_to_draw_is_refused() -> None:
-    with pytest.raises(InputError, match="holds neither"):
+    with pytest.raises(InputError, match="has neither"):
         render.figure(sweep())
 
 

@@ -122,16 +122,16 @@ def test_a_wrong_name_is_answered_with_the_nearest() -> None:
 
 
 def test_what_is_no_number_of_each_cell_is_refused() -> None:
-    with pytest.raises(InputError, match="variable 'regime' is no number of each cell; possible: largest"):
+    with pytest.raises(InputError, match="variable 'regime' does not have one number per cell; possible: largest"):
         render.figure(speeds(), variable="regime")
 
 
 @pytest.mark.parametrize(
     ("given", "line_"),
     [
-        ({"kind": "period", "variable": "largest"}, "goes with kind 'scalar', found 'period'"),
-        ({"kind": "scalar"}, "kind 'scalar' draws a variable, and none is named"),
-        ({"log": True}, "kind 'scalar' draws a variable, and none is named"),
+        ({"kind": "period", "variable": "largest"}, "needs kind 'scalar', found 'period'"),
+        ({"kind": "scalar"}, "kind 'scalar' needs the name of a variable"),
+        ({"log": True}, "kind 'scalar' needs the name of a variable"),
     ],
 )
 def test_what_does_not_go_together_is_refused(given: dict[str, Any], line_: str) -> None:

@@ -307,7 +307,7 @@ def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
     monkeypatch.setattr(curves, "finish_search", lambda search: Curves(("omega", "b"), ()))
     search: Any = SimpleNamespace(tasks=dict)
     crew: Any = SimpleNamespace(
-        claim=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0
+        lease=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0
     )
     curves._CurveRun(handle, search, "another", crew).run()
     ds = atlas.open(with_margins)
@@ -324,7 +324,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
     @contextmanager
     def claimed_late(place: Any, options: RunOptions) -> Iterator[Any]:
         write_measures(handle, theirs)
-        yield SimpleNamespace(guard=lambda place: place)
+        yield SimpleNamespace(fence_backend=lambda place: place)
 
     monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):
@@ -345,8 +345,8 @@ def fails(*words: str) -> str:
 def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Path) -> None:
     path = copied(plane, tmp_path)
     store = str(path)
-    assert "has no curves to measure margins to" in fails(store, "--margin")
-    assert "shocks need an atlas of all attractors, see [attractors]" in fails(store, "--shocks")
+    assert "found no curves, which margins need" in fails(store, "--margin")
+    assert "shocks need an atlas of all, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
     assert "--scale needs --margin" in fails(store, "--scale", "b=1")
     assert "scale.b: found -1, must be above 0" in fails(store, "--margin", "--scale", "b=-1")

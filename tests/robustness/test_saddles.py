@@ -174,7 +174,7 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
     class Turning:
         oscillator = None
 
-        def turn(self, state: np.ndarray, periods: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def orbit_with_jacobian(self, state: np.ndarray, periods: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             powers = np.array([[(-0.9) ** k, 3.0**k] for k in range(periods + 1)])
             states = np.array([1.0, 0.0]) + powers * (state - np.array([1.0, 0.0]))
             return states[:-1], states[-1], np.diag(powers[-1])
@@ -210,13 +210,13 @@ def test_a_manifold_is_grown_by_a_power_of_the_map_that_keeps_its_sides(
 def test_a_cell_with_one_attractor_has_no_saddle_and_says_why() -> None:
     found = atlas.saddles({"omega": 1.9, "A": 1.0}, system="single-mass", starts=4)
     assert (found["attractors"], found["saddles"]) == (1, [])
-    assert found["troubles"] == ["between basins: attractors that the initial states reach: 1, fewer than two"]
+    assert found["troubles"] == ["between basins: number of attractors: found 1, must be 2 or more"]
 
 
 def test_bad_input_is_one_line() -> None:
-    with pytest.raises(InputError, match="manifolds are lines for one mass, and 'two-mass' has 2"):
+    with pytest.raises(InputError, match="manifolds need a system with one mass, and 'two-mass' has 2"):
         atlas.saddles(FIG3, manifolds=True)
-    with pytest.raises(InputError, match=r"box.x: found 1 to 0; must rise, of x or v"):
+    with pytest.raises(InputError, match=r"box.x: found 1 to 0, must increase and be of x or v"):
         atlas.saddles(RIGID, system="single-mass", starts=16, manifolds=True, box={"x": (1.0, 0.0)})
     with pytest.raises(InputError, match="capsule"):
         atlas.saddles(system="capsule")
@@ -262,5 +262,5 @@ def test_the_overlay_draws_saddle_and_manifold_over_basins_of_one_mass(tmp_path:
 @pytest.mark.slow
 def test_the_overlay_of_another_map_is_refused(tmp_path: Any, client: Client) -> None:
     atlas.run(atlas.Spec("gear-mesh", {"omega": [0.7, 0.8], "eps": [0.1, 0.2]}), tmp_path / "p.zarr", client=client)
-    with pytest.raises(InputError, match="overlay 'saddles' is drawn over basins of one mass"):
+    with pytest.raises(InputError, match="overlay 'saddles' needs basins of one mass"):
         atlas.open(tmp_path / "p.zarr").atlas.plot(overlay="saddles")

@@ -143,7 +143,7 @@ def test_two_systems_of_one_name_are_not_compared(store: Path) -> None:
     one = atlas.open(store)
     spec = json.loads(one.attrs["spec"])
     spec["system"] = System.from_mapping(table(load=[0.5, 0.0])).table()
-    with pytest.raises(InputError, match="both are called machine, but they are not defined alike"):
+    with pytest.raises(InputError, match="both are called machine, but their definitions differ"):
         one.atlas.compare(one.assign_attrs(spec=json.dumps(spec)))
 
 

@@ -211,7 +211,7 @@ def test_extremes_say_the_parameters_of_the_row(solved: Path) -> None:
 
 
 def test_windows_of_a_table_are_refused(solved: Path) -> None:
-    assert "its rows are no neighbours" in answered("find", "regions", solved, "regime", code=2)
+    assert "whose rows are not neighbours" in answered("find", "regions", solved, "regime", code=2)
 
 
 def test_exponents_per_unit_time_take_the_frequency_of_each_row(solved: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_tile_looks_at_the_state_of_the_root_twice_and_reads_no_metadata(
 
 QUESTIONS: dict[str, Callable[[Any], object]] = {
     "fractions": lambda of: of.fractions(),
-    "reasons": lambda of: of.reasons(),
+    "reasons": lambda of: of.count_reasons(),
     "extremes": lambda of: of.extremes("largest"),
     "regions": lambda of: of.regions(),
     "labels": lambda of: of.labels(),
@@ -142,7 +142,7 @@ def test_a_dataset_whose_store_has_been_replaced_is_told_so(finished: Path) -> N
     ds = atlas.open(finished)
     shutil.rmtree(finished)
     create_store(finished, plane_of(), (2, 3))
-    with pytest.raises(InputError, match="another store than the one that this dataset is of; open it again"):
+    with pytest.raises(InputError, match="the store was replaced after this dataset was opened; open it again"):
         handle_of(ds)
 
 

@@ -1,1 +1,1 @@
-"""Branches of periodic orbits in one parameter, stable and unstable, from a cell or from all cells of a sweep."""
+"""Branches of periodic orbits in one parameter, stable and unstable, from one cell or from all cells of a sweep."""

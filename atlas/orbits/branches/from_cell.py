@@ -1,4 +1,4 @@
-"""Branches from one cell: the request is checked, then followed."""
+"""Branches from the orbit of one cell, after validation of the request."""
 
 from typing import TYPE_CHECKING
 
@@ -12,18 +12,24 @@ if TYPE_CHECKING:
     from atlas.orbits.branches.tree import BranchTree
 
 MAX_BRANCHES = 20
-"""Branches that are followed from one cell, that of the cell included."""
+"""Maximum number of branches that are followed from one cell, the first one included."""
 MAX_IMPACTS = 64
-"""Impacts of the orbits that are followed where they leave."""
+"""Maximum number of impacts of the orbits that are followed from events."""
 
 
 def tree_from(
     seed: BranchSeed, along: str, window: tuple[float, float], switch: bool = False, limit: int = MAX_BRANCHES
 ) -> "BranchTree":
-    """The branch of a cell's orbit in one parameter; ``switch`` adds branches that begin on it; ``limit`` in all.
+    """Return the branch of a cell's orbit in one parameter; with ``switch`` also branches that begin on it.
 
-    Raises InputError for a parameter that does not exist or that no orbit depends on, for a window that does not
-    rise, is not valid or does not hold the cell, and where the orbit cannot be followed.
+    seed    the orbit
+    along   the parameter
+    window  (low, high) limits of the parameter
+    switch  True to follow branches that begin at events
+    limit   maximum number of branches
+
+    Raise InputError for an unknown parameter, or one on which no orbit depends, and if the orbit cannot be followed.
+    Raise InputError also for a window that does not increase, is invalid, or does not contain the cell.
     """
     from atlas.orbits.branches.tree import BranchTree
 
@@ -40,7 +46,7 @@ def tree_from(
 
 
 def observed_of(seed: BranchSeed, observe: str | None) -> Observable | None:
-    """The observable of this name; InputError if the cell's machine does not have it."""
+    """Return the observable with this name. Raise InputError if the cell's machine does not have it."""
     if observe is None:
         return None
     try:
@@ -50,14 +56,14 @@ def observed_of(seed: BranchSeed, observe: str | None) -> Observable | None:
 
 
 def checked_window(seed: BranchSeed, along: str, window: tuple[float, float]) -> tuple[float, float]:
-    """The ends of the parameter, which must rise, be valid, and hold the cell."""
+    """Return the limits of the parameter. Raise InputError unless they increase, are valid, and contain the cell."""
     record = seed.system
     check_names("parameter", [along], [p.name for p in record.parameters])
     if along in record.states:
-        raise InputError(f"{along} is an initial state: orbits do not depend on it; follow them along a parameter")
+        raise InputError(f"{along}: found an initial state, on which no orbit depends; use another parameter")
     low, high = (admitted(record.parameter(along), end) for end in validate_interval("window", window))
     if not low < high:
-        raise InputError(f"{along} from {low:g} to {high:g}: must rise")
+        raise InputError(f"{along}: found {low:g} to {high:g}, must increase")
     if not low <= seed.values[along] <= high:
-        raise InputError(f"{along} from {low:g} to {high:g}: does not hold the cell's own, {seed.values[along]:g}")
+        raise InputError(f"{along}: found {low:g} to {high:g}, must contain the cell's value {seed.values[along]:g}")
     return low, high

@@ -21,35 +21,39 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MAX_BRANCHES = 100
-"""Branches that are followed through a sweep: more could not be distinguished."""
+"""Maximum number of branches that are followed through a sweep: more could not be distinguished."""
 MAX_IMPACTS = 12
-"""Impacts of the orbits that are followed: longer ones, mostly late in a cascade, would crowd the picture."""
+"""Maximum number of impacts of the orbits that are followed.
+
+Orbits with more impacts, mostly late in a cascade, would crowd the picture.
+"""
 NEAR_BRANCH = 1e-3
-"""Distance of section states, in parts of their extent, below which an orbit is held for one of a branch at once: a
-straight line between two points of a branch is mostly off by less.
+"""Distance of section states, relative to their extent, below which an orbit is on a branch without further check.
+
+The error of a straight line between two points of a branch is usually smaller.
 """
 
 _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
 
 
 def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> BranchTree:
-    """The branches of proven orbits in sweeps of one axis, and branches that begin on them, up to MOST and ``longest``.
+    """Return the branches of proven orbits in sweeps of one axis, and the branches that begin on them.
 
-    A cell whose orbit is on a branch already, or is the mirror image of such an orbit, adds none. Raises InputError
-    where no parameter is swept, and where an atlas does not hold states.
+    There are up to MAX_BRANCHES branches, of orbits with up to ``longest`` impacts. A cell whose orbit, or its mirror
+    image, is on a branch already adds none. Raise InputError if no parameter is swept, and if an atlas has no states.
     """
     ds = sweeps[0]
     system, (along,) = system_of(ds.attrs), axis_names(ds)
     must_offer(system, "branches", unforced=True)
     for other in sweeps[1:]:
         if axis_names(other) != (along,):
-            raise InputError(f"branches follow orbits along one parameter, found {along} and {axis_names(other)[0]}")
+            raise InputError(f"branches need sweeps of one parameter, found {along} and {axis_names(other)[0]}")
     if columns(ds) or along in system.states:
         raise InputError(f"branches follow orbits along a parameter that orbits depend on, not {along}")
     stored = (*_STORED, CYCLE_PERIOD.name) if system.definition.unforced else _STORED
     for name in stored:
         if name not in ds:
-            raise InputError(f"branches start from the variable {name!r} of cells, which this atlas does not hold")
+            raise InputError(f"branches need the variable {name!r} of cells, which this atlas does not have")
     defaults = {p.name: p.default for p in system.parameters}
     fixed = machine.fixed(ds, system)
     low, high = float(axis_values(ds, along).min()), float(axis_values(ds, along).max())
@@ -64,7 +68,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> 
             seed = seed_of(cell, system, {**defaults, **fixed, along: value})
             tree = tree or BranchTree(system, seed.values, along, (low, high), MAX_BRANCHES, longest)
             tree.grow(seed.orbit, value, leaving=True)
-        except ValueError:  # of a cell that the equations do not take, a neighbour is tried
+        except ValueError:  # not a solution of the equations: a neighbour is tried
             continue
     if tree is None:
         raise InputError(f"no cell here has an orbit to follow: none is periodic with at most {longest} impacts")
@@ -72,7 +76,7 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> 
 
 
 def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str], longest: int) -> Iterator[dict[str, Any]]:
-    """The periodic cells, of the longest run of neighbours of one class first, its middle first."""
+    """Yield the periodic cells: the longest run of neighbours of one class first, and its middle first."""
     read = ds[list(stored)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
@@ -86,11 +90,11 @@ def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str], longest: int) ->
 
 
 def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
-    """Whether a cell's orbit, or its mirror image, is on a branch of a tree."""
+    """Return True if a cell's orbit, or its mirror image, is on a branch of a tree."""
     n, p, q, symmetric = (int(cell[name]) for name in _STORED[1:5])
     state = np.asarray(cell["state"], dtype=np.float64)
     alike = {(n, *impacts, half) for impacts in ((p, q), (q, p)) for half in {symmetric, 1}}
-    uncounted = p < 0  # impacts of a cell that rests on a stop are not
+    uncounted = p < 0  # impacts of a sticking orbit are not counted
     same = [
         branch for branch in tree.branches if uncounted or alike & {pattern(one) for one in set(branch.itineraries)}
     ]
@@ -102,7 +106,7 @@ def _is_covered(tree: BranchTree, cell: dict[str, Any], value: float) -> bool:
 
 
 def _is_near(branch: Branch, state: NDArray[np.float64], value: float) -> bool:
-    """Whether a section state (2d,) lies on a branch or its mirror image, straight lines taken between its points."""
+    """Return True if a section state (2d,) lies on a branch or its mirror image, interpolated between points."""
     for k, share in branch.crossings(value):
         for sections in (branch.sections, branch.mirrored):
             if sections is not None:

@@ -1,4 +1,4 @@
-"""The proven orbit of a cell, solved here or stored in an atlas: the start of a branch."""
+"""The seed of a branch: the proven orbit of a cell, solved here or stored in an atlas."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BranchSeed:
-    """A periodic orbit of a system at these values of all its parameters."""
+    """A periodic orbit of a system.
+
+    system  the system
+    values  value of each of its parameters
+    orbit   the orbit
+    """
 
     system: System
     values: Mapping[str, float]
@@ -31,9 +36,9 @@ class BranchSeed:
 def seed_of_point(
     parameters: Mapping[str, Any], system: str | Mapping[str, Any] | System = DEFAULT, settings: Settings | None = None
 ) -> BranchSeed:
-    """The orbit of a cell, solved here; ``parameters`` are the parameters that differ from the defaults.
+    """Return the orbit of a cell that is solved here; ``parameters`` has those other than the defaults.
 
-    Raises InputError for bad parameters, and where the cell's motion is not periodic.
+    Raise InputError for invalid parameters, and if the cell's motion is not periodic.
     """
     from workers.tile import solve_tile
 
@@ -44,9 +49,9 @@ def seed_of_point(
 
 
 def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
-    """The orbit of the cell nearest to a point of an atlas, as it is stored; errors as in ``seed_of_point``.
+    """Return the stored orbit of the cell nearest to a point of an atlas; errors are as in ``seed_of_point``.
 
-    Of an atlas of all attractors it is the one with the largest share, unless one of them was selected.
+    In an atlas of all attractors the orbit is the selected one, by default the one with the largest share.
     """
     from atlas.query.attractors import select_dominant
     from atlas.query.cell import values_of
@@ -61,13 +66,13 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
     stored += [CYCLE_PERIOD.name] if record.definition.unforced else []
     missing = [name for name in stored if name not in ds and name != REASON.name]
     if missing:
-        raise InputError(f"a branch starts from the variable {missing[0]!r} of a cell, which this atlas does not hold")
+        raise InputError(f"a branch needs the variable {missing[0]!r} of a cell, which this atlas does not have")
     results = {name: row[name].values[()] for name in stored if name in ds}
     return seed_of(results, record, validate_parameters(record, values_of(ds, record, cell)))
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> BranchSeed:
-    """The orbit of a cell with these results; InputError, which says what the cell is, where it has none."""
+    """Return the orbit of a cell with these results. Raise InputError, naming the cell's regime, if it has none."""
     from atlas.orbits.stored_orbits import NEEDED, orbits_of
     from workers.continuation import family_of
     from workers.continuation.equilibria import equilibrium_of
@@ -77,7 +82,7 @@ def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -
     if regime not in (PERIODIC, NO_IMPACT):
         why = in_words(cell).get(REASON.name)
         regime_text = record.regime.meaning(regime).text + (f" ({why})" if why else "")
-        raise InputError(f"this cell is {regime_text}: a branch starts from a periodic one")
+        raise InputError(f"this cell is {regime_text}: a branch starts from a periodic cell")
     unforced = record.definition.unforced
     if unforced and regime == NO_IMPACT:
         try:

@@ -1,4 +1,4 @@
-"""Branches as tables: one of branches, one of points, one of events."""
+"""Branches as tables: one of branches, one of solution points, one of events."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -26,11 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BranchTable:
-    """Branches of periodic orbits of a system in one parameter, ``along``, in a ``window`` of it, (low, high).
+    """Branches of periodic orbits of a system in one parameter.
 
-    ``parameters`` are all others. ``branches``, ``points`` and ``events`` are pandas frames; ``traced`` has the orbits
-    themselves, impact by impact. ``untried`` are events whose branch was requested and is missing. ``observable`` is
-    plotted in place of the gap coordinate at sections, and the points have its values too.
+    system      the system
+    parameters  values of all other parameters
+    along       the parameter
+    window      (low, high) limits of the parameter
+    traced      the branches with their orbits, impact by impact
+    untried     events whose branch was requested and is missing
+    observable  observable that is plotted in place of the gap coordinate at sections; points have its values too
+
+    ``branches``, ``points`` and ``events`` are pandas frames.
     """
 
     system: System
@@ -51,20 +57,25 @@ class BranchTable:
 
     @classmethod
     def from_tree(cls, tree: "BranchTree", observable: Observable | None = None) -> Self:
-        """The branches of a tree that has grown."""
+        """Return the branches of a tree that has grown."""
         others = {name: value for name, value in tree.values.items() if name != tree.along}
         return cls(tree.system, others, tree.along, tree.window, tuple(tree.branches), tuple(tree.untried), observable)
 
     @cached_property
     def branches(self) -> "pandas.DataFrame":
-        """One row a branch, by its number ``branch``.
+        """The table of branches, one row per branch, indexed by the number ``branch``. Its columns are:
 
-        period, impacts_upper, impacts_lower, symmetric   of the orbit it was followed from; the period of a cycle
-                       without a force is the number of passages of its section
-        leaves, at     the branch that it leaves, -1 for none, and the kind of event there
-        points         how many
-        first_end, last_end   why it ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
-                       shorter_orbit, or the kind of an event
+        period         period of the orbit from which the branch was followed; for a cycle without a force, passages of
+                       its section
+        impacts_upper  number of its impacts at the upper stop
+        impacts_lower  number of its impacts at the lower stop
+        symmetric      True if the orbit is its own mirror image
+        leaves         branch that this branch leaves, -1 for none
+        at             kind of event at which it leaves
+        points         number of points
+        first_end      why it ends at its first point: edge, closed, budget, stalled, inadmissible, shorter_orbit, or a
+                       kind of event
+        last_end       why it ends at its last point, likewise
         """
         import pandas
 
@@ -83,16 +94,21 @@ class BranchTable:
 
     @cached_property
     def points(self) -> "pandas.DataFrame":
-        """One row a point, branch by branch, in order along each.
+        """The table of solution points, one row per point, branch by branch, in order along each. Its columns are:
 
-        branch, and the parameter by its name
-        each component of the state  at the section t = 0
-        multiplier    the largest modulus of the multipliers of an orbit
-        unstable      number of multipliers with modulus above 1, not counting those of an event at 1
-        period, impacts_upper, impacts_lower, symmetric   of its orbit; of an end at a shorter one, of the one before
-        cycle_period  of a cycle without a force, in units of time
-        event         the kind of event that the point is, else empty
-        impact_phase_stop_1, ...   values of the observable, if there is one, NaN where an orbit has fewer than others
+        branch         number of the branch
+        (parameter)    value of the parameter, under its name
+        (state)        components of the state at the section t = 0
+        multiplier     largest modulus of the multipliers of the orbit
+        unstable       number of multipliers with modulus above 1, not counting those of an event at 1
+        period         period of the orbit; at an end with a shorter orbit, that of the orbit before
+        impacts_upper  impacts at the upper stop, likewise
+        impacts_lower  impacts at the lower stop, likewise
+        symmetric      True if the orbit is its own mirror image, likewise
+        cycle_period   period of a cycle without a force, in units of time
+        event          kind of the event at the point, else empty
+        (observable)   columns impact_phase_stop_1, ...: values of the observable, if any, NaN beyond the orbit's last
+                       value
         """
         import pandas
 
@@ -110,16 +126,22 @@ class BranchTable:
 
     @cached_property
     def events(self) -> "pandas.DataFrame":
-        """One row an event, in order along each branch; two branches that meet have one each.
+        """The table of events, one row per event, in order along each branch; two branches that meet have one each.
 
-        branch, kind, and the parameter by its name
-        each component of the state  at the section t = 0
-        unstable      multipliers with modulus above 1, not counting the event's own
-        kappa         cos theta of the pair of a Neimark-Sacker point, else NaN
-        frequency     of the pair of exponents that crosses the axis at a Hopf point, else NaN; without a force alone
-        period, impacts_upper, impacts_lower, symmetric   of the orbit there, which may be shorter than the branch's
-        cycle_period  of a cycle without a force, in units of time
-        leaving       the branch that leaves there and is here, -1 for none
+        branch         number of the branch
+        kind           kind of the event
+        (parameter)    value of the parameter, under its name
+        (state)        components of the state at the section t = 0
+        unstable       number of multipliers with modulus above 1, not counting the event's own
+        kappa          cos theta of the pair of a Neimark-Sacker point, else NaN
+        frequency      frequency of the pair of exponents that crosses the axis at a Hopf point, else NaN; only without
+                       a force
+        period         period of the orbit at the event, which may be shorter than the branch's
+        impacts_upper  its impacts at the upper stop
+        impacts_lower  its impacts at the lower stop
+        symmetric      True if it is its own mirror image
+        cycle_period   period of a cycle without a force, in units of time
+        leaving        branch of this table that leaves at the event, -1 for none
         """
         import pandas
 
@@ -129,16 +151,16 @@ class BranchTable:
         return pandas.DataFrame(list(self._events()), columns=columns)
 
     def gap_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
-        """The gap coordinate (N, n) at the sections of a branch, and of its mirror image where there is one."""
+        """Yield the gap coordinate (N, n) at the sections of a branch, and of its mirror image if there is one."""
         rows = machine.gap_rows(self.system, {**self.parameters, self.along: branch.values})
         for states in (branch.sections, branch.mirrored):
             if states is not None:
                 yield np.einsum("ni,nki->nk", rows, states[..., : rows.shape[1]])
 
     def plotted_values(self, branch: "Branch") -> Iterator[NDArray[np.float64]]:
-        """The plotted values (N, K) of a branch, and of its mirror image where there is one; NaN for none.
+        """Yield the plotted values (N, K) of a branch, and of its mirror image if there is one; NaN for missing values.
 
-        Those of neighbouring points that belong to each other have the same place.
+        Values of neighbouring points that belong together have the same column.
         """
         if self.observable is None:
             yield from self.gap_values(branch)
@@ -158,7 +180,7 @@ class BranchTable:
                 yield align_rows(observed[self.observable.variable], self.observable.modulus)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
-        """Lines (N, 2) of the plotted values over the parameter, of mirror images too, each after its stability."""
+        """Yield (stability, line) of the plotted values over the parameter, lines (N, 2), also of mirror images."""
         jump = math.inf if self.observable is None else 0.5 * self.observable.modulus
         for branch in self.traced:
             for values in self.plotted_values(branch):
@@ -170,7 +192,7 @@ class BranchTable:
                                 yield stable, piece
 
     def event_places(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Where each event lies over the parameter, (n, 2), at its mirror image too, after its kind."""
+        """Yield the kind of each event and its positions (n, 2) over the parameter, also of its mirror image."""
         for branch in self.traced:
             for values in self.plotted_values(branch):
                 for k, event in zip(branch.event_indices, branch.run.events, strict=True):
@@ -201,11 +223,11 @@ class BranchTable:
         return (*_PATTERN, CYCLE_PERIOD.name) if self.system.definition.unforced else _PATTERN
 
     def _pattern_values(self, point: "SolutionPoint", own: "Itinerary") -> tuple[Any, ...]:
-        """The values of ``_pattern``."""
+        """Return the values of ``_pattern``."""
         return (*pattern(own), *[cycle_period(point, own)][: self.system.definition.unforced])
 
     def _events(self) -> Iterator[tuple[Any, ...]]:
-        from workers.continuation.equilibria import HOPF  # of kernels, which pictures are drawn without
+        from workers.continuation.equilibria import HOPF  # imports kernels, which pictures do without
 
         leaving = {id(event): number for number, b in enumerate(self.traced) for _, event in b.origins if event}
         for number, branch in enumerate(self.traced):
@@ -221,13 +243,13 @@ class BranchTable:
 
 
 MAX_VALUES = 256
-"""Values of an observable that are shown of an orbit."""
+"""Maximum number of values of an observable that are shown of an orbit."""
 
 
 def align_rows(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    """Values (N, K) of neighbouring orbits, in the order of time, each row begun where it fits the row before it best.
+    """Return values (N, K) of neighbouring orbits, each row rotated in time to fit the row before it best.
 
-    They are modulo ``turn`` where that is finite. A row with more or fewer values than the one before it stays.
+    Values are modulo ``turn`` if that is finite. A row with another number of values than the row before is unchanged.
     """
     rolled = values.copy()
     for k in range(1, len(rolled)):
@@ -243,12 +265,12 @@ _PATTERN = ("period", "impacts_upper", "impacts_lower", "symmetric")
 
 
 def pattern(itinerary: "Itinerary") -> tuple[int, int, int, bool]:
-    """Period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
+    """Return period, impacts at the upper and at the lower stop, and symmetry of an orbit."""
     return itinerary.sections, itinerary.impacts(1), itinerary.impacts(-1), itinerary.symmetric
 
 
 def orbit_name(itinerary: "Itinerary", system: System) -> str:
-    """An orbit of a system as n-p-q, and whether it is its own mirror image.
+    """Return the name of an orbit of a system: n-p-q, and symmetric or not.
 
     Without a force it is a cycle n-p-q, or an equilibrium, which has no events.
     """
@@ -260,22 +282,23 @@ def orbit_name(itinerary: "Itinerary", system: System) -> str:
 
 
 def modulus(point: "SolutionPoint", own: "Itinerary") -> float:
-    """The largest modulus of the multipliers of an orbit over a whole one of an itinerary, which may repeat it.
+    """Return the largest modulus of the multipliers of an orbit over one repetition of an itinerary.
 
-    Those of a point are of one turn, which is half the orbit where it is symmetric; inf where an impact has no speed.
-    The multiplier 1 along a cycle without a force is left out.
+    The multipliers of a point are those of one turn, which is half of a symmetric orbit; the itinerary may repeat a
+    shorter orbit. The modulus is inf if an impact has no speed. The multiplier 1 along a cycle without a force is left
+    out.
     """
     with np.errstate(over="ignore"):
         return float(np.max(np.abs(point.multipliers), initial=0.0) ** _turns(point, own))
 
 
 def cycle_period(point: "SolutionPoint", own: "Itinerary") -> float:
-    """The time that a cycle takes, as a whole one of an itinerary; NaN of other orbits."""
+    """Return the duration of a cycle over one repetition of an itinerary; NaN for other orbits."""
     return float(point.orbit.length) * _turns(point, own)
 
 
 def _turns(point: "SolutionPoint", own: "Itinerary") -> float:
-    """How many turns of a point's orbit are a whole orbit of an itinerary."""
+    """Return how many turns of a point's orbit make up one repetition of an itinerary."""
     turn = point.orbit.itinerary
     if own.is_cycle:
         return len(own.sides) * (1 + own.symmetric) / len(turn.sides)

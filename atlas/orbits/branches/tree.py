@@ -1,4 +1,4 @@
-"""Branches followed from orbits, with further branches from their events."""
+"""A tree of branches: followed from orbits, with further branches from their events."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -31,10 +31,13 @@ from workers.model.system import System
 Array = NDArray[np.float64]
 
 AMPLITUDES = (0.02, 0.005, 1e-3, 2e-4)
-"""How far from an event the branch that leaves there is looked for, in turn: one that is near comes back to it."""
+"""Distances from an event at which the branch that leaves there is searched, in turn.
+
+A branch is accepted if it returns to the event.
+"""
 
 CONTINUATION_OFFSET = 1e-3
-"""How far from an event, as a share of the window, the orbit is taken that continues through it."""
+"""Distance from an event, relative to the window, of the orbit that continues through the event."""
 
 LEAVES = ("symmetry_breaking", "period_doubling")
 """Kinds of events at which a branch leaves."""
@@ -43,20 +46,24 @@ GOES_ON = (
     "graze", "impact_lost", "contact_lost", "lift_off", "stick_onset", "stick_end", "grazing_sliding", "adding_sliding",
     "vertex", "exchange",
 )  # fmt: skip
-"""Kinds of events at which a branch may end, and one of orbits with other contacts or slides begin: through continuous
-ones the branch itself continues."""
+"""Kinds of events at which a branch may end and a branch with other contacts or slides begin.
+
+Through continuous events of these kinds the branch itself continues.
+"""
 
 SAME_ORBIT = 1e-6
-"""Difference, relative to the size of states, below which two orbits at one parameter are the same."""
+"""Maximum difference, relative to the size of states, of equal orbits at one parameter value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One branch: its run, the itinerary of the orbit it was followed from, and what it leaves.
+    """One branch.
 
-    sections (N, n, 2d)  states at the n sections of a turn, of each of the N points of the run
-    mirrored (N, n, 2d)  those of the mirror images; None where orbits are symmetric, or the machine is not
-    origins              other branches, by their numbers, each with the event at which it leaves that one
+    run                  points and events of the branch, as they were followed
+    itinerary            itinerary of the orbit from which the branch was followed
+    sections (N, n, 2d)  states at the n sections of a turn, for each of the N points of the run
+    mirrored (N, n, 2d)  states of the mirror images; None if orbits are symmetric, or the machine is not
+    origins              numbers of other branches, each with the event at which it leaves that branch
     """
 
     run: BranchRun
@@ -72,13 +79,13 @@ class Branch:
 
     @property
     def event_indices(self) -> list[int]:
-        """The number of the point that each event of the run is."""
+        """The index of the point of each event of the run."""
         numbers = {id(point): k for k, point in enumerate(self.run.points)}
         return [numbers[id(event.point)] for event in self.run.events]
 
     @property
     def itineraries(self) -> list[Itinerary]:
-        """Of the orbit of each point; where the branch ends at a shorter one, of that before."""
+        """The itinerary of the orbit at each point; at an end with a shorter orbit, that of the orbit before."""
         own = [point.orbit.itinerary for point in self.run.points]
         for end, beside in ((0, 1), (-1, -2)) if len(own) > 1 else ():
             if self.run.ends[end] in LEAVES:
@@ -86,26 +93,31 @@ class Branch:
         return own
 
     def ends_at(self, event: Event) -> bool:
-        """Whether it ends at an event."""
+        """Return True if the branch ends at an event."""
         return any(self.run.points[end] is event.point and self.run.ends[end] == event.kind for end in (0, -1))
 
     @property
     def stability_parts(self) -> Iterator[tuple[bool, slice]]:
-        """Stretches of points that are all stable, or all unstable, each joined to the next at the point between."""
+        """Yield intervals of points that are all stable, or all unstable; neighbours share the point between them."""
         unstable = np.array([point.unstable for point in self.run.points]) > 0
         steps = unstable[1:] | unstable[:-1]
         ends = [0, *(np.flatnonzero(steps[1:] != steps[:-1]) + 1).tolist(), len(steps)]
         return ((not steps[first], slice(first, last + 1)) for first, last in pairwise(ends) if last > first)
 
     def crossings(self, value: float) -> Iterator[tuple[int, float]]:
-        """Where it passes a value of the parameter: after which point, and at which share of the step to the next."""
+        """Yield where the branch passes a parameter value: the point before, and the share of the step to the next
+        point.
+        """
         values = self.values
         for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0.0):
             if values[k] != values[k + 1]:
                 yield int(k), float((value - values[k]) / (values[k + 1] - values[k]))
 
     def orbit_after(self, family: Family, k: int, share: float, value: float) -> Orbit:
-        """The orbit at a value that it passes after point k; ValueError where Newton's method finds none."""
+        """Return the orbit at a value that the branch passes after point k.
+
+        Raise ValueError if Newton's method finds none.
+        """
         one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
         if one.itinerary != other.itinerary:
             raise ValueError("the orbit changes between these points")
@@ -113,14 +125,19 @@ class Branch:
         return refine_orbit(family, Orbit(one.itinerary, *fields), np.array([value]))
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
-        """The orbits at a value of the parameter, each between two neighbouring points."""
+        """Yield the orbits at a value of the parameter, each between two neighbouring points."""
         for k, share in self.crossings(value):
             with suppress(ValueError):
                 yield self.orbit_after(family, k, share, value)
 
 
 class UnfollowedEvent(NamedTuple):
-    """An event of a branch, by its number, at which no branch was followed, and why."""
+    """An event at which no branch was followed.
+
+    branch  number of the branch
+    event   the event
+    why     the reason in words
+    """
 
     branch: int
     event: Event
@@ -131,10 +148,14 @@ class UnfollowedEvent(NamedTuple):
 class BranchTree:
     """Branches in one parameter of a system, grown from orbits.
 
-    values    all parameters
-    window    the ends of the free one, ``along``
-    most      branches in all
-    longest   impacts of an orbit that is followed where it leaves another: each doubling costs as much again
+    system    the system
+    values    value of each parameter
+    along     the free parameter
+    window    (low, high) limits of the free parameter
+    most      maximum number of branches
+    longest   maximum number of impacts of orbits followed from events: each doubling costs as much again
+    branches  the branches
+    untried   events at which no branch was followed
     """
 
     system: System
@@ -151,9 +172,9 @@ class BranchTree:
         self.twins = has_images(self.system, self.values)
 
     def grow(self, orbit: Orbit, value: float, leaving: bool) -> None:
-        """Follow the branch of an orbit; with ``leaving`` all branches that are connected with it by events, too.
+        """Follow the branch of an orbit; with ``leaving`` also all branches that events connect with it.
 
-        ValueError, in one line, where the orbit itself cannot be followed.
+        Raise ValueError if the orbit itself cannot be followed.
         """
         first = len(self.branches)
         if self.system.definition.unforced and not orbit.itinerary.sides:
@@ -175,15 +196,17 @@ class BranchTree:
             elif (self._go_on if changes else self._follow_shorter if ends else self._follow)(number, event):
                 waiting.extend(self._meetings(len(self.branches) - 1))
             else:
-                self.untried.append(UnfollowedEvent(number, event, "no orbit found beside it"))
+                self.untried.append(UnfollowedEvent(number, event, "no orbit found near the event"))
 
     def states(self, point: SolutionPoint, shift: float = 0.0) -> Array:
-        """The section states (n, 2d) of a point; of a cycle those after all its events."""
+        """Return the section states (n, 2d) of a point; for a cycle, the states after all its events."""
         given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
         return section_states(self.system, given, [point.orbit], shift, known=True)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
-        """The events of a branch at which another one leaves it, or it leaves another, or continues as another."""
+        """Return the events of a branch at which another branch leaves it, it leaves another, or it continues as
+        another.
+        """
         own = self.branches[number]
         return [
             (number, event)
@@ -192,11 +215,14 @@ class BranchTree:
         ]
 
     def _is_met(self, event: Event) -> bool:
-        """Whether another branch ends at the same orbit."""
+        """Return True if another branch ends at the same orbit."""
         return sum(self._meets(event, other) for branch in self.branches for other in branch.run.events) > 1
 
     def _go_on(self, number: int, event: Event) -> bool:
-        """Add the branch of the orbit with other events that a branch becomes at its end; whether one is found."""
+        """Add the branch of the orbit with other events that a branch becomes at its end.
+
+        Return True if it is found.
+        """
         (low, high), here, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
         own, cycle = event.point.orbit.itinerary, None
         if own.is_cycle:
@@ -221,12 +247,12 @@ class BranchTree:
         return False
 
     def _meets(self, one: Event, other: Event) -> bool:
-        """Whether two events of any kind are one orbit, or mirror images."""
+        """Return True if two events, of any kind, have the same orbit, or mirror images."""
         near = abs(one.point.values[0] - other.point.values[0]) <= 1e-8 * (self.window[1] - self.window[0])
         return near and self.is_orbit(self.states(one.point)[0], other.point)
 
     def _follow(self, parent: int, event: Event) -> bool:
-        """Add the branch that leaves at an event; whether one is found that comes back to it."""
+        """Add the branch that leaves at an event; return True if a branch is found that returns to the event."""
         low, high = self.window
         for amplitude in AMPLITUDES:
             try:
@@ -240,9 +266,9 @@ class BranchTree:
         return False
 
     def _follow_shorter(self, number: int, event: Event) -> bool:
-        """Add the branch of the shorter orbit that a branch ends at; whether it could be followed.
+        """Add the branch of the shorter orbit at which a branch ends; return True if it could be followed.
 
-        It starts beside the event, where what changes sign has one.
+        It starts near the event, not at it: at the event the function that changes sign is zero.
         """
         (low, high), here = self.window, float(event.point.values[0])
         beside = here + CONTINUATION_OFFSET * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
@@ -258,19 +284,19 @@ class BranchTree:
         return True
 
     def _is_known(self, event: Event, ends: bool) -> bool:
-        """Whether the branch that leaves at an event is there already: one that ends there.
+        """Return True if the branch that leaves at an event is in the tree already: a branch that ends there.
 
-        Where a branch ``ends`` at it, whether that is there which it leaves.
+        If a branch ``ends`` at the event, return True if the branch that it leaves is in the tree.
         """
         others = (other for branch in self.branches for other in branch.run.events if ends != branch.ends_at(other))
         return any(self._same(event, other) for other in others)
 
     def _same(self, one: Event, other: Event) -> bool:
-        """Whether two events are one, or mirror images."""
+        """Return True if two events are equal, or mirror images."""
         return one.kind == other.kind and self._meets(one, other)
 
     def is_orbit(self, state: Array, point: SolutionPoint) -> bool:
-        """Whether a section state (2d,) is one of the orbit of a point, or of its mirror image."""
+        """Return True if a section state (2d,) belongs to the orbit of a point, or to its mirror image."""
         states = self.states(point)
         if self.twins:
             states = np.concatenate([states, -self.states(point, 0.5)])
@@ -285,7 +311,7 @@ class BranchTree:
         self.branches.append(Branch(run, itinerary, sections, mirrored, origins))
 
     def _sections(self, run: BranchRun, shift: float) -> Array:
-        """States (N, n, 2d) of all points of a run; where it ends at a shorter orbit, those repeated."""
+        """Return the states (N, n, 2d) of all points of a run; at an end with a shorter orbit they are repeated."""
         states_of = dict[int, Array]()
         for rows in alike(point.orbit.itinerary for point in run.points):
             given = {name: np.full(len(rows), value) for name, value in self.values.items()}

@@ -7,26 +7,33 @@ from atlas.orbits.curves.plane import Cells, CurvePlane
 from workers.results import PENDING
 
 EDGES_PER_STAGE = 48
-"""Edges that are looked beside in one stage."""
+"""Maximum number of edges that are searched in one stage."""
 
 EDGES_PER_BORDER = 8
-"""Edges of one border in a stage, once one of it has been looked beside."""
+"""Maximum number of edges of one border in a stage, once an edge of it has been searched."""
 
 FRUITLESS = 3
-"""Looks without an event after which the border to cells of no known orbit is left, unless most looks found one."""
+"""Number of searches without an event after which a border to cells without a known orbit is left.
+
+The border stays in the search if most searches found an event.
+"""
 
 OPEN, BASIN, CURVE, TRIED, NONE = range(5)
-"""The state of an edge: nothing yet; an orbit of one side exists on the other too; a curve of an orbit of one of
-its cells passes within one cell; it was looked beside, and there is no such curve; the orbit does not change there."""
+"""State of an edge.
+
+In order: nothing known; an orbit of one side exists on the other side too; a curve of an orbit of one of its cells
+passes within one cell; searched, with no such curve; the orbit does not change there.
+"""
 
 BETWEEN, BESIDE, BASINS = range(3)
-"""Borders in the order of their importance: between regions; of a region with other cells; where only basins end."""
+"""Borders in order of importance: between regions; of a region with other cells; where only basins end."""
 
 
 class BorderSchedule:
-    """The edges of a plane by border: of a region with another one, or with cells of a regime that have none.
+    """The edges of a plane, by border, and the order in which they are searched.
 
-    Regions below ``least`` cells count as none. Edges between two cells of none are on no border.
+    A border separates a region from another region, or from cells of a regime that are in no region. Regions below
+    ``minimum`` cells do not count as regions. Edges between two cells outside all regions are on no border.
     """
 
     def __init__(self, plane: CurvePlane, minimum: int) -> None:
@@ -43,9 +50,9 @@ class BorderSchedule:
         self.looked = np.zeros(len(self.edges), dtype=np.int64)
 
     def choose(self, verdicts: NDArray[np.int64], room: int) -> list[int]:
-        """The next edges to look beside, those of the most important borders, evenly spaced along each.
+        """Return at most ``room`` edges to search next: those of the most important borders, evenly spaced along each.
 
-        Of a border without an open edge, where basins end, one in all.
+        A border without an open edge, where only basins end, contributes one edge in all.
         """
         choices = []
         for k, edges in enumerate(self.edges):
@@ -63,7 +70,7 @@ class BorderSchedule:
         return chosen[: max(0, min(EDGES_PER_STAGE, room))]
 
     def record_attempt(self, edge: int, fruitful: bool) -> None:
-        """An edge was looked beside, and events were found or not."""
+        """Record that an edge was searched; ``fruitful`` is True if events were found."""
         k = self.number[self.which[edge]]
         self.looked[k] += 1
         self.fruitless[k] += not fruitful
@@ -72,7 +79,9 @@ class BorderSchedule:
         return bool(self.fruitless[k] < FRUITLESS or 2 * self.fruitless[k] < self.looked[k])
 
     def orders(self, edge: Cells) -> tuple[tuple[int, int], ...]:
-        """The ways across an edge from cells of regions, from the shorter orbit with the fewer impacts first."""
+        """Return the directions across an edge that start from cells of regions, from the shorter orbit with fewer
+        impacts first.
+        """
         plane = self.plane
         ways = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]
 

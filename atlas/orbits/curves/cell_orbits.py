@@ -14,7 +14,7 @@ from workers.continuation.orbit_equality import is_same_orbit
 from workers.continuation.orbits import alike
 
 CEASES, PERSISTS, IS = range(3)
-"""The fate of a cell's orbit at the parameters of another cell."""
+"""Fate of a cell's orbit at the parameters of another cell: it ceases, persists, or is that cell's orbit."""
 
 
 class CellOrbits(StoredOrbits):
@@ -25,21 +25,22 @@ class CellOrbits(StoredOrbits):
         self.plane = plane
 
     def _stands(self, orbit: Orbit, cell: int) -> int:
-        """The fate of an equilibrium at a cell's parameters."""
+        """Return the fate of an equilibrium at a cell's parameters."""
         equilibrium = equilibrium_near(self.family, self.plane.values(np.array([cell]))[0], code_of(orbit))
         if equilibrium is None or equilibrium.unstable:
             return CEASES
         return IS if self.are_still(np.array([cell]))[0] else PERSISTS
 
     def omega(self, values: Array) -> Array:
-        """The forcing frequency (N,) at points (N, 2)."""
+        """Return the forcing frequency (N,) at points (N, 2)."""
         return np.asarray(self.family.model(values).omega)
 
     def fates(self, pairs: Cells) -> NDArray[np.int64]:
-        """Of each pair (N, 2), whether the orbit of the first cell exists and attracts at the second one's parameters:
-        CEASES, PERSISTS, or IS where it is the orbit of the second cell.
+        """Return, for each pair (N, 2), the fate of the first cell's orbit at the second cell's parameters.
 
-        By Newton's method from one to the other, half way first; admissible by certified crossings.
+        The fate is PERSISTS if the orbit exists and attracts there, IS if it is the second cell's orbit, otherwise
+        CEASES. The orbit is continued by Newton's method, half way first, and certified crossings decide whether it is
+        admissible.
         """
         verdicts = np.full(len(pairs), CEASES)
         regions = self.plane.regions[pairs]
@@ -62,8 +63,9 @@ class CellOrbits(StoredOrbits):
         return verdicts
 
     def fate_at(self, orbit: Orbit, values: Array, cell: int) -> int:
-        """The fate of an orbit at parameters (2,), continued to a cell's parameters: CEASES, PERSISTS, or IS the cell's
-        own.
+        """Return the fate of an orbit at parameters (2,) when it is continued to a cell's parameters.
+
+        The fate is CEASES, PERSISTS, or IS for the cell's own orbit.
         """
         if is_equilibrium(orbit, self.plane.system):
             return self._stands(orbit, cell)
@@ -77,7 +79,9 @@ class CellOrbits(StoredOrbits):
         return own is not None and is_same_orbit(own, orbit, float(self.omega(values)[0]))
 
     def belong_to_cells(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
-        """Whether each orbit (N,), at parameters (N, 2), becomes that of its cell (N,) when it is taken there."""
+        """Return the mask of orbits (N,), at parameters (N, 2), that become the orbits of their cells (N,) when
+        continued there.
+        """
         belongs = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
         for rows in alike(orbit.itinerary for orbit in points):

@@ -1,12 +1,12 @@
 """The margin of a point of a plane: the distance to the nearest curve, and the number of that curve.
 
-A curve is given by certified points with straight chords between. The distance to the chords is exact to rounding. From
-the chords to the curve it is at most about kappa L^2 / 8 for a chord of length L and a curvature kappa; kappa is that
-of the circle through three neighbouring points. Where few points lie on a bend, that is an estimate, not a bound.
+A curve is given by certified points with straight chords between them. The distance to the chords is exact to rounding.
+The distance from the chords to the curve is at most about kappa L^2 / 8, for a chord of length L and a curvature kappa
+of the circle through three neighbouring points. With few points on a bend, that is an estimate, not a bound.
 
-The nearest chord is found in two steps. Chords are cut into pieces of equal length at most h. The nearest middle of a
-piece, at a distance m, lies on a chord, so that the nearest chord is not farther than m, and the middle of its piece
-not farther than m + h/2. The exact distance to each chord with such a piece decides.
+The nearest chord is found in two steps. Chords are cut into pieces of equal length, at most h. The nearest midpoint of
+a piece, at a distance m, lies on a chord. The nearest chord is therefore not farther than m, and the midpoint of its
+piece not farther than m + h/2. The exact distance to each chord with such a piece decides.
 """
 
 from collections.abc import Iterable
@@ -19,13 +19,16 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 POINTS_PER_BLOCK = 4096
-"""Points whose nearest chords are looked for at a time."""
+"""Number of points whose nearest chords are searched at a time."""
 
 
 class Chords(NamedTuple):
-    """Straight pieces of curves: from ``first`` (N, 2) to ``last`` (N, 2), of ``curve`` (N,), ``away`` (N,) from it.
+    """Chords of curves. A curve without chords has one of length 0.
 
-    A curve without chords is one of length 0.
+    first (N, 2)  first point
+    last (N, 2)   last point
+    curve (N,)    number of the curve
+    away (N,)     estimated distance of the chord from the curve
     """
 
     first: Array
@@ -35,7 +38,12 @@ class Chords(NamedTuple):
 
 
 class Margins(NamedTuple):
-    """Of each point (N,): the distance to the nearest chord, its curve, and the chord's own distance from the curve."""
+    """The margin of each point (N,).
+
+    distance (N,)  distance to the nearest chord
+    curve (N,)     number of the chord's curve
+    error (N,)     estimated distance of the chord from the curve
+    """
 
     distance: Array
     curve: Rows
@@ -43,9 +51,10 @@ class Margins(NamedTuple):
 
 
 def chords_of(curves: Iterable[tuple[Array, NDArray[np.bool_]]]) -> Chords:
-    """The chords of curves, given by their points (N, 2) and which of these count: those between two points that do.
+    """Return the chords of curves between two neighbouring points that both count.
 
-    A point that counts between two that do not is a chord of length 0.
+    Each curve is given by its points (N, 2) and the mask of points that count. A point that counts between two that do
+    not is a chord of length 0.
     """
     pieces = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros(0))]
     for number, (points, counts) in enumerate(curves):
@@ -58,9 +67,10 @@ def chords_of(curves: Iterable[tuple[Array, NDArray[np.bool_]]]) -> Chords:
 
 
 def sagittas(points: Array) -> Array:
-    """About how far (N - 1,) the chords of a curve through points (N, 2) are from it: kappa L^2 / 8.
+    """Return approximately how far (N - 1,) the chords of a curve through points (N, 2) are from the curve: kappa L^2 /
+    8.
 
-    kappa, that of the circle through a point and its neighbours, is the larger one of the two ends.
+    kappa is the curvature of the circle through a point and its neighbours; the larger one of both ends is used.
     """
     steps = np.diff(points, axis=0)
     lengths = np.hypot(*steps.T)
@@ -74,8 +84,8 @@ def sagittas(points: Array) -> Array:
 
 
 def margins(points: Array, chords: Chords) -> Margins:
-    """The distance of each point (N, 2) to the nearest of the chords, of which there is one at least."""
-    from scipy.spatial import cKDTree  # it takes a while to load
+    """Return the margin of each point (N, 2) to the nearest of the chords; there must be at least one chord."""
+    from scipy.spatial import cKDTree  # slow to import
 
     steps = chords.last - chords.first
     lengths = np.hypot(*steps.T)
@@ -102,14 +112,14 @@ def margins(points: Array, chords: Chords) -> Margins:
 
 
 def distances(points: Array, first: Array, last: Array) -> Array:
-    """The distance of each point (N, 2) to its own chord, from ``first`` (N, 2) to ``last`` (N, 2)."""
+    """Return the distance of each point (N, 2) to its own chord, from ``first`` (N, 2) to ``last`` (N, 2)."""
     return np.asarray(np.hypot(*project_onto_chords(points, first, last)[1].T))
 
 
 def project_onto_chords(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """The nearest place on a chord to each point (..., 2), as a share (...) of the chord; the way (..., 2) from there.
+    """Return the nearest position on a chord to each point (..., 2), and the vector (..., 2) from there to the point.
 
-    Points and chords broadcast.
+    The position is a share (...) of the chord. Points and chords broadcast.
     """
     steps, off = last - first, points - first
     square = np.vecdot(steps, steps)
@@ -118,9 +128,9 @@ def project_onto_chords(points: Array, first: Array, last: Array) -> tuple[Array
 
 
 def find_passages(points: Array, at: Array, near: float) -> list[tuple[int, float]]:
-    """Chords of a curve through points (N, 2) nearer than ``near`` to a point (2,), one for each time that it passes.
+    """Return the chords of a curve through points (N, 2) that pass a point (2,) within ``near``, one for each passage.
 
-    The nearest one, by its number, and the share of it. Chords of length 0 do not count.
+    Each is the nearest chord of the passage: its index, and the share of it. Chords of length 0 do not count.
     """
     shares, way = project_onto_chords(at, points[:-1], points[1:])
     off = np.hypot(*way.T)

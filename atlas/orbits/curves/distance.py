@@ -20,17 +20,24 @@ if TYPE_CHECKING:
     import xarray as xr
 
 RESOLUTION = 0.02
-"""The longest step along a branch, as a share of its window."""
+"""Maximum step along a branch, relative to its window."""
 
 
 def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The nearest events of the orbit at an operating point: along each axis, either way, the first of a kind, or of
-    any; exact, from branches of the orbit of the point's cell through the whole plane. The nearest first.
+    """Return the nearest events of the orbit at an operating point: the first one along each axis in either direction.
 
-    Keys: ``axis``; ``kind``; ``value`` of the axis at the event; ``distance`` to it, signed, in the axis's unit, and
-    ``share`` of the plane's width. An impact that is lost is a graze. Events are those where the orbit loses or gains
-    stability or ends; none is listed if it continues to the plane's edge.
-    Raises InputError if the cell has no proven periodic orbit, or if the orbit does not attract at the point.
+    They are exact, from branches of the orbit of the point's cell through the whole plane, and sorted by distance.
+    ``kind`` is the kind of event, None for any. Each event is a dict with the keys:
+
+    axis      name of the axis
+    kind      kind of the event; a lost impact is a graze
+    value     value of the axis at the event
+    distance  signed distance to the event, in the axis's unit
+    share     distance as a share of the plane's width
+
+    Events are those at which the orbit loses or gains stability, or ends. None is listed if the orbit continues to the
+    edge of the plane. Raise InputError if the cell has no proven periodic orbit, or if the orbit does not attract at
+    the point.
     """
     if kind is not None:
         check_names("kind of event", [kind], KINDS)
@@ -49,23 +56,23 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
 
 
 def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], here: NDArray[np.float64]) -> Orbit:
-    """The orbit of a cell, taken to a point near it."""
+    """Return the orbit of a cell, continued to a point near it."""
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
     where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
     own = orbits.orbit_of_row(number)
     if own is None:
-        raise InputError(f"the cell at {where} is {cell['regime']}: only a proven periodic orbit has events")
+        raise InputError(f"the cell at {where} is {cell['regime']}: events need a proven periodic orbit")
     reached = orbits.continue_orbits([own], plane.values(np.array([number])), here[None], attracting=True)
     if not reached.converged[0]:
-        raise InputError(f"the orbit of the cell at {where} does not attract at the point itself; ask at the cell")
+        raise InputError(f"the orbit of the cell at {where} does not attract at the point; use the cell's point")
     return reached.orbit(0)
 
 
 def _first(
     orbits: CellOrbits, orbit: Orbit, here: NDArray[np.float64], axis: int, end: float, kind: str | None
 ) -> Iterator[PlaneEvent]:
-    """The first event of a kind on the way to an end, if any."""
+    """Yield the first event of a kind in the direction of a limit, if there is one."""
     if here[axis] == end:
         return
 

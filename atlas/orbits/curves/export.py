@@ -1,4 +1,4 @@
-"""The curves of a plane as a file that other programs read: CSV or JSON, chosen by the suffix."""
+"""Export of the curves of a plane to a file for other programs: CSV or JSON, selected by the suffix."""
 
 import csv
 import json
@@ -14,11 +14,11 @@ FORMATS = (".csv", ".json")
 
 
 def export(curves: Curves, path: str | Path) -> None:
-    """Write the curves to a file; it appears whole or not at all.
+    """Write the curves to a file, completely or not at all.
 
-    CSV: one row a point, curve by curve, numbers in their shortest exact form: the columns of ``columns``; a point of
-    codimension two is a row of its own kind at its place in the curve. JSON: one object, as ``as_json``.
-    Raises InputError for another suffix and for a path that cannot be written.
+    CSV has one row per point, curve by curve, with the columns of ``columns`` and numbers in their shortest exact form.
+    A point of codimension two is a row of its own kind at its position in the curve. JSON has one object, as
+    ``as_json``. Raise InputError for another suffix, and for a path that cannot be written.
     """
     target = validate_path(path)
     suffix = check_path(target)
@@ -33,19 +33,19 @@ def export(curves: Curves, path: str | Path) -> None:
 
 
 def check_path(path: Path) -> str:
-    """The suffix of a file; InputError unless ``export`` knows it, and the file can be written."""
+    """Return the suffix of a file. Raise InputError unless ``export`` knows it, and the file can be written."""
     suffix = validate_suffix(path, FORMATS)
     check_writable(path)
     return suffix
 
 
 def columns(axes: tuple[str, str]) -> list[str]:
-    """The columns of the CSV; ``unstable`` counts unstable multipliers besides the event's own."""
+    """Return the columns of the CSV; ``unstable`` counts unstable multipliers besides the event's own."""
     return ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *axes, "unstable"]
 
 
 def rows(curves: Curves) -> Iterator[tuple[Any, ...]]:
-    """The rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
+    """Yield the rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
     for number, curve in enumerate(curves):
         corners, symmetric = _placed(curve), str(curve.symmetric).lower()
         counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
@@ -57,7 +57,7 @@ def rows(curves: Curves) -> Iterator[tuple[Any, ...]]:
 
 
 def as_json(curves: Curves) -> dict[str, Any]:
-    """The curves as plain values: ``axes``, ``curves`` with their fields by name, and ``report``."""
+    """Return the curves as plain values: ``axes``, ``curves`` with their fields by name, and ``report``."""
     return {
         "axes": list(curves.axes),
         "curves": [
@@ -79,7 +79,7 @@ def as_json(curves: Curves) -> dict[str, Any]:
 
 
 def _placed(curve: Curve) -> dict[int, list[Any]]:
-    """The points of codimension two by the point of the curve that they follow."""
+    """Return the points of codimension two by the index of the curve's point that they follow."""
     corners_after: dict[int, list[Any]] = {}
     for corner in curve.corners:
         corners_after.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)

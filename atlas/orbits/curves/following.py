@@ -1,4 +1,4 @@
-"""From an edge between cells to events, and from an event to its curve."""
+"""From an edge between cells to the events near it, and from an event to its curve."""
 
 from typing import NamedTuple
 
@@ -21,17 +21,25 @@ from workers.model.family import NoOscillatorError
 Array = NDArray[np.float64]
 
 STEP = 0.6
-"""The longest step of a short branch, as a share of its few cells."""
+"""Maximum step of a short branch, as a share of its few cells."""
 
 SAME_EVENT_DISTANCE, SAME_ORBIT = 1e-8, 1e-6
-"""Distance in units of the window within which two events of one orbit are one; difference of the orbits there."""
+"""Distance, in units of the window, within which two events are equal, and maximum difference of their orbits."""
 
 NEAR_CURVE = 5e-3
-"""Distance in units of the window from the chords of a curve within which an event may lie on it."""
+"""Distance, in units of the window, from the chords of a curve within which an event may lie on the curve."""
 
 
 class PlaneEvent(NamedTuple):
-    """An event in the plane: its kind, its condition, its orbit with contact times at parameters (2,), and kappa."""
+    """An event in the plane.
+
+    kind           kind of the event
+    condition      its condition
+    orbit          its orbit
+    contact_times  times of the orbit's contacts
+    values (2,)    parameters
+    kappa          cos theta of a pair of multipliers, else NaN
+    """
 
     kind: str
     condition: Condition
@@ -41,7 +49,7 @@ class PlaneEvent(NamedTuple):
     kappa: float
 
     def as_event(self) -> Event:
-        """The event as ``workers.continuation`` has it."""
+        """Return the event as a record of ``workers.continuation``."""
         none = np.zeros(0, dtype=np.complex128)
         return Event(
             self.kind,
@@ -52,15 +60,22 @@ class PlaneEvent(NamedTuple):
 
     @property
     def signature(self) -> tuple[str, int, int, bool]:
-        """Properties common to its curve up to a change of contacts: kind, periods, events, symmetry."""
+        """Properties common to all events of its curve up to a change of contacts: kind, periods, events, symmetry."""
         itinerary = self.orbit.itinerary
         return self.kind, itinerary.sections, len(itinerary.sides), itinerary.symmetric
 
 
 class FollowedCurve(NamedTuple):
-    """A curve as it was followed: what it is of, values (N, 2), orbits and contact times of its points, the condition
-    on each orbit, how many other multipliers are unstable (N,), its points of codimension two (kind, place (2,)), and
-    its ends. Its orbits have other events beyond a point at which contacts or slides change though nothing jumps.
+    """A curve as it was followed. Its orbits may change contacts or slides at points at which nothing jumps.
+
+    event          the event from which the curve was followed
+    values (N, 2)  parameters of the points
+    orbits         orbits of the points
+    contact_times  contact times of the points
+    conditions     condition of the event on each orbit
+    unstable (N,)  number of other unstable multipliers
+    corners        points of codimension two: kind, and parameters (2,)
+    ends           why the curve ends at its first and its last point
     """
 
     event: PlaneEvent
@@ -74,8 +89,11 @@ class FollowedCurve(NamedTuple):
 
 
 class EdgeSearchResult(NamedTuple):
-    """The result beside an edge: the events, or the reason for none in words; and the fate of the cell's orbit at
-    the neighbour's parameters: CEASES, PERSISTS or IS.
+    """The result of a search near an edge.
+
+    events  the events
+    why     the reason in words if there are none
+    fate    fate of the cell's orbit at the neighbour's parameters: CEASES, PERSISTS or IS
     """
 
     events: list[PlaneEvent]
@@ -84,12 +102,13 @@ class EdgeSearchResult(NamedTuple):
 
 
 def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) -> EdgeSearchResult:
-    """The events at which the orbit of a cell gains or loses stability, or ends, from it to its neighbour and on, over
-    ``cells`` cells; in order along its branch.
+    """Return the events at which a cell's orbit gains or loses stability, or ends, towards a neighbour and beyond it.
+
+    The orbit is followed over ``cells`` cells; events are in order along its branch.
     """
     plane, orbit = orbits.plane, orbits.orbit_of_row(start)
     if orbit is None:
-        return EdgeSearchResult([], "no orbit is found from the state of a cell")
+        return EdgeSearchResult([], "found no orbit from the state of a cell")
     here, there = plane.values(np.array([start, beyond]))
     axis = 0 if here[0] != there[0] else 1
     low, high = plane.window[plane.axes[axis]]
@@ -113,9 +132,10 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
 def events_towards(
     orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
 ) -> list[PlaneEvent]:
-    """The events at which an orbit at parameters (2,) gains or loses stability, or ends, while an axis's parameter goes
-    to ``end``, or to the first event of which ``until`` is true; in order along its branch, which may turn back. Raises
-    as ``workers.continuation.branch``.
+    """Return the events at which an orbit at parameters (2,) gains or loses stability, or ends, along an axis.
+
+    The axis's parameter goes to ``end``, or to the first event for which ``until`` is True. Events are in order along
+    the branch, which may turn back. Errors are those of ``workers.continuation.branch``.
     """
     return _towards(orbits, orbit, here, axis, end, resolution, until)[1]
 
@@ -123,7 +143,7 @@ def events_towards(
 def _towards(
     orbits: CellOrbits, orbit: Orbit, here: Array, axis: int, end: float, resolution: float, until: Until | None = None
 ) -> tuple[BranchRun, list[PlaneEvent]]:
-    """The branch of ``events_towards``, and these events."""
+    """Return the branch of ``events_towards``, and the events."""
     behind = float(here[axis]) - 1e-6 * (end - float(here[axis]))
     window = (min(behind, end), max(behind, end))
     family, value = orbits.family_along(axis, here), float(here[axis])
@@ -141,12 +161,12 @@ def _towards(
 
 
 def bounds_stability(event: Event) -> bool:
-    """Whether an event of a branch is one where a stable orbit loses stability or ends."""
+    """Return True if a stable orbit loses stability or ends at an event of a branch."""
     return event.point.unstable == 0 and len(event.conditions) == 1 and event.kind not in (VERTEX, EXCHANGE)
 
 
 def _located(event: Event, values: Array) -> PlaneEvent:
-    """An event in the plane; where an impact is lost, the graze of the orbit without it."""
+    """Return the event in the plane; a lost impact becomes the graze of the orbit without it."""
     (condition,), point = event.conditions, event.point
     if is_impact_loss(event):
         orbit, graze, contacts = without_impact(point.orbit, condition.impact)
@@ -158,10 +178,13 @@ def _located(event: Event, values: Array) -> PlaneEvent:
 
 
 def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budget: int) -> FollowedCurve | str:
-    """The curve of an event through the plane's window, or why there is none; of equilibria Hopf points have one."""
+    """Return the curve of an event through the plane's window, or the reason why there is none.
+
+    Among the events of equilibria, Hopf points have curves.
+    """
     still, name = event.condition.kind in OF_EQUILIBRIA, event.kind.replace("_", " ")
     if still and event.kind != HOPF:
-        return f"the {name} of an equilibrium is not followed, Hopf points alone are"
+        return f"the {name} of an equilibrium is not followed, only Hopf points are"
     family, where = orbits.family, (event.values, orbits.plane.window)
     try:
         if still:
@@ -173,7 +196,7 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
     if len(run.points) < 2:
         return f"the {name} is alone: no step along its curve converges"
     own = run.points if still else with_own_ends(run.points)
-    grazes = min(len(point.contacts) for point in own)  # at another graze that one's time is added
+    grazes = min(len(point.contacts) for point in own)  # other grazes add their time
     conditions = [event.condition] * len(own) if still else _conditions(orbits, event, own)
     if conditions is None:
         return f"the {name} is lost on its way: its own event is not that of a neighbour"
@@ -190,7 +213,7 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
 
 
 def with_own_ends(points: list[SolutionPoint]) -> list[SolutionPoint]:
-    """The points, an end at which the orbit becomes another one replaced by its neighbour."""
+    """Return the points, with an end at which the orbit becomes another one replaced by its neighbour."""
     own = list(points)
     for end, beside in ((0, 1), (-1, -2)):
         if own[end].orbit.itinerary != own[beside].orbit.itinerary:
@@ -203,7 +226,9 @@ def _length(itinerary: Itinerary) -> tuple[int, bool]:
 
 
 def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoint]) -> list[Condition] | None:
-    """The condition of an event on the orbit of each point, from that with the event's own itinerary to both ends."""
+    """Return the condition of an event on the orbit of each point, from the point with the event's itinerary to both
+    ends.
+    """
     start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
     conditions = {start: event.condition}
     for way, last in ((1, len(points)), (-1, -1)):
@@ -220,16 +245,16 @@ def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoin
 
 
 def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool:
-    """Whether an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
+    """Return True if an event is a point of a known curve: at its parameters the curve's own equations give its orbit.
 
-    Distance in the plane alone says nothing: curves of different orbits cross, and may coincide.
+    Distance in the plane is not enough: curves of different orbits cross, and may coincide.
     """
     if event.kind != known.event.kind or _length(event.orbit.itinerary) != _length(known.event.orbit.itinerary):
         return False
     width = orbits.plane.width
     for place, share in find_passages(known.values / width, event.values / width, NEAR_CURVE):
         if event.condition.kind in OF_EQUILIBRIA:
-            return True  # a machine has one that this one is continued to
+            return True  # a machine has one equilibrium that continues this one
         solution = _solved_at(orbits.family, event, known, place, share, width)
         if solution is None:
             continue
@@ -246,14 +271,14 @@ def _is_alike(one: Itinerary, other: Itinerary) -> bool:
 
 
 def _is_whole(known: FollowedCurve, place: int) -> bool:
-    """Whether the orbits at both ends of a chord have the same events."""
+    """Return True if the orbits at both ends of a chord have the same events."""
     return known.orbits[place].itinerary == known.orbits[place + 1].itinerary
 
 
 def _solved_at(
     family: Family, event: PlaneEvent, known: FollowedCurve, place: int, share: float, width: Array
 ) -> tuple[Array, Orbit] | None:
-    """The point of a curve on the line across its chord, with its orbit."""
+    """Return the point of a curve on the line across its chord, with its orbit."""
     ends = [k for k in (place, place + 1) if _is_alike(known.orbits[k].itinerary, event.orbit.itinerary)]
     if not ends:
         return None

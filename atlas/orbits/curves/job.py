@@ -1,4 +1,4 @@
-"""One task of a search on a worker: its message and its execution."""
+"""The job that does one task of a search on a worker."""
 
 import json
 import time
@@ -20,10 +20,14 @@ from atlas.task.store_ref import PartReport, StoreRef, WorkerRefusedError, store
 
 @dataclass(frozen=True)
 class CurveJob:
-    """A task of a search in a store, with the name of the part for its result.
+    """A job for one task of a search. ``run_and_store`` runs it locally.
 
-    ``digest`` is that of the search: a worker whose store has another digest refuses. ``run_and_store`` runs it
-    locally.
+    index      index of the job
+    name       name of the part for the result
+    task       the task
+    settings   budget of the search
+    digest     digest of the search; a worker whose store has another digest refuses
+    store_ref  reference to the store
     """
 
     index: tuple[int, ...]
@@ -35,7 +39,7 @@ class CurveJob:
 
 
 def run_and_store(job: CurveJob) -> PartReport:
-    """Do a task and keep its result as a part of the store."""
+    """Run a task and write its result as a part of the store."""
     handle = job.store_ref.open()
     compile_once(*kernels_for(handle.spec.system_def, ORBITS))
     begin = time.thread_time()
@@ -43,27 +47,27 @@ def run_and_store(job: CurveJob) -> PartReport:
     try:
         result = run_task(job.task, orbits, partial(read_part, handle), partial(_curve, job.store_ref, job.digest))
     except (ArithmeticError, ValueError, IndexError, AssertionError) as error:
-        # One place at which a method breaks down must not end the search: it is counted, in words.
+        # One point at which a method breaks down must not end the search: the error is counted, in words.
         result = {"trouble": f"{type(error).__name__}: {error}"}
     job.store_ref.write_part(handle, CURVES, job.name, json.dumps(result).encode())
     return PartReport(job.index, job.name, time.thread_time() - begin)
 
 
 def read_part(handle: AtlasStore, name: str) -> dict[str, Any]:
-    """The result that a part holds; RefusedError if there is none."""
+    """Return the result of a part. Raise RefusedError if there is none."""
     part: dict[str, Any] = json.loads(stored_part(handle, CURVES, name))
     return part
 
 
-@lru_cache(maxsize=64)  # one curve passes many edges
+@lru_cache(maxsize=64)  # a curve passes many edges
 def _curve(site: StoreRef, digest: str, name: str) -> FollowedCurve:
     return curve_from_json(read_part(site.open(), name)["curve"])
 
 
-@lru_cache(maxsize=1)  # a plane takes a while to read, and its orbits to find
+@lru_cache(maxsize=1)  # reading a plane and finding its orbits is slow
 def _orbits(site: StoreRef, digest: str, settings: CurveSettings) -> CellOrbits:
     plane = plane_of(site.open())
     if settings.digest(plane) != digest:
-        text = "its cells differ from those of the search; is the path the same on all hosts?"
+        text = "its cells differ from those of the search; check that the path is the same on every host"
         raise WorkerRefusedError(f"{site.store}: {text}")
     return CellOrbits(plane)

@@ -1,4 +1,4 @@
-"""Where curves pass the edges between cells, within one cell."""
+"""Finding where curves pass the edges between cells, within one cell."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,19 @@ from workers.continuation import Orbit
 Array = NDArray[np.float64]
 
 ONE_CELL = 1.0
-"""Distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
+"""Maximum distance along either axis, in cells, between a curve and the middle of an edge that it passes."""
 
 DISTANCES_PER_BLOCK = 1 << 22
-"""Distances worked out at a time."""
+"""Number of distances that are computed at a time."""
 
 
 class CurvePassage(NamedTuple):
-    """A place on a curve: the number of a chord, and the share of it."""
+    """A position on a curve.
+
+    curve  the curve
+    chord  index of the chord
+    share  share of the chord
+    """
 
     curve: FollowedCurve
     chord: int
@@ -28,7 +33,7 @@ class CurvePassage(NamedTuple):
 
 
 def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
-    """The middles (E, 2) of edges between cells, in units of cells."""
+    """Return the midpoints (E, 2) of edges between cells, in units of cells."""
     along = len(plane.x)
     return np.stack([(edges % along).mean(axis=1), (edges // along).mean(axis=1)], axis=1)
 
@@ -36,8 +41,9 @@ def edge_midpoints(plane: CurvePlane, edges: Cells) -> Array:
 def find_passed_edges(
     plane: CurvePlane, values: Array, at: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Which of the middles ``at`` (E, 2) a curve through points (N, 2) passes within one cell: their numbers, the chord
-    that comes nearest, and the share of it.
+    """Return which of the midpoints ``at`` (E, 2) a curve through points (N, 2) passes within one cell.
+
+    The result is their indices, the index of the nearest chord to each, and the share of that chord.
     """
     points = plane.places(values)
     rows, which, shares = [], [], []
@@ -57,8 +63,9 @@ def find_passed_edges(
 
 
 def orbits_beside(passings: list[CurvePassage]) -> tuple[list[Orbit], Array]:
-    """About the orbits at places on curves, and the parameters (N, 2) there: between the ends of their chords, or at
-    the nearer one where their events differ.
+    """Return the approximate orbits at positions on curves, and the parameters (N, 2) there.
+
+    They are interpolated between the ends of the chord, or taken from the nearer end if the events at the ends differ.
     """
     orbits, values = [], []
     for curve, chord, share in passings:

@@ -1,4 +1,4 @@
-"""The plane of a search: its cells as arrays, their regions, and the edges between these."""
+"""The plane of a search: its cells as arrays, their regions, and the edges between regions."""
 
 import hashlib
 from dataclasses import dataclass
@@ -20,11 +20,13 @@ from workers.results import CYCLE_PERIOD, INVALID, NO_IMPACT, PERIODIC, REGIME
 Cells = NDArray[np.int64]
 
 SMALL = 4
-"""Regions of fewer cells are counted apart."""
+"""Minimum size, in cells, of regions that are not counted as small."""
 
 JUMP, ALONE = 0.03, 3.0
-"""Relative change of the mean speed of impacts from a cell to the next, and that in units of those beside it: where it
-is more than both, the orbit may be another one of the same kind."""
+"""Thresholds for a jump of the mean impact speed from a cell to the next, at which the orbit may be another one.
+
+They are the relative change, and its ratio to the neighbouring changes; both must be exceeded.
+"""
 
 SPEED = "mean_impact_speed"
 NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state", SPEED)
@@ -34,11 +36,13 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 class CurvePlane(OrbitTable):
     """A finished plane. Its cells, the rows, are numbered row by row, x fastest.
 
-    axes, x, y      the names of its axes, x first, and the values of both
-    log             which of them is logarithmic
-    speed (cells,)  the mean one of impacts, NaN where it has none
-    changes (cells, K)  what changes where orbits go on with other contacts or slides: whether it rests or sticks, and
-                    contacts at each stop; None where nothing is known of them
+    axes                names of the axes, x first
+    x                   values of the x axis
+    y                   values of the y axis
+    log                 True for each logarithmic axis
+    speed (cells,)      mean speed of impacts, NaN without impacts
+    changes (cells, K)  what changes where orbits continue with other contacts or slides: sticking, and contacts at each
+                        stop; None if unknown
     """
 
     axes: tuple[str, str]
@@ -50,27 +54,28 @@ class CurvePlane(OrbitTable):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Cells along y and x."""
+        """Number of cells along y and x."""
         return len(self.y), len(self.x)
 
     @cached_property
     def proven(self) -> NDArray[np.bool_]:
-        """Which cells (cells,) have a periodic orbit that is known: impact-free motion too."""
+        """Mask (cells,) of cells with a known periodic orbit, impact-free motion included."""
         return np.isin(self.regime, (PERIODIC, NO_IMPACT)) & (self.period > 0)
 
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
-        """Which cells (cells,) have parameters that make sense."""
+        """Mask (cells,) of cells with valid parameters."""
         return self.regime != INVALID
 
     def values(self, cells: Cells) -> Array:
-        """The parameters (N, 2) of cells, x axis first."""
+        """Return the parameters (N, 2) of cells, x axis first."""
         return np.stack([self.x[cells % len(self.x)], self.y[cells // len(self.x)]], axis=-1)
 
     @cached_property
     def window(self) -> dict[str, tuple[float, float]]:
-        """From the first to the last edge of the cells along either axis; to the last point where the system does not
-        admit what lies beyond.
+        """The limits of each axis, from the first to the last edge of the cells.
+
+        If the system does not admit values beyond the last point, the limit is that point.
         """
         bounds = {}
         for name, points, log in zip(self.axes, (self.x, self.y), self.log, strict=True):
@@ -88,7 +93,7 @@ class CurvePlane(OrbitTable):
         return np.array([self.window[name][1] - self.window[name][0] for name in self.axes])
 
     def places(self, values: Array) -> Array:
-        """Points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
+        """Return points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
         places = np.empty_like(values)
         for k, (points, log) in enumerate(zip((self.x, self.y), self.log, strict=True)):
             given = np.log(values[:, k]) if log else values[:, k]
@@ -101,11 +106,12 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def regions(self) -> Cells:
-        """The number (cells,) of the connected region of each proven cell, all of whose cells have the same kind of
-        orbit: regime, period, impacts, symmetry, contacts and slides; 0 elsewhere.
+        """The number (cells,) of the connected region of each proven cell; 0 for other cells.
+
+        All cells of a region have the same kind of orbit: regime, period, impacts, symmetry, contacts and slides.
         """
         from atlas.query.connected_regions import (
-            label_components,  # not for every command: SciPy takes longer to load than all else
+            label_components,  # imports SciPy, the slowest import of all
         )
 
         changes = np.zeros((len(self.kind), 0), dtype=np.int64) if self.changes is None else self.changes
@@ -120,15 +126,16 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def region_sizes(self) -> Cells:
-        """The cells of each region, by its number; of number 0 none."""
+        """The number of cells of each region, by its number; 0 for number 0."""
         sizes = np.bincount(self.regions)
         sizes[0] = 0
         return sizes
 
     @cached_property
     def edges(self) -> Cells:
-        """The edges (E, 2) between neighbouring cells of which one at least is proven, and not in the other's region or
-        perhaps on another orbit, as pairs of cells; along x first, then along y.
+        """The edges (E, 2) between neighbouring cells, as pairs of cells; along x first, then along y.
+
+        At least one cell of an edge is proven. The cells are in different regions, or perhaps on different orbits.
         """
         number = np.arange(len(self.regime)).reshape(self.shape)
         pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
@@ -139,8 +146,9 @@ class CurvePlane(OrbitTable):
         return np.asarray(neighbours[differ & self.valid[neighbours].all(axis=1)])
 
     def _jumps(self, axis: int) -> NDArray[np.bool_]:
-        """Of all pairs of neighbours along an axis of the array, whether their orbit may be another one although of the
-        same kind: the mean speed of impacts jumps, and does so nowhere else nearby.
+        """Return the mask of neighbours along an axis whose orbits may differ although they are of the same kind.
+
+        Their mean impact speed jumps, and does so nowhere else nearby.
         """
         speed, region = (np.moveaxis(values.reshape(self.shape), axis, 0) for values in (self.speed, self.regions))
         inside = (region[1:] == region[:-1]) & (region[1:] > 0)
@@ -152,7 +160,7 @@ class CurvePlane(OrbitTable):
 
     @cached_property
     def digest(self) -> str:
-        """Of all that curves depend on: cells, axes, system and fixed parameters."""
+        """Digest of all that curves depend on: cells, axes, system and fixed parameters."""
         digest = hashlib.sha256(repr((self.system.table(), self.axes, sorted(self.fixed.items()))).encode())
         names = ("x", "y", "regime", "period", "impacts_upper", "impacts_lower", "symmetric", "speed", "state")
         for name in (*names, *([CYCLE_PERIOD.name] if self.system.definition.unforced else [])):
@@ -162,9 +170,10 @@ class CurvePlane(OrbitTable):
 
 
 def plane_of(handle: AtlasStore) -> CurvePlane:
-    """The plane of a store; InputError unless it is a finished one over two parameters that orbits depend on.
+    """Return the plane of a store.
 
-    ChunkError where a chunk is missing or damaged.
+    Raise InputError unless it is a finished plane over two parameters on which orbits depend. Raise ChunkError if a
+    chunk is missing or damaged.
     """
     spec = handle.spec
     if spec.points or len(spec.axes) != 2:
@@ -179,7 +188,7 @@ def plane_of(handle: AtlasStore) -> CurvePlane:
                 "curves take two other parameters as axes"
             )
         if len(axis) < 2:
-            raise InputError(f"{handle.backend}: axis {axis.name} has one value; curves take a plane of 2 or more")
+            raise InputError(f"{handle.backend}: axis {axis.name} has one value; curves need 2 or more")
     must_be_finished(handle)
     needed = (*NEEDED, CYCLE_PERIOD.name) if system.definition.unforced else NEEDED
     counts, shares = changes_of(system)
@@ -201,8 +210,10 @@ def plane_of(handle: AtlasStore) -> CurvePlane:
 
 
 def changes_of(system: System) -> tuple[list[str], list[str]]:
-    """The results that change where an orbit continues with other contacts or slides: flags and counts of its contacts;
-    and shares of time that are 0 where its friction does not stick."""
+    """Return the names of the results that change where an orbit continues with other contacts or slides.
+
+    They are flags and counts of its contacts, and shares of time that are 0 if its friction does not stick.
+    """
     own, definition = {variable.name for variable in system.own_variables}, system.definition
     counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]
     shares = [f"{friction.name}_stuck" for friction in definition.friction]

@@ -1,4 +1,4 @@
-"""Questions about the stored curves of an atlas, and their table."""
+"""Queries for the stored curves of an atlas, and their table."""
 
 from typing import TYPE_CHECKING
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 
 def curves_of(ds: "xr.Dataset") -> Curves:
-    """The curves that the store of an atlas keeps; InputError where it keeps none."""
+    """Return the curves in the store of an atlas. Raise InputError if it has none."""
     handle = handle_of(ds)
     curves = read_curves(handle)
     if curves is None:
-        raise InputError(f"{handle.backend}: has no curves yet; atlas find curves finds them")
+        raise InputError(f"{handle.backend}: has no curves yet; find them with atlas find curves")
     return curves
 
 
 def frame(curves: Curves, kind: str | None = None) -> "pd.DataFrame":
-    """The curves as a table, of one kind or all: a row a point, with the columns of the CSV.
+    """Return the curves as a table, of one kind or all: one row per point, with the columns of the CSV.
 
-    Points of codimension two are rows of their own kind. Its attribute ``report`` says how the curves were found.
+    Points of codimension two are rows of their own kind. The attribute ``report`` is the report on the search.
     """
     import pandas as pd
 

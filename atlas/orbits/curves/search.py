@@ -1,11 +1,11 @@
-"""The search for a plane's curves as stages of tasks, each a function of the results of earlier stages alone.
+"""The search for a plane's curves, as stages of tasks that depend only on the results of earlier stages.
 
-So the curves found depend neither on the number of workers nor on when a search was stopped and resumed.
+The curves found therefore do not depend on the number of workers, nor on when a search was stopped and resumed.
 
-1. Which orbits exist on the other side of an edge too, where only basins of attraction end.
-2. Beside one edge of each pair of regions, the events of the orbit that does not.
-3. The curves of these, one of a kind and orbit at a time; an event on a known curve needs none.
-4. Which edges these curves explain. Back to 2 for the remaining ones, the longest borders first.
+1. Find which orbits exist on the other side of an edge too, where only basins of attraction end.
+2. At one edge of each pair of regions, find the events of the orbit that does not.
+3. Follow the curves of these events, one per kind and orbit at a time; an event on a known curve needs none.
+4. Find which edges these curves explain. Return to 2 for the remaining edges, the longest borders first.
 """
 
 from collections.abc import Iterator
@@ -26,15 +26,17 @@ from atlas.orbits.curves.to_json import curve_from_json, event_from_json
 from workers.continuation import Itinerary
 
 CHUNK = 128
-"""Edges in a task."""
+"""Number of edges in a task."""
 
 WAY = 1000
-"""Points of a curve in either direction, at most."""
+"""Maximum number of points of a curve in either direction."""
 
 SHORT_REACH, LONG_REACH = 2.0, 12.0
-"""Cells that the orbit of a cell is followed over: past an edge where it ends; where only basins end, further on."""
+"""Numbers of cells over which a cell's orbit is followed: past an edge at which it ends; where only basins end,
+further.
+"""
 
-FAR = "no event of the orbits of its cells lies within a cell"
+FAR = "the orbits of its cells have no event within one cell"
 SPENT = "the budget of curves or points is spent"
 
 Result = dict[str, Any]
@@ -42,7 +44,13 @@ Result = dict[str, Any]
 
 @dataclass
 class _Event:
-    """An event that was found: where its record is, and the edge that it may explain, -1 for none."""
+    """An event that was found.
+
+    part    name of the part with its record
+    number  index of the event in the part
+    event   the event
+    edge    edge that the event may explain, -1 for none
+    """
 
     part: str
     number: int
@@ -52,9 +60,18 @@ class _Event:
 
 @dataclass
 class CurveSearch:
-    """The state of a search. ``tasks`` gives the next ones by the names of their parts, ``take`` their results.
+    """The state of a search. ``tasks`` returns the next tasks, and ``add_results`` takes their results.
 
-    ``why`` says of edges that were looked beside, in words, what keeps them unexplained, unless a curve explains them.
+    plane        the plane
+    settings     the budget
+    orbits       orbits of the cells
+    curves       curves found
+    curve_names  names of the parts of the curves
+    troubles     errors in words
+    looked       number of edges searched
+    points       number of points of all curves
+    dropped      number of events not followed for lack of budget
+    why          reason, in words, why a searched edge stays unexplained, unless a curve explains it
     """
 
     plane: CurvePlane
@@ -82,7 +99,7 @@ class CurveSearch:
         self.doing = ""
 
     def tasks(self) -> dict[str, Task]:
-        """The tasks of the next stage by name; empty at the end."""
+        """Return the tasks of the next stage by the names of their parts; empty at the end."""
         for tasks in self._stages:
             if tasks:
                 made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(tasks)}
@@ -94,11 +111,11 @@ class CurveSearch:
 
     @property
     def n_settled(self) -> int:
-        """Edges about which there is nothing more to find out."""
+        """Number of edges about which nothing more can be found."""
         return int(np.sum(self.verdicts != OPEN))
 
     def add_results(self, results: list[Result]) -> None:
-        """The results of the last tasks, in their order."""
+        """Set the results of the last tasks, in their order."""
         self._results = results
 
     def _run(self) -> Iterator[list[Any]]:
@@ -112,7 +129,7 @@ class CurveSearch:
                 yield from self._explain(known)
 
     def _find_basins(self) -> Iterator[list[Any]]:
-        self.doing = "looking for orbits beyond their regions"
+        self.doing = "searching for orbits beyond their regions"
         ways = np.concatenate([self.edges, self.edges[:, ::-1]])
         which = np.tile(np.arange(len(self.edges)), 2)
         inside = self.groups.inside[ways[:, 0]]
@@ -128,7 +145,7 @@ class CurveSearch:
             self._note(result)
 
     def _look_beside(self, edges: list[int]) -> Iterator[list[Any]]:
-        self.doing = "looking for events beside edges"
+        self.doing = "searching for events near edges"
         far = [self.verdicts[edge] == BASIN for edge in edges]
         yield [
             FindEventsTask(self.groups.orders(self.edges[edge]), LONG_REACH if beyond else SHORT_REACH)
@@ -148,7 +165,7 @@ class CurveSearch:
                 self._pending.append(_Event(name, number, event, beside))
 
     def _follow(self) -> Iterator[list[Any]]:
-        """Drop the events that lie on known curves, and follow the first one of each signature."""
+        """Drop the events that lie on known curves, and follow the first event of each signature."""
         self.doing = "following curves"
         left, chosen, signatures = [], list[_Event](), set[Any]()
         for met in self._pending:
@@ -183,8 +200,10 @@ class CurveSearch:
                 self.why[met.edge] = f"no curve of its {met.event.kind.replace('_', ' ')}: {result.get('trouble')}"
 
     def _explain(self, known: int) -> Iterator[list[Any]]:
-        """Find the edges that the curves from number ``known`` on pass, and of whose cells they are."""
-        self.doing = "looking for the edges that curves explain"
+        """Find the edges that the curves from number ``known`` on pass, and the cells of these edges whose orbits they
+        are of.
+        """
+        self.doing = "searching for the edges that curves explain"
         wanted = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
         passings, which = [], []
         for name, curve in list(zip(self.curve_names, self.curves, strict=True))[known:]:
@@ -202,7 +221,9 @@ class CurveSearch:
             self._note(result)
 
     def _may_be(self, itinerary: Itinerary, cell: int) -> bool:
-        """Whether a cell has an orbit of the periods and impacts of one on a curve, mirror images alike."""
+        """Return True if a cell has an orbit with the periods and impacts of a curve's itinerary, or of its mirror
+        image.
+        """
         plane = self.plane
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}
         own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}

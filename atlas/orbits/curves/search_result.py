@@ -1,4 +1,4 @@
-"""The end of a search: each curve once, in one order, with a report."""
+"""The result of a search: each curve once, in a fixed order, with a report."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -15,7 +15,7 @@ from atlas.orbits.curves.table import KINDS, CodimTwoPoint, Curve, Curves
 
 
 def finish_search(search: CurveSearch) -> Curves:
-    """The curves of a search that has ended, and its report."""
+    """Return the curves of a search that has ended, with its report."""
     kept = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
     model = search.orbits.family.model
     curves = sorted((as_curve(curve, bool(model(curve.values).mirrored.all())) for curve in kept), key=_order)
@@ -23,19 +23,23 @@ def finish_search(search: CurveSearch) -> Curves:
 
 
 def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
-    """The curves found, and the searches not tried.
+    """Return the report: the curves found, and the searches not tried.
 
-    digest, settings           what the curves are of
-    edges                      between cells: ``regions`` of the settings' least number of cells and more on both sides;
-                               ``small`` ones on one side at least; ``others``, beside cells without a known orbit. Of
-                               each: all; explained by a ``curve`` or as the border of ``basins``; ``unexplained``
-                               although looked beside; ``not_tried``
-    looked, points             places looked beside, points of all curves
-    events_not_followed        for lack of budget
-    duplicates                 curves omitted, since a later one contains them
-    unexplained                of each border, and each reason, the ``edges`` that were looked beside and stay so, the
-                               middle of the first one (``at``), and ``why``, in words
-    troubles                   what went wrong, in words, with how often
+    digest               digest of what the curves belong to
+    settings             budget of the search
+    edges                counts of edges between cells, see below
+    looked               number of edges searched
+    points               number of points of all curves
+    events_not_followed  number of events not followed for lack of budget
+    duplicates           number of curves omitted, since a later curve contains them
+    unexplained          for each border and reason: the number of ``edges`` that were searched and stay unexplained,
+                         the midpoint of the first (``at``), and ``why``, in words
+    troubles             errors in words, with their numbers
+
+    ``edges`` are counted in three groups. ``regions`` have regions of at least the settings' minimum number of cells on
+    both sides. ``small`` have a smaller region on at least one side. ``others`` are next to cells without a known
+    orbit. Each group counts ``all`` edges, edges explained by a ``curve`` or as the border of ``basins``, searched
+    edges that stay ``unexplained``, and edges ``not_tried``.
     """
     plane, settings = search.plane, search.settings
     proven = plane.proven[search.edges].all(axis=1)
@@ -55,9 +59,10 @@ def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
 
 
 def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
-    """A curve as it is kept: from the end with the lesser x, or y where that is the same.
+    """Return a curve as it is stored: from the end with the smaller x, or y if x is equal.
 
-    ``mirrored``: the mirror images of its orbits are orbits too, and the one with more impacts above stands for both.
+    If ``mirrored``, the mirror images of its orbits are orbits too, and the one with more impacts above stands for
+    both.
     """
     itinerary = followed.event.orbit.itinerary
     hits = np.array([[orbit.itinerary.impacts(side) for side in (1, -1)] for orbit in followed.orbits], dtype=np.int64)
@@ -80,7 +85,7 @@ def as_curve(followed: FollowedCurve, mirrored: bool) -> Curve:
 
 
 def edge_share(counts: dict[str, int]) -> float:
-    """The share of edges that is explained; NaN where there is none."""
+    """Return the share of edges that is explained; NaN if there are no edges."""
     return (counts["curve"] + counts["basins"]) / counts["all"] if counts["all"] else float("nan")
 
 
@@ -98,7 +103,7 @@ def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
 
 
 def _goes_on(search: CurveSearch, k: int) -> bool:
-    """Whether a later curve goes through both ends of this one: it ended early, and was found again beyond."""
+    """Return True if a later curve passes through both ends of this one, which ended early."""
     curve = search.curves[k]
     ends = [
         curve.event._replace(
@@ -115,7 +120,7 @@ def _goes_on(search: CurveSearch, k: int) -> bool:
 
 
 def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
-    """The point of a curve after which a place on it comes: the first end of the nearest chord."""
+    """Return the index of the curve's point that a position follows: the first end of the nearest chord."""
     if len(points) < 2:
         return 0
     width = np.ptp(points, axis=0)

@@ -1,4 +1,4 @@
-"""The budget of a search."""
+"""The budget of a search for curves."""
 
 import hashlib
 from dataclasses import asdict, dataclass, fields
@@ -9,17 +9,19 @@ from atlas.orbits.curves.plane import SMALL, CurvePlane
 from workers import SOLVER_VERSION
 
 VERSION = 5
-"""Of the search: raised whenever any curve may change."""
+"""Version of the search; incremented whenever any curve may change."""
 
 
 @dataclass(frozen=True)
 class CurveSettings:
-    """The budget of a search, in counts, so that no result depends on a machine's speed; InputError below 1.
+    """The budget of a search, in counts, so that no result depends on a machine's speed.
 
-    edges       largest number of places beside edges where events are searched for
-    curves      largest number of curves that are followed
-    points      largest number of points of all curves; the table marks a curve that this limit ends
-    min_cells   smallest region, in cells, beside which events are searched for; 1 takes long
+    edges      maximum number of edges at which events are searched
+    curves     maximum number of curves that are followed
+    points     maximum number of points of all curves; the table marks a curve that this limit ends
+    min_cells  minimum size, in cells, of a region near which events are searched; 1 takes long
+
+    Raise InputError for a value below 1.
 
     >>> import atlas
     >>> atlas.CurveSettings(edges=40, points=2000).curves
@@ -38,7 +40,7 @@ class CurveSettings:
                 raise InputError(f"{limit.name}: found {brief_repr(value)}, must be a whole number, 1 or more")
 
     def digest(self, plane: CurvePlane) -> str:
-        """The digest of the cells and the budget."""
+        """Return the digest of the cells and the budget."""
         return hashlib.sha256(
             repr((plane.digest, sorted(asdict(self).items()), SOLVER_VERSION, VERSION)).encode()
         ).hexdigest()

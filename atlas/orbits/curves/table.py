@@ -1,4 +1,4 @@
-"""The curves of a plane as values and as arrays of a store's group."""
+"""The curves of a plane as values, and as arrays in the group of a store."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,20 +14,22 @@ from atlas.store.schema import StoredArray
 from atlas.store.store import AtlasStore
 
 VERSION = 1
-"""Of the form of the group; one of another version counts as absent."""
+"""Version of the form of the group; a group of another version counts as absent."""
 
 KINDS = (
     "fold", "symmetry_breaking", "period_doubling", "neimark_sacker", "graze", "impact_lost", "lift_off",
     "stick_onset", "stick_end", "grazing_sliding", "adding_sliding", "exchange", "hopf",
 )  # fmt: skip
-"""Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is kept."""
+"""Events with curves. Where an impact is lost, the orbit without it grazes: the curve of grazes is stored."""
 
 
 class CodimTwoPoint(NamedTuple):
-    """A point of codimension two on a curve: its kind, where it lies on the x axis and on the y axis, and the curve's
-    point (from 0) that it follows or is.
+    """A point of codimension two on a curve.
 
-    Kinds: cusp, fold_flip, resonance_1_1 to resonance_1_4, double_graze, graze_fold and the like.
+    kind   cusp, fold_flip, resonance_1_1 to resonance_1_4, double_graze, graze_fold and the like
+    x      value of the x axis
+    y      value of the y axis
+    after  index of the curve's point that it follows or is
     """
 
     kind: str
@@ -40,17 +42,20 @@ class CodimTwoPoint(NamedTuple):
 class Curve:
     """A curve of one event of one orbit in a plane.
 
-    kind            one of KINDS
-    period          of the orbit in forcing periods
-    impacts_upper (N,)  impacts of the orbit at either stop, which change where nothing jumps; of an orbit and its
-    impacts_lower (N,)  mirror image, which have the same curves, that with more at the upper one
-    symmetric       whether the orbit is its own mirror image
-    points (N, 2)   in order along the curve, x axis first; of a closed curve the last is the first
-    unstable (N,)   number of multipliers with modulus above 1, not counting the event's own: where it is 0 the orbit
-                    is otherwise stable, and the curve bounds a region that an attractor can live in
-    ends            why the curve ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
-                    shorter_orbit, or the kind of a point of codimension two
-    corners         its points of codimension two, in order along the curve
+    kind                one of KINDS
+    period              period of the orbit in forcing periods
+    impacts_upper (N,)  impacts of the orbit at the upper stop
+    impacts_lower (N,)  impacts of the orbit at the lower stop
+    symmetric           True if the orbit is its own mirror image
+    points (N, 2)       points in order along the curve, x axis first; the last point of a closed curve is the first
+    unstable (N,)       number of multipliers with modulus above 1, not counting the event's own
+    ends                why the curve ends at its first and its last point: edge, closed, budget, stalled, inadmissible,
+                        shorter_orbit, or the kind of a point of codimension two
+    corners             its points of codimension two, in order along the curve
+
+    Numbers of impacts may change along a curve where nothing jumps. An orbit and its mirror image have the same curves;
+    the numbers are those of the one with more impacts at the upper stop. Where ``unstable`` is 0 the orbit is otherwise
+    stable, and the curve bounds a region in which an attractor can exist.
     """
 
     kind: str
@@ -65,13 +70,13 @@ class Curve:
 
     @property
     def label(self) -> str:
-        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn where these change."""
+        """The orbit as n-p-q: periods, impacts at the upper and at the lower stop; in turn if these change."""
         counts = zip(self.impacts_upper.tolist(), self.impacts_lower.tolist(), strict=True)
         return ", ".join(dict.fromkeys(motion_name(self.period, upper, lower) for upper, lower in counts))
 
     @property
     def is_bounding(self) -> NDArray[np.bool_]:
-        """Which points (N,) lie where the orbit is otherwise stable."""
+        """The mask of points (N,) at which the orbit is otherwise stable."""
         return self.unstable == 0
 
     @property
@@ -83,20 +88,21 @@ class Curve:
 
     @property
     def stable_lines(self) -> list[NDArray[np.float64]]:
-        """These parts as lines (N, 2)."""
+        """The parts along which the orbit is otherwise stable, as lines (N, 2)."""
         return [self.points[first : last + 1] for first, last in self.stable_parts]
 
     @property
     def stable_corners(self) -> list[CodimTwoPoint]:
-        """The points of codimension two at or beside such a part."""
+        """The points of codimension two in or next to a part along which the orbit is otherwise stable."""
         return [
             corner for corner in self.corners if self.is_bounding[max(0, corner.after - 1) : corner.after + 2].any()
         ]
 
     @property
     def loose_ends(self) -> list[NDArray[np.float64]]:
-        """Where such a part (2,) ends inside the plane at no point of codimension two: the search gave up, the orbit
-        ceased, or it is unstable beyond.
+        """Ends (2,) of otherwise stable parts inside the plane, at no point of codimension two.
+
+        There the search gave up, the orbit ceased, or it is unstable beyond.
         """
         why = {0: self.ends[0], len(self.points) - 1: self.ends[1]}
         ends = [k for part in self.stable_parts for k in part if why.get(k) not in ("edge", "closed")]
@@ -105,9 +111,11 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """All curves of a plane, the names of its axes, x first, and a report on the search.
+    """All curves of a plane.
 
-    ``report``: plain values by name, see ``atlas.orbits.curves.search_result.report_of``.
+    axes    names of the axes, x first
+    curves  the curves
+    report  report on the search, plain values by name, see ``atlas.orbits.curves.search_result.report_of``
     """
 
     axes: tuple[str, str]
@@ -121,18 +129,18 @@ class Curves:
         return len(self.curves)
 
     def of_kind(self, kind: str | None) -> tuple[Curve, ...]:
-        """The curves of one kind; all for None."""
+        """Return the curves of one kind; all if ``kind`` is None."""
         return tuple(curve for curve in self.curves if kind in (None, curve.kind))
 
 
 def write_curves(handle: AtlasStore, curves: Curves) -> None:
-    """Keep the curves in the store's group, in place of any before them; they are there as a whole or not at all."""
+    """Write the curves to the store's group, completely or not at all, replacing any earlier ones."""
     own = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
     write_group(handle, CURVES, as_arrays(curves), own)
 
 
 def read_curves(handle: AtlasStore) -> Curves | None:
-    """The curves that a store keeps, None where it keeps none; ChunkError where they are damaged."""
+    """Return the curves of a store, None if it has none. Raise ChunkError if they are damaged."""
     stored = read_group(handle, CURVES)
     if stored is None or stored[1].get("version") != VERSION:
         return None
@@ -143,7 +151,9 @@ def read_curves(handle: AtlasStore) -> Curves | None:
 
 
 def as_arrays(table: Curves) -> dict[str, StoredArray]:
-    """The curves as arrays along ``curve``, ``point`` and ``corner``: ragged ones end to end (CF's row_size)."""
+    """Return the curves as arrays along ``curve``, ``point`` and ``corner``; ragged arrays are concatenated (CF's
+    row_size).
+    """
     curves = table.curves
     corners = [(number, corner) for number, curve in enumerate(curves) for corner in curve.corners]
 
@@ -186,7 +196,7 @@ def as_arrays(table: Curves) -> dict[str, StoredArray]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]) -> Curves:
-    """The curves that ``as_arrays`` made arrays of."""
+    """Return the curves from the arrays of ``as_arrays``."""
     first, last = attributes["axes"]
     corners: list[list[CodimTwoPoint]] = [[] for _ in arrays["kind"]]
     parts = [arrays[f"corner_{name}"] for name in ("curve", "kind", "position", "after")]

@@ -13,20 +13,21 @@ from atlas.orbits.curves.passages import CurvePassage, orbits_beside
 from atlas.orbits.curves.to_json import curve_as_json, event_as_json, event_from_json
 
 RESOLUTION = 0.02
-"""The longest step along a curve, as a share of the window."""
+"""Maximum step along a curve, relative to the window."""
 
 
 @dataclass(frozen=True)
 class PersistTask:
-    """Which orbits, of the first cell of each pair, exist and attract at the second one too."""
+    """Task: find which orbits, of the first cell of each pair, exist and attract at the second cell too."""
 
     pairs: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class FindEventsTask:
-    """The events of the orbits of some cells, from each to a neighbour and on, over ``cells`` cells; of the first way
-    that has any.
+    """Task: find the events of the orbits of some cells, from each towards a neighbour, over ``cells`` cells.
+
+    The result has the events of the first direction with any.
     """
 
     directions: tuple[tuple[int, int], ...]
@@ -35,7 +36,9 @@ class FindEventsTask:
 
 @dataclass(frozen=True)
 class FollowTask:
-    """The curve of event number ``event`` of the part ``part``; at most ``budget`` points either way."""
+    """Task: follow the curve of event number ``event`` of the part ``part``, at most ``budget`` points in either
+    direction.
+    """
 
     part: str
     event: int
@@ -44,18 +47,21 @@ class FollowTask:
 
 @dataclass(frozen=True)
 class MatchTask:
-    """Which curves, by the names of their parts, are of the orbits of cells that they pass: (curve, chord, cell)."""
+    """Task: find which curves are of the orbits of cells that they pass.
+
+    ``passings`` are (name of the curve's part, chord, share of the chord, cell).
+    """
 
     passings: tuple[tuple[str, int, float, int], ...]
 
 
 Task = PersistTask | FindEventsTask | FollowTask | MatchTask
 Known = Callable[[str], dict[str, Any]]
-"""Gives the result of an earlier task by the name of its part."""
+"""Function that returns the result of an earlier task by the name of its part."""
 
 
 def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[str], FollowedCurve]) -> dict[str, Any]:
-    """The result of a task as plain values, exact to the bit."""
+    """Return the result of a task as plain values, exact to the bit."""
     if isinstance(task, PersistTask):
         return {"persist": orbits.fates(np.array(task.pairs, dtype=np.int64)).tolist()}
     if isinstance(task, FindEventsTask):
@@ -71,7 +77,7 @@ def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[s
 
 
 def _looked(task: FindEventsTask, orbits: CellOrbits) -> dict[str, Any]:
-    """Of the first way with an event; a way without one is followed by the next. Without any, why, of each way."""
+    """Return the events in the first direction that has any; otherwise the reason for each direction."""
     why, there = list[str](), list[int]()
     for start, beyond in task.directions:
         looked = events_between(orbits, start, beyond, task.cells)

@@ -11,7 +11,7 @@ from workers.model.hybrid_modes import ModeCode
 
 
 def event_as_json(event: PlaneEvent) -> dict[str, Any]:
-    """An event as plain values."""
+    """Return an event as plain values."""
     return {
         "kind": event.kind,
         "condition": list(event.condition),
@@ -23,7 +23,7 @@ def event_as_json(event: PlaneEvent) -> dict[str, Any]:
 
 
 def event_from_json(data: dict[str, Any]) -> PlaneEvent:
-    """The inverse of ``event_as_json``."""
+    """Return the event from the result of ``event_as_json``."""
     return PlaneEvent(
         kind=data["kind"],
         condition=Condition(*data["condition"]),
@@ -35,7 +35,7 @@ def event_from_json(data: dict[str, Any]) -> PlaneEvent:
 
 
 def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
-    """A curve as plain values; orbits share their itineraries, each with the condition on them."""
+    """Return a curve as plain values; orbits share their itineraries, each with the condition on them."""
     own = [(orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)]
     shared = list(dict.fromkeys(own))
     return {
@@ -54,7 +54,7 @@ def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
 
 
 def curve_from_json(data: dict[str, Any]) -> FollowedCurve:
-    """The inverse of ``curve_as_json``."""
+    """Return the curve from the result of ``curve_as_json``."""
     shared = [(_itinerary(itinerary), Condition(*condition)) for itinerary, condition in data["itineraries"]]
     orbits = [
         _orbit(shared[k][0], *fields)
@@ -74,7 +74,7 @@ def curve_from_json(data: dict[str, Any]) -> FollowedCurve:
 
 
 def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
-    """An orbit as plain values."""
+    """Return an orbit as plain values."""
     return {
         "itinerary": list(orbit.itinerary),
         "times": orbit.times.tolist(),
@@ -84,7 +84,7 @@ def orbit_as_json(orbit: Orbit) -> dict[str, Any]:
 
 
 def orbit_from_json(data: dict[str, Any]) -> Orbit:
-    """The inverse of ``orbit_as_json``."""
+    """Return the orbit from the result of ``orbit_as_json``."""
     return _orbit(_itinerary(data["itinerary"]), data["times"], data["speeds"], data["length"])
 
 

@@ -17,14 +17,16 @@ NEEDED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AttractorOrbitTable(OrbitTable):
-    """The orbits among the attractors of a finished atlas, A rows: only orbits can be followed to other parameters.
+    """The A orbits among the attractors of a finished atlas; only orbits can be followed to other parameters.
 
-    axes             names of the axes, those of the dimensions of ``shape``
-    shape, keep      cells along each dimension; places of a cell's attractors
-    points (C, axes) the parameters of every cell, in C order
-    cell, place (A,) of each orbit, in the order of cells and places
-    share (A,)       as the atlas has it
-    twin (A,)        the orbit of its cell that is its mirror image, itself where it is symmetric; -1 where none is
+    axes              names of the axes, in the order of ``shape``
+    shape             number of cells along each dimension
+    keep              number of attractors stored per cell
+    points (C, axes)  parameters of every cell, in C order
+    cell (A,)         cell of each orbit; orbits are in the order of cells and of their index there
+    place (A,)        index of the orbit among the attractors of its cell
+    share (A,)        share of the attractor
+    twin (A,)         the orbit of its cell that is its mirror image, itself if it is symmetric; -1 if there is none
     """
 
     shape: tuple[int, ...]
@@ -40,27 +42,27 @@ class AttractorOrbitTable(OrbitTable):
 
     @property
     def proven(self) -> NDArray[np.bool_]:
-        """All of them."""
+        """The mask of proven rows: all."""
         return np.ones(len(self), dtype=np.bool_)
 
     def values(self, rows: Rows) -> Array:
-        """The parameters (R, axes) of the cells of orbits."""
+        """Return the parameters (R, axes) of the cells of orbits."""
         return np.asarray(self.points[self.cell[rows]])
 
     @cached_property
     def row(self) -> Rows:
-        """The orbit (C, keep) of each cell and place, -1 where there is none."""
+        """The orbit (C, keep) of each cell and attractor, -1 if there is none."""
         row = np.full((len(self.points), self.keep), -1)
         row[self.cell, self.place] = np.arange(len(self))
         return row
 
     def same_kind_pairs(self, away: int = 1) -> Rows:
-        """Pairs (N, 2) of orbits of one kind in cells ``away`` places from each other along a dimension."""
+        """Return the pairs (N, 2) of orbits of one kind in cells that are ``away`` cells apart along a dimension."""
         pairs = self.neighbour_pairs(away)
         return np.asarray(pairs[self.kind[pairs[:, 0]] == self.kind[pairs[:, 1]]])
 
     def neighbour_pairs(self, away: int = 1) -> Rows:
-        """Pairs (N, 2) of orbits in cells ``away`` places from each other along a dimension."""
+        """Return the pairs (N, 2) of orbits in cells that are ``away`` cells apart along a dimension."""
         number = np.arange(len(self.points)).reshape(self.shape)
         parts = [np.zeros((0, 2), dtype=np.int64)]
         for dim in range(number.ndim):
@@ -72,9 +74,11 @@ class AttractorOrbitTable(OrbitTable):
 
 
 def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
-    """The cells (A + U,) of all orbits and of their U mirror images that no initial state has found; images' rows.
+    """Return the cells (A + U,) of all orbits and of their U unseen mirror images, and the rows (A + U,) of mirror
+    images.
 
-    The row of the mirror image (A + U,) is the orbit's own where it is symmetric, -1 where the machine is not.
+    No initial state has reached an unseen mirror image. The row of a mirror image is the orbit's own if it is
+    symmetric, and -1 if the machine is not.
     """
     own, count = attractors, len(attractors)
     image = np.where(own.symmetric, np.arange(count), own.twin)
@@ -87,10 +91,10 @@ def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
 
 
 def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
-    """The orbits of a store, and how many attractors of any kind it keeps.
+    """Return the orbits of a store, and how many attractors of any kind it has.
 
-    InputError unless it is a finished atlas of all attractors over axes; ChunkError where a chunk is missing or
-    damaged.
+    Raise InputError unless it is a finished atlas of all attractors over axes. Raise ChunkError if a chunk is missing
+    or damaged.
     """
     spec = handle.spec
     if not spec.coexistence:

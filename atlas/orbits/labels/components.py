@@ -1,9 +1,9 @@
-"""Attractors joined to branches along links: whole components, but never two attractors of one cell in a branch.
+"""Branches of attractors: connected components along links, but never with two attractors of one cell.
 
-Round the end of a fold or a cusp two attractors of one cell may be joined by a chain of links through other cells, as
-two sheets of one surface are. There the chain is cut: links are taken in the order of how little the orbit changes
-along them, and one that would put two attractors of a cell on one branch is left out. So a branch is cut where its
-orbit changes most. A link and its mirror image are taken together or not at all, so that branches have mirror images.
+Around the end of a fold or a cusp, a chain of links through other cells may join two attractors of one cell, like two
+sheets of one surface. There the chain is cut. Links are taken in the order of how little the orbit changes. A link that
+would put two attractors of a cell on one branch is left out. A branch is therefore cut where its orbit changes most. A
+link and its mirror image are taken together or not at all, so that branches have mirror images.
 """
 
 from itertools import combinations
@@ -15,10 +15,13 @@ Rows = NDArray[np.int64]
 
 
 def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, image: Rows) -> tuple[Rows, int]:
-    """The branch (count,) of each attractor, numbered by its first one, and how many links (L, 2) were omitted.
+    """Return the branch (count,) of each attractor, numbered by its first attractor, and the number of omitted links.
 
-    change (L,)    along each link: links of the least change are taken first, equal ones in their order
-    cell (count,)  of each; image (count,) its mirror image, -1 where there is none
+    count           number of attractors
+    pairs (L, 2)    links
+    change (L,)     change of the orbit along each link: the least change is taken first, equal ones in order
+    cell (count,)   cell of each attractor
+    image (count,)  mirror image of each attractor, -1 if there is none
 
     >>> branches(3, np.array([[0, 1], [1, 2]]), np.array([0.1, 0.2]), np.array([0, 1, 0]), np.array([-1, -1, -1]))
     (array([0, 0, 1]), 1)

@@ -1,12 +1,12 @@
 """Links between attractors of neighbouring cells: the orbit of one is followed to the other's parameters.
 
-There Newton's method on its state and times of impacts finds it, from one cell to the next in a few steps. Where
-one of its section states is the stored state of an attractor of that cell, it is that one; its mirror image is not. It
-counts where both ways agree: close to a bifurcation Newton's method may come to another orbit. In symmetric machines
-the mirror images of two orbits that are one are one too, whether Newton's method finds it or not.
+Newton's method on its state and impact times finds the orbit there, from one cell to the next in a few steps. The orbit
+is an attractor of that cell if one of its section states is the stored state of the attractor; its mirror image does
+not count. A link counts if both directions agree, since close to a bifurcation Newton's method may find another orbit.
+In symmetric machines, mirror images of linked orbits are linked too, whether Newton's method finds the link or not.
 
-Orbits of machines with modes that are left over are followed along their branches, which go on where contacts and
-slides change though nothing jumps.
+Remaining orbits of machines with modes are followed along their branches, which continue where contacts and slides
+change though nothing jumps.
 """
 
 from typing import NamedTuple
@@ -24,27 +24,31 @@ from workers.continuation.orbits import OrbitBatch, many_of
 from workers.results import NO_IMPACT
 
 STEPS = (2, 8)
-"""Steps from one cell to the next: the first number of them, the other one where that fails."""
+"""Numbers of steps from one cell to the next: the first attempt, and the attempt after a failure."""
 
 MAX_GAP_CELLS = 4
-"""Cells over which an orbit is followed to another one that no chain of neighbours connects with it."""
+"""Maximum number of cells over which an orbit is followed to another one, if no chain of neighbours connects the
+two.
+"""
 
 STEP = 0.5
-"""The longest step of a branch from one cell to the next, as a share of that."""
+"""Maximum step of a branch from one cell to the next, relative to that distance."""
 
 SAME_STATE = 1e-6
-"""Distance of section states of one orbit, relative to the largest component of any."""
+"""Maximum distance of section states of one orbit, relative to the largest component of any."""
 
 
 class OrbitLinks(NamedTuple):
-    """Pairs of orbits (L, 2), by their rows, that are one; ``change`` (L,): how much it changes between their cells.
+    """Links between orbits. Rows from A on are unseen mirror images.
 
-    That is the largest change of a time of impact, in radians of the force, or of a speed, relative to the fastest.
-    With a pair its mirror image is one of them, of the same change. Rows from A on are unseen mirror images.
-
-    cell, image (A + unseen,)  of each orbit; its mirror image's row, -1 where the machine is not symmetric
-    known (A,)  which orbits can be followed: Newton's method finds them
-    one_way     pairs omitted: followed from one cell an orbit becomes that of the other cell, but not back
+    pairs (L, 2)       rows of linked orbits; with a pair its mirror image is linked, with the same change
+    change (L,)        change of the orbit between the cells: the largest of an impact time, in radians of the force, or
+                       of a speed relative to the fastest
+    cell (A+unseen,)   cell of each orbit
+    image (A+unseen,)  row of its mirror image, -1 if the machine is not symmetric
+    known (A,)         mask of orbits that can be followed: Newton's method finds them
+    one_way            number of omitted pairs: followed from one cell, an orbit becomes that of the other cell, but not
+                       back
     """
 
     pairs: Rows
@@ -56,12 +60,12 @@ class OrbitLinks(NamedTuple):
 
 
 def followed(attractors: AttractorOrbitTable) -> OrbitLinks:
-    """All pairs of orbits in neighbouring cells that are one, followed either way; motion without impact is one in all.
+    """Return all links between orbits of neighbouring cells, followed in both directions.
 
-    Orbits that are not connected by these are followed over up to FARTHEST cells, whose initial states may have missed
-    them.
+    Motion without impact is the same orbit in all cells. Orbits that these links do not connect are followed over up to
+    MAX_GAP_CELLS cells, whose initial states may have missed them.
     """
-    # what machines with modes do without impact depends on where they slide
+    # in machines with modes, motion without impact depends on where they slide
     still = (attractors.regime == NO_IMPACT) & (attractors.impacts_upper == 0) & (not attractors.system.has_modes)
     free, follower = np.flatnonzero(still), AttractorOrbits(attractors)
     cell, image = with_images(attractors)
@@ -90,7 +94,7 @@ def followed(attractors: AttractorOrbitTable) -> OrbitLinks:
 
 
 def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
-    """Links with their mirror images, each once and in order; the change of either is the least that is known."""
+    """Return links with their mirror images, each once and in order, with the least known change of both."""
     images = image[pairs]
     there = (images >= 0).all(axis=1)
     every = np.sort(np.concatenate([pairs, images[there]]), axis=1)
@@ -101,17 +105,19 @@ def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
 
 
 def _apart(wanted: Rows, pairs: Rows, count: int) -> NDArray[np.bool_]:
-    """Of which pairs (N, 2) no chain of others (L, 2) connects the two."""
+    """Return the mask of pairs (N, 2) that no chain of other pairs (L, 2) connects."""
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     _, part = connected_components(graph, directed=False)
     return np.asarray(part[wanted[:, 0]] != part[wanted[:, 1]])
 
 
 def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
-    """Pairs (N, 2) of orbits of one period in neighbouring cells, either linked to none of the cell of the other."""
+    """Return pairs (N, 2) of orbits of one period in neighbouring cells, of which one has no link to the cell of the
+    other.
+    """
     own = attractors
     orbits, others = np.concatenate([pairs, pairs[:, ::-1]]).T
-    seen = others < len(own)  # mirror images that no initial state has found have no row
+    seen = others < len(own)  # unseen mirror images have no row
     linked = {*zip(orbits[seen].tolist(), own.cell[others[seen]].tolist(), strict=True)}
     wanted = own.neighbour_pairs()
     wanted = wanted[own.period[wanted[:, 0]] == own.period[wanted[:, 1]]]
@@ -127,9 +133,10 @@ class AttractorOrbits(StoredOrbits):
         self.attractors = attractors
 
     def follow_pairs(self, pairs: Rows, away: int) -> tuple[NDArray[np.bool_], Array]:
-        """Whether the first orbit of each pair (N, 2), followed to the second's cell, is that one; and its change.
+        """Return the mask of pairs (N, 2) whose first orbit becomes the second when followed to its cell, and the
+        change.
 
-        away   cells from the one to the other
+        ``away`` is the distance between the cells, in cells.
         """
         reached, change = np.zeros(len(pairs), dtype=np.bool_), np.full(len(pairs), np.nan)
         for rows, orbits in self.group_by_itinerary(pairs[:, 0]):
@@ -137,11 +144,11 @@ class AttractorOrbits(StoredOrbits):
         return reached, change
 
     def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
-        """``reach`` of orbits of one itinerary."""
+        """Do the work of ``follow_pairs`` for orbits of one itinerary."""
         own = self.attractors
         here, there = (own.values(pairs[:, k]) for k in (0, 1))
         arrived = self.continue_orbits(orbits, here, there, STEPS[0] * away)
-        arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, which is changed
+        arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, to be changed
         for steps in STEPS[1:]:
             again = np.flatnonzero(~arrived.converged)
             if len(again):
@@ -160,9 +167,9 @@ class AttractorOrbits(StoredOrbits):
         return reached, _change(many_of(orbits, here), arrived, self.family.model(there).omega)
 
     def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
-        """Which of these pairs (N, 2) are one orbit on a branch from cell to cell, and how much its state changes.
+        """Return those pairs (N, 2) that are one orbit on a branch from cell to cell, and the change of its state.
 
-        A branch that turns back on the way joins none.
+        A branch that turns back on the way connects no pair.
         """
         own, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
         reached = dict[tuple[int, int], Array | None]()
@@ -180,7 +187,7 @@ class AttractorOrbits(StoredOrbits):
         return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
-        """The section states (n, 2d) of an orbit at a neighbouring cell; None where its branch does not get there."""
+        """Return the section states (n, 2d) of an orbit at a neighbouring cell; None if its branch ends before."""
         own, orbit = self.attractors, self.orbit_of_row(row)
         here, there = own.points[own.cell[row]], own.points[cell]
         axis = int(np.flatnonzero(here != there)[0])

@@ -22,10 +22,10 @@ from workers import SOLVER_VERSION
 from workers.results import ATTRACTOR, LABEL, REGIME, UNKNOWN_LABEL, Variable, result_named
 
 VERSION = 4
-"""Of the way in which labels are found: raised whenever any may change."""
+"""Version of the search for labels; incremented whenever any label may change."""
 
 BRANCH = "branch"
-"""The dimension of the table, an entry a label."""
+"""Dimension of the table, with one entry per label."""
 
 OF_ALL = replace(LABEL, long_name="branch that the attractor is on; -1 if none")
 KINDS = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric")
@@ -40,14 +40,16 @@ OF_BRANCHES = (
 
 @dataclass(frozen=True)
 class LabelCounts:
-    """What became of the attractors of an atlas.
+    """Counts of the attractors of an atlas and of their labels.
 
-    attractors    kept ones in all; labelled: those on a branch, the others are chaos, tori, or orbits not followed
-    orbits        attractors that are orbits; followed: orbits that Newton's method finds
-    branches      labels given; alone: labels of a single cell
-    links         pairs in neighbouring cells that are one orbit; cut: of these left out, since they would put two
-                  attractors of one cell on a branch; one_way: pairs that
-                  are one only as followed from one of them, and are not linked
+    attractors  number of stored attractors
+    orbits      number of attractors that are orbits; chaos and tori are not
+    followed    number of orbits that Newton's method finds; other attractors have no label
+    branches    number of labels
+    alone       number of labels with a single cell
+    links       number of pairs in neighbouring cells that are one orbit
+    cut         number of links left out, since they would put two attractors of one cell on a branch
+    one_way     number of pairs that are one orbit only as followed from one of them, and are not linked
     """
 
     attractors: int
@@ -62,10 +64,14 @@ class LabelCounts:
 
 @dataclass(frozen=True, eq=False)
 class AttractorLabels:
-    """The label of every attractor of every cell, -1 for none, (cells..., keep); the branches by their labels.
+    """The label of every attractor of every cell, and the branches by label.
 
-    cells, total (B,)   cells of each branch, the sum of its shares; first (B,) the row of its first orbit
-    mirror (B,)         the label of its mirror image, its own where it is symmetric, -1 where there is none
+    values (cells..., keep)  label of each attractor, -1 for none
+    cells (B,)               number of cells of each branch
+    total (B,)               sum of its shares
+    mirror (B,)              label of its mirror image, its own if it is symmetric, -1 if there is none
+    kinds                    results that all orbits of a branch have in common, (B,) each
+    count                    counts of attractors and labels
     """
 
     values: Rows
@@ -77,7 +83,7 @@ class AttractorLabels:
 
 
 def labels_of(handle: AtlasStore) -> AttractorLabels:
-    """The labels of a finished atlas of all attractors. Raises as ``attractors_of``."""
+    """Return the labels of a finished atlas of all attractors. Errors are those of ``attractors_of``."""
     every, kept = attractors_of(handle)
     links = followed(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
@@ -108,7 +114,7 @@ def labels_of(handle: AtlasStore) -> AttractorLabels:
 
 
 def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
-    """Branches (A,), -1 for none, numbered anew by the sum of their shares; that sum (B,)."""
+    """Return branches (A,), -1 for none, numbered by the sum of their shares; and these sums (B,)."""
     known = branch >= 0
     _, first, inverse = np.unique(branch[known], return_index=True, return_inverse=True)
     total = np.bincount(inverse, weights=share[known], minlength=len(first))
@@ -119,13 +125,14 @@ def _numbered(branch: Rows, share: Array) -> tuple[Rows, Array]:
 
 
 def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
-    """The label of the mirror image of each branch: its own where it is symmetric, -1 where no cell has it or none is.
+    """Return the label of the mirror image of each branch: its own if symmetric, -1 if there is none or no cell has it.
 
-    number (A,)         the label of every orbit, -1 for none
-    branch, image (N,)  the branch and the mirror image of these and of images that no cell has
+    number (A,)  label of every orbit, -1 for none
+    branch (N,)  branch of each of these orbits, and of images that no cell has
+    image (N,)   row of the mirror image of each
 
-    The mirror image of a branch is a branch, so that the image of any of its orbits says which. Who is whose image is
-    mutual: ``mirror_labels(...)[m] == k`` wherever ``mirror_labels(...)[k] == m >= 0``.
+    The mirror image of a branch is a branch, so the image of any of its orbits determines it. The relation is mutual:
+    ``mirror_labels(...)[m] == k`` wherever ``mirror_labels(...)[k] == m >= 0``.
     """
     there = np.flatnonzero(number >= 0)
     label = np.full(branch.max(initial=-1) + 1, -1)
@@ -135,7 +142,7 @@ def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
 
 
 def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
-    """Keep labels in the store, in the place of any before."""
+    """Write labels into the store, replacing any earlier ones."""
     rows = {"cells": labels.cells, "total_share": labels.total, "mirror": labels.mirror} | dict(labels.kinds)
     label = StoredArray(labels.values.astype(LABEL.dtype), (*handle.spec.dims, ATTRACTOR), variable_attributes(OF_ALL))
     about = {
@@ -147,6 +154,6 @@ def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
 
 
 def stored_count(handle: AtlasStore) -> LabelCounts | None:
-    """The report of the stored labels; None where there are none, or they would be found differently now."""
+    """Return the counts of the stored labels; None if there are none, or this version would find other labels."""
     stored = current_group(handle, LABELS, VERSION)
     return None if stored is None else LabelCounts(**stored[1]["count"])

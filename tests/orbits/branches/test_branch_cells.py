@@ -114,11 +114,11 @@ CHAOTIC = {"omega": 2.35}
 @pytest.mark.parametrize(
     ("given", "along", "window", "message"),
     [
-        (CHAOTIC, "omega", (2.0, 3.0), "this cell is (chaotic|undetermined).*: a branch starts from a periodic one"),
+        (CHAOTIC, "omega", (2.0, 3.0), "this cell is (chaotic|undetermined).*: a branch starts from a periodic cell"),
         ({"omega": 3.02}, "omga", (2.0, 4.0), "unknown parameter 'omga'; did you mean 'omega'"),
-        ({"omega": 3.02}, "x1", (2.0, 4.0), "x1 is an initial state: orbits do not depend on it"),
-        ({"omega": 3.02}, "omega", (4.0, 3.0), "omega from 4 to 3: must rise"),
-        ({"omega": 3.02}, "omega", (3.5, 4.0), "omega from 3.5 to 4: does not hold the cell's own, 3.02"),
+        ({"omega": 3.02}, "x1", (2.0, 4.0), "x1: found an initial state, on which no orbit depends"),
+        ({"omega": 3.02}, "omega", (4.0, 3.0), "omega: found 4 to 3, must increase"),
+        ({"omega": 3.02}, "omega", (3.5, 4.0), "omega: found 3.5 to 4, must contain the cell's value 3.02"),
         ({"omega": 3.02}, "b", (-1.0, 1.0), "b = -1.0"),
     ],
 )
@@ -164,7 +164,7 @@ def test_points_are_written_as_csv_and_everything_as_json(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("--set", "omega=2.35"), "a branch starts from a periodic one"),
+        (("--set", "omega=2.35"), "a branch starts from a periodic cell"),
         (("--at", "omega=3"), "--at needs a STORE"),
         ((*CELL, "-o", "branch.txt"), "possible: .csv, .json, .png, .svg, .pdf"),
     ],

@@ -114,10 +114,10 @@ def test_two_sweeps_together_take_branches_too(swept: xr.Dataset) -> None:
 def test_branches_over_a_map_or_a_sweep_without_sections_are_refused() -> None:
     with pytest.raises(InputError, match="overlay 'branches' is drawn over a sweep, found two axes"):
         render.figure(plane(), overlay="branches")
-    with pytest.raises(InputError, match="drawn over section values, and this atlas holds none; see section_samples"):
+    with pytest.raises(InputError, match="needs section values, and this atlas has none; see section_samples"):
         render.figure(line().drop_vars("section"), overlay="branches")
 
 
 def test_branches_of_an_atlas_without_states_are_refused() -> None:
-    with pytest.raises(InputError, match="branches start from the variable 'impacts_upper' of cells"):
+    with pytest.raises(InputError, match="branches need the variable 'impacts_upper' of cells"):
         render.figure(line(), overlay="branches")

@@ -208,9 +208,9 @@ def test_curves_of_other_axes_are_refused() -> None:
 
 def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -> None:
     ds = atlas.open(finished)
-    with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; atlas find curves"):
+    with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; find them"):
         render.figure(ds, overlay="curves")
-    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; atlas find curves"):
+    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; find them"):
         render.figure(ds, "regions")
 
 

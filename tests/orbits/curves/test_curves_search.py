@@ -211,7 +211,7 @@ def test_the_distance_to_an_event_along_an_axis_ends_on_its_curve(searched: tupl
 
 def test_the_distance_from_a_chaotic_cell_is_refused_in_one_line(tmp_path: Path) -> None:
     path = chaotic(tmp_path)
-    with pytest.raises(atlas.errors.InputError, match="is chaotic: only a proven periodic orbit has events"):
+    with pytest.raises(atlas.errors.InputError, match="is chaotic: events need a proven periodic orbit"):
         atlas.open(path).atlas.distance_to(omega=2.0, b=0.3)
 
 
@@ -311,7 +311,7 @@ class TestBadInput:
 
     def test_a_store_that_is_not_finished(self, fresh: Path) -> None:
         (fresh / "regime" / "c" / "0" / "0").unlink()
-        assert "1 tile not done; complete it with atlas run first" in self.refused(str(fresh))
+        assert "1 tile unfinished; complete the store with atlas run" in self.refused(str(fresh))
         assert not (fresh / "curves").exists()
 
     def test_a_sweep(self, tmp_path: Path) -> None:

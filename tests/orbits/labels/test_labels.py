@@ -316,7 +316,7 @@ def test_the_command_labels_and_counts(unlabelled: Path, tmp_path: Path) -> None
     ("changes", "says"),
     [
         ({"attractors": None}, "found one attractor per cell; labels need an atlas of all"),
-        ({}, "4 tiles not done; complete it with atlas run first"),
+        ({}, "4 tiles unfinished; complete the store with atlas run"),
     ],
 )
 def test_what_cannot_be_labelled_is_refused_in_one_line(tmp_path: Path, changes: dict[str, object], says: str) -> None:
