@@ -509,8 +509,12 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
 
 
 def test_workers_need_no_bokeh() -> None:
-    tasks = "grid_patch import solve_patch, cut import follow_branches, branches import follow_orbit, basins import solve_rows"
-    imports = "\n".join(f"from atlas.explore.{task}" for task in tasks.split(", "))
+    imports = """
+from atlas.explore.basins import solve_rows
+from atlas.explore.branches import follow_orbit
+from atlas.explore.cut import follow_branches
+from atlas.explore.grid_patch import solve_patch
+"""
     program = f"import sys\n{imports}\nprint('bokeh' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

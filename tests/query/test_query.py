@@ -104,7 +104,7 @@ def test_at_answers_a_bad_point_with_one_line(point: Mapping[str, float], messag
     assert str(error.value) == message
 
 
-@pytest.mark.parametrize("ask", ["fractions", "reasons", "regions", "at", "boundary", "plot"])
+@pytest.mark.parametrize("ask", ["fractions", "count_reasons", "regions", "at", "boundary", "plot"])
 def test_selections_without_cells_and_masked_atlases_are_answered_with_one_line(ask: str) -> None:
     """A mask makes floats of codes, and NaN is no regime; an empty selection has no shares."""
     ds = plane([1, 2, 3], [0.1, 0.2])

@@ -346,7 +346,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Pat
     path = copied(plane, tmp_path)
     store = str(path)
     assert "found no curves, which margins need" in fails(store, "--margin")
-    assert "shocks need an atlas of all, see [attractors]" in fails(store, "--shocks")
+    assert "shocks need an atlas of all attractors, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
     assert "--scale needs --margin" in fails(store, "--scale", "b=1")
     assert "scale.b: found -1, must be above 0" in fails(store, "--margin", "--scale", "b=-1")
