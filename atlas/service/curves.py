@@ -115,10 +115,10 @@ def find_curves(
         if stored is not None:
             return CurveSummary(str(handle.backend), stored)
         check_not_packed(handle.backend)
-        crew = WorkerPool.open(
+        pool = WorkerPool.open(
             handle, run_and_store, kernels_for(handle.spec.system_def, ORBITS), client, options, stack
         )
-        return _CurveRun(crew.handle, search, digest, crew).run()
+        return _CurveRun(pool.handle, search, digest, pool).run()
 
 
 def _stored(handle: AtlasStore, digest: str) -> Curves | None:
@@ -154,8 +154,8 @@ class _CurveRun:
         drop_family(self.handle, MARGIN)  # margins to the previous curves
         write_curves(self.handle, curves)
         drop_parts(self.handle, CURVES)
-        crew, seconds = self.pool, time.monotonic() - self.pool.begin
-        return CurveSummary(str(self.handle.backend), curves, seconds, crew.processor_seconds, crew.threads, crew.tasks)
+        pool, seconds = self.pool, time.monotonic() - self.pool.begin
+        return CurveSummary(str(self.handle.backend), curves, seconds, pool.processor_seconds, pool.threads, pool.tasks)
 
     def _job(self, number: int, name: str, task: Any) -> CurveJob:
         index = self.search.stage, number

@@ -132,23 +132,23 @@ def measure_attractors(
         begin = time.monotonic()
         families = [family for family in missing if family != MARGIN]
         kernels = kernels_of(handle.spec)
-        crew = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
-        handle = crew.handle
+        pool = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
+        handle = pool.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")
         measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
         if MARGIN in missing:
             measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
         if families:
-            job = _MeasureRun(handle, crew, tuple(weights.items()))
+            job = _MeasureRun(handle, pool, tuple(weights.items()))
             measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
         measured.requests.update({family: wanted[family] for family in missing})
         ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
         write_measures(handle, StoredMeasures(ordered, measured.requests))
         for family in families:
             drop_parts(handle, group_of(family))
-        seconds, busy = time.monotonic() - begin, crew.processor_seconds
-        return MeasureSummary(str(handle.backend), summary_of(ordered), measured.requests, seconds, busy, crew.tasks)
+        seconds, busy = time.monotonic() - begin, pool.processor_seconds
+        return MeasureSummary(str(handle.backend), summary_of(ordered), measured.requests, seconds, busy, pool.tasks)
 
 
 def _requests(
@@ -237,8 +237,8 @@ class _MeasureRun:
                 arrays[measured][here] = values if many else values[:, 0]
         return arrays
 
-    def _count(self, receipt: PartReport) -> None:
-        self.done += receipt.cells
+    def _count(self, report: PartReport) -> None:
+        self.done += report.cells
 
     def _progress(self) -> Progress:
         stage = f"measuring: {self.done} of {plural(self.cells, 'cell')}"

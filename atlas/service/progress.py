@@ -92,8 +92,8 @@ def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
     stage = compile_notice(*more)
 
     def report_compilation(now: CompileProgress) -> None:
-        doing = stage if now.of else "waiting for another process, which compiles the kernels"
-        report(Progress(doing, cells=now.of, cells_done=now.done, seconds=now.seconds))
+        stage_now = stage if now.of else "waiting for another process, which compiles the kernels"
+        report(Progress(stage_now, cells=now.of, cells_done=now.done, seconds=now.seconds))
 
     report(Progress(stage))
     compile_once(*more, report=report_compilation)

@@ -111,8 +111,8 @@ def complete(
             options.report(Progress("creating the store"))
             handle = create_store(place, spec, plan.tiling.tile, origin, run_id)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
-        crew = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
-        run = _Run(handle, crew, replace(plan, tiling=handle.tiling))
+        pool = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
+        run = _Run(handle, pool, replace(plan, tiling=handle.tiling))
         if options.tile is not None:
             run.do_alone(options.tile)
             return run.totals.summary(str(place))
@@ -126,8 +126,8 @@ def complete(
 class _Run:
     """A run on a leased store: its unfinished tiles, the jobs for them, and its end."""
 
-    def __init__(self, handle: AtlasStore, crew: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
-        self.handle, self.pool, self.stage = handle, crew, "solving"
+    def __init__(self, handle: AtlasStore, pool: WorkerPool[RunJob, TileReport | DerivedReport], plan: Plan) -> None:
+        self.handle, self.pool, self.stage = handle, pool, "solving"
         self.stored = TileRecords(handle, done_tiles(handle))
         self.due, cells = ~self.stored.done, int(plan.tiling.sizes()[self.stored.done].sum())
         retried = handle.origin is not None and handle.origin.retry is not None

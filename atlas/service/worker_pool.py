@@ -115,10 +115,10 @@ class WorkerPool(Generic[J, R]):
             prepare_kernels(self.options.report, *self.kernels)
         client = start_client(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
-        labour = JobType(
+        job_type = JobType(
             str(site.store), self.run, partial(prepare_worker, site, self.kernels), site.evict, self.memory
         )
-        return self.stack.enter_context(open_dispatcher(client, labour, self.options.timing))
+        return self.stack.enter_context(open_dispatcher(client, job_type, self.options.timing))
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Yield the outcomes of jobs as ``Dispatcher.iter_outcomes`` does.

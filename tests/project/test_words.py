@@ -24,7 +24,10 @@ BANNED = (
     r"of them\b[^.;:|]*\bof them",
 )  # fmt: skip
 PHRASE = re.compile(rf"\b(?:{'|'.join(BANNED)})\b", re.IGNORECASE)
-NAMES = {"each", "found", "told", "moved", "taken"}
+NAMES = {
+    "each", "found", "told", "moved", "taken", "crew", "doing", "errand", "hired", "labour", "receipt", "sheets", "took",
+    "whose", "Crew", "Errand", "Kept", "Sight", "Touch", "Trip", "Wanted", "lend",
+}  # fmt: skip
 MODULES = [file for package in ("atlas", "workers") for file in sorted((ROOT / package).rglob("*.py"))]
 
 
