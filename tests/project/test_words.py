@@ -25,8 +25,8 @@ BANNED = (
 )  # fmt: skip
 PHRASE = re.compile(rf"\b(?:{'|'.join(BANNED)})\b", re.IGNORECASE)
 NAMES = {
-    "each", "found", "told", "moved", "taken", "crew", "doing", "errand", "hired", "labour", "receipt", "sheets", "took",
-    "whose", "Crew", "Errand", "Kept", "Sight", "Touch", "Trip", "Wanted", "lend",
+    "each", "found", "told", "moved", "taken", "crew", "doing", "errand", "hired", "labour", "receipt", "sheets",
+    "took", "whose", "Crew", "Errand", "Kept", "Sight", "Touch", "Trip", "Wanted", "lend",
 }  # fmt: skip
 MODULES = [file for package in ("atlas", "workers") for file in sorted((ROOT / package).rglob("*.py"))]
 
