@@ -400,7 +400,7 @@ def test_what_drifts_has_to_be_declared_and_tied_down_by_nothing() -> None:
         System.from_toml(CAPSULE.replace('drift = "x2"', ""))
     with pytest.raises(DefinitionError, match="the gap row of a contact ties x2 down"):
         System.from_toml(CAPSULE.replace("gap = [1, 0]", "gap = [1, 1]"))
-    with pytest.raises(DefinitionError, match=r"system\.drift: what drifts is followed from one .* give force too"):
+    with pytest.raises(DefinitionError, match=r"system\.drift: found in a machine without a force; .* give force too"):
         System.from_toml(CAPSULE.split("[[system.friction]]")[0].replace("force = [1, 1]", ""))
 
 
