@@ -424,7 +424,7 @@ def test_a_plane_is_told_by_its_parameters_alone() -> None:
         (["fig6"], "explore shows a plane, found one axis"),
         (["omega-b", "--select", "R=0.7"], "--select picks a plane of a stack, found a plane of b, omega"),
         (["omega-b", "--tolerance", "0"], "tolerance: found 0.0, must be a number > 0"),
-        (["omega-b", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one of the two"),
+        (["omega-b", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give only one"),
     ],
 )
 def test_the_command_refuses_in_one_line_what_cannot_be_explored(words: list[str], message: str) -> None:

@@ -216,7 +216,7 @@ def test_without_the_old_store_a_tile_that_is_lost_later_stays_so_and_the_error_
     assert [failure.index for failure in failures] == [(1, 1)]
     assert "no such store; " in failures[0].message
     assert "copies cells from it: restore it, or recompute it with atlas run" in failures[0].message
-    assert "atlas retry" in failures[0].message and "extend" not in failures[0].message
+    assert "retry it into a new store" in failures[0].message and "extend" not in failures[0].message
 
 
 def test_damage_of_the_old_store_is_not_taken_over(old: Path, tmp_path: Path, client: Client) -> None:

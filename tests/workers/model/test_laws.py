@@ -630,7 +630,7 @@ def test_a_law_is_checked_by_twice_as_many_segments() -> None:
         (plane([[0, 0], [1, 1]]), "hertz: no law is an expression; a law given as a table is exact"),
         (
             plane("d**2", within=1e-4, range=1),
-            "system.contacts[0].law: takes 71 segments within a quarter of its",
+            "system.contacts[0].law: found 71 segments within a quarter of its",
         ),
     ],
 )
