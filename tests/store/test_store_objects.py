@@ -232,7 +232,7 @@ def test_the_store_that_cells_are_taken_from_is_reached_as_the_new_one_or_refuse
 ) -> None:
     new = obstores.S3Store(BUCKET, prefix="other/plane.zarr", client_options={"allow_http": "true"}, **server)
     for old in (memory(objects_of(solved_plane)), Session(objects_of(solved_plane))):
-        with pytest.raises(InputError, match=r"workers reach it by its name|must be a path, file:// or one of"):
+        with pytest.raises(InputError, match=r"workers reach it in the same way|must be a path, file:// or one of"):
             atlas.extend(old, new, refine=2)
 
 
