@@ -123,7 +123,7 @@ def test_metadata_that_the_spec_decides_are_named_with_fault_and_remedy_and_writ
 @pytest.mark.parametrize("content", [None, b"", b"{", b"[]", b'{"attributes": 7}'])
 def test_a_store_without_its_root_is_refused_with_the_remedy(whole: Path, content: bytes | None) -> None:
     (whole / "zarr.json").unlink() if content is None else (whole / "zarr.json").write_bytes(content)
-    with pytest.raises(InputError, match=rf"zarr.json is (missing|damaged .*): atlas verify --repair {whole} writes"):
+    with pytest.raises(InputError, match=rf"zarr.json is (missing|damaged .*): atlas verify --repair {whole} restores"):
         open_store(whole)
 
 
