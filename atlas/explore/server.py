@@ -132,6 +132,8 @@ def listening(port: int, host: str) -> "list[socket.socket]":
     if not 0 <= port <= 65535:
         raise InputError(f"port: found {port}, must be 0 to 65535")
     try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        socket.create_server((host, port), family=family).close()  # Tornado leaves a socket open if it cannot be bound
         return bind_sockets(port, host)
     except OSError as error:
         raise InputError(f"host {host}, port {port}: cannot be used: {error.strerror or error}") from None

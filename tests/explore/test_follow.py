@@ -300,7 +300,7 @@ def test_another_cell_ends_following_and_escape_ends_it_before_a_cut(subject: Su
     store.choose(x=(1.3, 1.9))
     assert store.now.view.follow == follow
     store.escape()
-    assert store.now.view.follow is None and store.now.chosen.cut is not None
+    assert store.now.view.follow is None and store.now.view.cut is not None
     store.escape()
     assert store.now.view.cut is None
     store.choose(follow=follow)

@@ -215,7 +215,7 @@ def test_plot_draws_a_kind_in_a_window() -> None:
 
 
 def test_exponents_per_unit_time_are_not_drawn_under_the_label_of_others() -> None:
-    with pytest.raises(InputError, match="pictures draw exponents per forcing period, found per unit time"):
+    with pytest.raises(InputError, match="pictures need exponents per forcing period, found per unit time"):
         with_units(plane([1, 2], [0.1, 0.2])).atlas.per_unit_time().atlas.plot()
 
 

@@ -224,4 +224,4 @@ def test_aperiodic_cells_have_a_fraction_and_say_how_long_they_survived(tmp_path
     row, column = aperiodic[0]
     found = ds.atlas.at(omega=float(ds.omega[column]), b=float(ds.b[row]))
     assert (found["regime"], found["survived"] >= 800 // 8) == ("aperiodic", True)
-    assert np.isfinite(ds.atlas.where_regime("aperiodic").survived_periods.values).sum() == aperiodic.shape[0]
+    assert np.isfinite(ds.atlas.where_regime("aperiodic").survived.values).sum() == aperiodic.shape[0]

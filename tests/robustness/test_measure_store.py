@@ -216,7 +216,7 @@ def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(mea
     assert "stability/reactivity/c/0/0/0" in str(fault) and f"atlas attractors measure {path} makes it anew" in str(
         fault
     )
-    assert any("stability dropped" in line for line in atlas.verify(path, sample=0, repair=True).mended)
+    assert any("stability dropped" in line for line in atlas.verify(path, sample=0, repair=True).restored)
     assert "reactivity" not in atlas.open(path)
     assert atlas.verify(path, sample=0).is_sound
 

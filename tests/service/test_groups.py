@@ -147,7 +147,7 @@ def test_damage_of_a_group_is_named_and_after_a_repair_gone(
     path = copied(request.getfixturevalue(which), tmp_path)
     flip(path / key, 0)
     assert any(says.format(path) in fault for fault in faults(path))
-    assert verify(path, sample=0, repair=True).mended
+    assert verify(path, sample=0, repair=True).restored
     assert faults(path) == []
 
 

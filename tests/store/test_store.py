@@ -206,7 +206,7 @@ def test_another_solver_version_is_refused(handle: store.AtlasStore, plane: atla
 
 def test_an_unknown_format_version_is_refused(handle: store.AtlasStore) -> None:
     set_attribute(handle.path, "format_version", 99)
-    with pytest.raises(InputError, match="format version 99, this program reads version 1"):
+    with pytest.raises(InputError, match="format version 99, this program reads version 2"):
         atlas.open(handle.path)
 
 

@@ -101,7 +101,7 @@ def test_a_store_that_needs_a_secret_is_no_origin_of_one_that_lacks_it(
 ) -> None:
     """The attribute ``origin`` has no secret, so that workers could not open it."""
     old = open_store(solved_plane).with_backend(open_backend(url))
-    with pytest.raises(InputError, match="workers reach it by its name") as caught:
+    with pytest.raises(InputError, match="workers reach it in the same way") as caught:
         place_from(old, tmp_path / "new.zarr")
     assert SECRET not in str(caught.value)
 

@@ -111,9 +111,9 @@ def test_a_kernel_costs_nothing_until_it_is_called() -> None:
     def half(x: float) -> float:
         return 0.5 * x
 
-    assert not {"alone", "part"} & vars(half).keys()
+    assert not {"python_kernel", "inner_kernel"} & vars(half).keys()
     assert half(3.0) == 1.5
-    assert "alone" in vars(half) and "part" not in vars(half)
+    assert "python_kernel" in vars(half) and "inner_kernel" not in vars(half)
 
 
 @pytest.mark.parametrize("name", ["bouncing-ball", "impact-damper", "chain-3", "chain-8"])
@@ -252,10 +252,10 @@ def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None
 def test_pieces_are_the_kernels_that_cells_take() -> None:
     for piece in (warm.APART, warm.BATCH, warm.SETTLE):
         warm.compile_piece(piece)
-    before = {kernel: list(kernel.alone.signatures) for kernel in (run.run_batch, newton.settle_cells)}
+    before = {kernel: list(kernel.python_kernel.signatures) for kernel in (run.run_batch, newton.settle_cells)}
     assert all(len(signatures) >= 1 for signatures in before.values())
     warm.warm_up()
-    assert {kernel: list(kernel.alone.signatures) for kernel in before} == before
+    assert {kernel: list(kernel.python_kernel.signatures) for kernel in before} == before
 
 
 def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:

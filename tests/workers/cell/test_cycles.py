@@ -209,7 +209,7 @@ def test_a_machine_without_a_force_has_no_frequency_and_no_phase() -> None:
             validate_parameters(belt(), {name: 1.0})
         with pytest.raises(InputError, match=f"parameter in axes {line}"):
             Spec(belt(), {name: [1.0, 2.0]})
-        with pytest.raises(DefinitionError, match=f"system.parameters.{name}: the machine has no force"):
+        with pytest.raises(DefinitionError, match=f"system.parameters.{name}: found in a machine without a force"):
             machine(parameters={name: 1.0})
     with pytest.raises(DefinitionError, match=r"system\.load\[0\]: unknown name 'omega'"):
         belt(load=["omega"])
