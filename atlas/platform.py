@@ -8,12 +8,14 @@ import multiprocessing
 import os
 import platform
 import re
+import select
 import signal
 import sys
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 import psutil
 from filelock import FileLock
@@ -29,6 +31,15 @@ def file_lock(path: Path) -> FileLock:
     holds it. ``acquire`` raises Timeout, an OSError, or another OSError where the file system has no locks.
     """
     return FileLock(path, poll_interval=_LOOKS, fallback_to_soft=False)
+
+
+def is_unread(stream: TextIO) -> bool:
+    """Whether the reader of a pipe has gone, as ``head`` does once it has its lines; True where that is not known."""
+    if not hasattr(select, "poll"):
+        return True
+    watch = select.poll()
+    watch.register(stream, 0)  # errors are reported unasked
+    return bool(watch.poll(0))
 
 
 def processors() -> int:

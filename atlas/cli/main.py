@@ -4,7 +4,6 @@ Heavy imports wait until a command needs them, so that help comes at once and no
 """
 
 import os
-import select
 import sys
 from collections.abc import Iterator, Mapping
 from importlib import import_module
@@ -111,15 +110,6 @@ class _BadInput(click.ClickException):
     exit_code = 2
 
 
-def _is_unread() -> bool:
-    """Whether the reader of stdout has gone, as ``head`` does once it has its lines: that is no error."""
-    if not hasattr(select, "poll"):
-        return True
-    watch = select.poll()
-    watch.register(sys.stdout, 0)  # errors are reported unasked
-    return bool(watch.poll(0))
-
-
 def _flush_or_drop(stream: Any) -> None:
     """Write what is left for a stream; drop it where nobody reads that: Python would complain at its end."""
     try:
@@ -177,7 +167,9 @@ class _Group(click.Group):
         except RunError as error:
             raise click.ClickException(str(error)) from None
         except OSError as error:  # a disk or a network that gave up in the middle
-            if isinstance(error, BrokenPipeError) and _is_unread():
+            from atlas.platform import is_unread
+
+            if isinstance(error, BrokenPipeError) and is_unread(sys.stdout):
                 ctx.exit()
             where = f"{error.filename}: " if error.filename else ""
             raise click.ClickException(f"{where}{error.strerror or error}") from None

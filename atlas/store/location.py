@@ -145,7 +145,7 @@ def url_below(url: str, folder: str) -> str:
 
 def _place_at(path: Path) -> Place:
     for part in (path, *path.parents):
-        if part.is_symlink() and not part.exists():
+        if os.path.islink(part) and not os.path.exists(part):  # of names that are too long, too
             raise InputError(f"{path}: found a link to {part.readlink()}, which does not exist")
     return ZipPlace(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalPlace(path)
 

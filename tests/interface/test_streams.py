@@ -58,7 +58,7 @@ def test_a_broken_pipe_that_is_not_its_output_is_an_error(monkeypatch: pytest.Mo
         raise BrokenPipeError(32, "Broken pipe")
 
     monkeypatch.setattr("atlas.cli.cell.example_text", broken)
-    monkeypatch.setattr("atlas.cli.main._is_unread", lambda: False)
+    monkeypatch.setattr("atlas.platform.is_unread", lambda stream: False)
     done = CliRunner().invoke(main, ["example", "tiny"])
     assert (done.exit_code, done.stderr) == (1, "Error: Broken pipe\n")
 
