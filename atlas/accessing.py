@@ -1,4 +1,4 @@
-"""``ds.atlas`` for every dataset of xarray, from whatever function, as soon as ``atlas`` and xarray are imported.
+"""``ds.atlas`` for every dataset of xarray as soon as ``atlas`` and xarray are imported.
 
 xarray takes a while to load, which ``import atlas`` does not wait for: if it comes later, it gets the accessor then.
 """
@@ -32,10 +32,10 @@ class _AfterXarray(MetaPathFinder):
         if name != "xarray":
             return None
         others = (finder for finder in sys.meta_path if finder is not self)
-        found = next((spec for finder in others if (spec := finder.find_spec(name, path, target))), None)
-        if found is None or found.loader is None:
-            return found
-        execute = found.loader.exec_module
+        spec = next((known for finder in others if (known := finder.find_spec(name, path, target))), None)
+        if spec is None or spec.loader is None:
+            return spec
+        execute = spec.loader.exec_module
 
         def exec_module(module: ModuleType) -> None:
             execute(module)
@@ -43,8 +43,8 @@ class _AfterXarray(MetaPathFinder):
                 sys.meta_path.remove(self)
             _register()
 
-        found.loader.exec_module = exec_module  # type: ignore[method-assign]
-        return found
+        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
 
 
 def _register() -> None:

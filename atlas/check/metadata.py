@@ -114,7 +114,8 @@ def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
 def _groups_with_copies(handle: Atlas) -> list[str]:
     """The keys of the metadata of tables and of levels of overviews."""
     levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
-    return [key for key in (*(f"{table}/{ROOT}" for table in TABLES), *levels) if handle.place.exists(key)]
+    tables = (f"{table}/{ROOT}" for table in TABLES if table not in handle.array_names)  # ``attractors`` is both
+    return [key for key in (*tables, *levels) if handle.place.exists(key)]
 
 
 def _json(handle: Atlas, key: str) -> dict[str, Any] | None:

@@ -29,7 +29,7 @@ def open_atlas(
     """The atlas as an xarray Dataset, read from disk as it is used; InputError where the store is not an atlas.
 
     ``chunks`` makes Dask arrays of its variables. Where its attractors are labelled it has their ``label`` too, and
-    where they are measured their measures. Attributes are those that the store has. Reading a chunk of a finished tile
+    where they are measured their measures. Attributes are those of the store. Reading a chunk of a finished tile
     that is missing or damaged raises ChunkError.
     """
     import xarray

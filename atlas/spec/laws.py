@@ -65,7 +65,7 @@ def law_lines(uses: Mapping[str, LawUse]) -> list[str]:
         words = []
         if use.beyond:
             goes_on = f"beyond its range in {plural(use.beyond, 'cell')}, up to {use.share:.3g} of it"
-            words.append(f"{goes_on}, where its last segment goes on")
+            words.append(f"{goes_on}, where its last segment is used")
         if use.error > SHOWN:
             words.append(f"its segments are off by up to {100.0 * use.error:.2g} % of the greatest force")
         if words:

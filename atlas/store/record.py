@@ -23,7 +23,7 @@ TILES = "tiles"
 RECORD, RECORDS = f"{TILES}/record", f"{TILES}/records"
 COVERED = "variables"
 """The attribute with the names of the variables in a digest, in their order."""
-_ROOM = {"cells": 16, "area": 16, "reason": 32}
+_ROOM = {"cells": 16, "area": 16, "reason": 64}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
 AREAS = slice(18, 18 + len(REGIMES))

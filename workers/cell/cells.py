@@ -208,19 +208,19 @@ class Cells:
         (contacts, stops, _), n = self.oscillators.contacts, self.oscillators.gap_row.shape[1]
         free = self.oscillators.gap.lam[rows] == 0.0
         off = (self.kept()[rows] > STEPS) & np.any(np.isinf(stops[rows]), axis=(1, 2)) & np.any(free, axis=1)
-        rows, free, found = rows[off], free[off], np.flatnonzero(off)
+        rows, free, candidates = rows[off], free[off], np.flatnonzero(off)
         if not len(rows):
             return off
         steps = np.diff(self.batch.sections[rows, -STEPS - 1 :], axis=1)
-        moved = np.where(free, np.abs(steps[..., 0]).min(axis=1), 0.0)  # (K, n)
+        least_step = np.where(free, np.abs(steps[..., 0]).min(axis=1), 0.0)  # (K, n)
         uneven = np.where(free, np.ptp(steps[..., 0], axis=1), np.abs(steps[..., 0]).max(axis=1))
         turned = np.abs(steps[..., 1]).max(axis=1) * self.oscillators.period[rows, None]
         along = self.oscillators.to_physical[rows, :n] @ steps[:, -1].reshape(len(rows), 2 * n, 1)
         y = (contacts[rows] @ along)[..., 0]
         ahead = np.where(y > 0.0, stops[rows, :, 1], stops[rows, :, 0])
-        size = SAME_STEP * moved.max(axis=1)
+        size = SAME_STEP * least_step.max(axis=1)
         clear = np.all(np.isinf(ahead) | (np.abs(y) <= size[:, None]), axis=1) & (np.abs(y).max(axis=1) > size)
-        off[found] = clear & (np.maximum(uneven, turned).max(axis=1) <= size) & (size > 0.0)
+        off[candidates] = clear & (np.maximum(uneven, turned).max(axis=1) <= size) & (size > 0.0)
         return off
 
     def are_far(self, rows: Rows) -> Mask:

@@ -427,8 +427,8 @@ def _rest_from(cells: Cells, r: int, state: Array, periods: int) -> Rest | None:
     last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
     count, rests = len(last[0].keys) if last else 0, list[Rest]()
     while count > 2:  # rounding hides the turns about a rest away from the origin in the end
-        found = rest_of(machine, last[0].until(count))
-        rests += [found] if found else []
+        rest = rest_of(machine, last[0].until(count))
+        rests += [rest] if rest else []
         count //= 2
     return min(rests, key=lambda rest: rest.error, default=None)
 

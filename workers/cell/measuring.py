@@ -84,7 +84,7 @@ def measure(cells: Cells, definition: Definition, params: Mapping[str, Array]) -
 def explain(cells: Cells, definition: Definition, params: Mapping[str, Array]) -> None:
     """Correct the reason of undetermined cells that no budget decides, from parameters (N,) each.
 
-    Motion of a machine that loses nothing comes to nothing; growth says so itself. What nothing drives dies away.
+    Motion of a machine that loses nothing comes to nothing; growth has a reason of its own. What nothing drives dies away.
     """
     reason = cells.results["reason"]
     undecided = cells.results["regime"] == UNDETERMINED

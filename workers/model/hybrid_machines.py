@@ -209,20 +209,20 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     balance = 0.5 * (own.stiffness + ahead(own.stiffness)).reshape(N, P * n, n)
     matrix = np.concatenate([balance, np.where(between[..., None], own.row, 0.0)], axis=1)
     right = np.concatenate([0.5 * (own.load + ahead(own.load)).reshape(N, P * n), middle], axis=1)
-    moved = np.asarray(np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1))
+    off_centre = np.asarray(np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1))
     centre = np.zeros((N, n))
-    moved &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    for r in np.flatnonzero(moved).tolist():
+    off_centre &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    for r in np.flatnonzero(off_centre).tolist():
         centre[r] = np.linalg.lstsq(matrix[r], right[r])[0]
     size = (np.abs(matrix) @ np.abs(centre)[..., None])[..., 0] + np.abs(right)
-    moved &= np.all(np.abs((matrix @ centre[..., None])[..., 0] - right) <= MIDWAY * size, axis=1)
+    off_centre &= np.all(np.abs((matrix @ centre[..., None])[..., 0] - right) <= MIDWAY * size, axis=1)
     wide = 0.5 * np.where(between, own.stops[..., 1] - own.stops[..., 0], np.inf)
     pull = own.load - (own.stiffness @ centre[:, None, :, None])[..., 0]
-    moved_machines = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
-    moved &= mirrors(moved_machines)
-    load = np.where(moved[:, None, None], moved_machines.load, own.load)
-    stops = np.where(moved[:, None, None], moved_machines.stops, own.stops)
-    return own._replace(load=load, stops=stops), np.where(moved[:, None], centre, 0.0)
+    centred = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
+    off_centre &= mirrors(centred)
+    load = np.where(off_centre[:, None, None], centred.load, own.load)
+    stops = np.where(off_centre[:, None, None], centred.stops, own.stops)
+    return own._replace(load=load, stops=stops), np.where(off_centre[:, None], centre, 0.0)
 
 
 def held_rows(machines: HybridMachines) -> Array:

@@ -197,7 +197,7 @@ def plane_of(handle: Atlas) -> CurvePlane:
 
 
 def changes_of(system: System) -> tuple[list[str], list[str]]:
-    """The results that change where an orbit goes on with other contacts or slides: flags and counts of its contacts;
+    """The results that change where an orbit continues with other contacts or slides: flags and counts of its contacts;
     and shares of time that are 0 where its friction does not stick."""
     own, definition = {variable.name for variable in system.own_variables}, system.definition
     counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]

@@ -437,7 +437,7 @@ def test_commands_say_in_a_line_how_far_laws_were_used(tmp_path: Path) -> None:
     runner = CliRunner()
     cell = runner.invoke(main, ["point", "--system", str(file), "--set", "L=0.5"])
     share = float(solve_tile(System.from_mapping(WALL), {"L": 0.5})["beam_range_share"])
-    line = f"law of beam: beyond its range in 1 cell, up to {share:.3g} of it, where its last segment goes on;"
+    line = f"law of beam: beyond its range in 1 cell, up to {share:.3g} of it, where its last segment is used;"
     assert sum(text.startswith(line) for text in cell.stdout.splitlines()) == 1
     fine = runner.invoke(main, ["point", "--system", str(file), "--set", "L=3"])
     assert "law of beam: its segments are off by up to" in fine.stdout and "beyond" not in fine.stdout
