@@ -80,7 +80,7 @@ def test_its_numbers_are_those_of_the_packaged_system_to_the_bit(folder: Path) -
 def test_its_states_and_parameters_are_those_of_the_definition(store: Path) -> None:
     ds = atlas.open(store)
     assert ds.component.values.tolist() == ["p", "q", "u", "w"]
-    assert ds.z.attrs == {"long_name": "z", "symbol": r"\zeta"}
+    assert ds.z.attrs == {"long_name": "z", "symbol": r"\zeta", "units": "1"}
     assert ds.d.attrs["long_name"] == "clearance"
     assert "two masses between stops" in ds.attrs["title"]
 
