@@ -125,7 +125,7 @@ def test_a_worker_whose_setup_fails_is_named_with_its_reason_and_does_no_job(
 
     DOES[name] = refuse
     workers = {*run_steps(two_workers, name, tick=last.append)}
-    ((refused, reason),) = last[-1].left_out.items()
+    ((refused, reason),) = last[-1].excluded.items()
     assert (len(workers), reason) == (1, "sees no store")
     assert refused not in workers
     assert CALLS[name].total() == 2
@@ -143,7 +143,7 @@ def test_a_setup_that_fails_for_a_while_is_tried_again_by_the_next_job(
 
     DOES[name] = fail
     assert len(run_steps(two_workers, name, tick=last.append)) == 20
-    assert last[-1].left_out == {}
+    assert last[-1].excluded == {}
 
 
 # What jobs have of it
