@@ -36,7 +36,7 @@ def _install(module: Any) -> None:
             raise ZeroDivisionError(f"attempt {attempt + 1}")
         if word == "slow":
             time.sleep(0.3)
-        with module.file_errors(job.site.store):
+        with module.translate_file_errors(job.store_ref.store):
             if word in ("full", "forbidden"):
                 number = errno.ENOSPC if word == "full" else errno.EROFS
                 raise OSError(number, os.strerror(number))
