@@ -208,5 +208,5 @@ def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
     for index, arrays in tiles.items():
         write_tile(handle, index, arrays)
         left.append(pending())
-    own = atlas.open(path)["own"].values
+    own = atlas.open(path)["own_attractor"].values
     assert left[0] == own.size and left[-1] == np.sum(own < 0) and left == sorted(set(left), reverse=True)

@@ -21,8 +21,8 @@ class Letters(Panel[str]):
             list[tuple[Callable[[], Show], Any]](),
         )
 
-        def want(who: object, jobs: list[ComputationJob], too: bool = False) -> None:
-            self.wanted = [*jobs, *(self.wanted if too else ())]
+        def want(who: object, jobs: list[ComputationJob], keep_earlier: bool = False) -> None:
+            self.wanted = [*jobs, *(self.wanted if keep_earlier else ())]
 
         explorer: Any = SimpleNamespace(subject=None, patches=SimpleNamespace(request=want))
         background: Any = SimpleNamespace(deferred_call=lambda act: act, run=lambda *given: self.works.append(given))
@@ -39,7 +39,7 @@ class Letters(Panel[str]):
         self.shown.append(why)
 
     def answer(self, errand: ComputationJob) -> None:
-        """Have the crew answer."""
+        """Have the workers answer."""
         (function, value), take = errand.build_task()
         take(function(value))
 
