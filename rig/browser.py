@@ -33,10 +33,10 @@ class Tab:
         self.sent: list[int] = []
         self.received: list[int] = []
         self.messages = 0
-        page.on_color("websocket", self._listen)
-        page.on_color("console", self._hear)
-        page.on_color("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on_color("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
+        page.on("websocket", self._listen)
+        page.on("console", self._hear)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("request", lambda request: self.hosts.add(request.url.split("/")[2].split(":")[0]))
 
     def _hear(self, said: Any) -> None:
         # A driver speaks of its own speed, and Bokeh of plots without data yet.
@@ -46,7 +46,7 @@ class Tab:
 
     def _listen(self, socket: Any) -> None:
         for event, sizes in (("framesent", self.sent), ("framereceived", self.received)):
-            socket.on_color(event, lambda content, sizes=sizes: self._count(content, sizes))
+            socket.on(event, lambda content, sizes=sizes: self._count(content, sizes))
 
     def _count(self, content: str | bytes, sizes: list[int]) -> None:
         sizes.append(len(content))

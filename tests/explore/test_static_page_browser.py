@@ -41,7 +41,7 @@ def tab(browser: Any, page: Path) -> Iterator[Tab]:
     """The page as it opens; nothing may go wrong in it, and it may ask for nothing but itself."""
     with look_at(browser, page) as made:
         said: list[str] = []
-        made.page.on_color("console", lambda message: said.append(message.text))
+        made.page.on("console", lambda message: said.append(message.text))
         ready(made)
         yield made
         assert said == made.complaints == []

@@ -135,12 +135,14 @@ def test_a_report_that_nobody_could_write_is_refused_before_anything_is_done(
     tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for path in (tmp_path, tmp_path / "nowhere" / "report.html"):
-        with pytest.raises(InputError, match=r"performance_report .*: cannot be written; give a file in a folder"):
+        with pytest.raises(
+            InputError, match=r"performance_report .*: cannot be written; give a file in an existing folder"
+        ):
             atlas.RunOptions(performance_report=path)
     for name, given in (("performance_report", 3), ("dashboard", "no"), ("storage_options", "anon")):
         with pytest.raises(InputError, match=f"{name}: found {given!r}, must be"):
             atlas.RunOptions(**{name: given})
-    with pytest.raises(InputError, match="performance_report: is of workers"):
+    with pytest.raises(InputError, match="performance_report: is about workers"):
         atlas.RunOptions(performance_report=tmp_path / "report.html", tile=(0, 0))
     for module in (cluster, clients):
         monkeypatch.setattr(module, "has_dashboard", lambda: False)

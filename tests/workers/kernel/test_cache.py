@@ -40,7 +40,7 @@ sizes = [size(njit(total))]
 from workers.kernel.jit import kernel
 sizes.append(size(njit(total)))
 total.__module__ = "workers.kernel.sample"
-sizes.append(size(kernel(total).part))
+sizes.append(size(kernel(total).inner_kernel))
 total.__module__ = "__main__"
 sizes.append(size(njit(total)))
 print(*sizes)
@@ -67,7 +67,7 @@ def test_kernels_of_this_package_are_in_its_folder() -> None:
         return x
 
     if CACHE is not None:
-        assert Path(sample.alone.stats.cache_path).is_relative_to(CACHE)
+        assert Path(sample.python_kernel.stats.cache_path).is_relative_to(CACHE)
 
 
 def test_loops_of_others_are_compiled_as_without_this_package() -> None:
