@@ -302,11 +302,3 @@ def test_the_wheel_is_built_installed_and_used_without_the_sources() -> None:
         [sys.executable, ROOT / "scripts/check_wheel.py"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_the_first_stage_passes_with_the_oldest_packages_that_are_allowed() -> None:
-    done = subprocess.run(
-        [sys.executable, ROOT / "scripts/check_lower_bounds.py"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
