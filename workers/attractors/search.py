@@ -17,8 +17,9 @@ from workers.attractors.matching import (
     periods_along,
     periods_to_settle,
 )
-from workers.cell.autonomous import AutonomousSchedule, convert_to_time, course_of, trails
+from workers.cell.autonomous import AutonomousSchedule, convert_to_time, course_of
 from workers.cell.cell_batch import CellBatch
+from workers.cell.event_trail import trails
 from workers.cell.measures import explain, measure
 from workers.cell.observables import observe
 from workers.cell.outcome import end_impact_free, end_stopped
@@ -183,7 +184,7 @@ class MotionSearch:
             for known in cycles:
                 if known.cycle and known.cycle.contains_states(states, numbers):
                     self.label[r] = self.known.attractors.index(known)
-                    kept = cells.batch.sections[r, cells.batch.sections.shape[1] - cells.known_section_count()[r] :]
+                    kept = cells.known_sections(r)
                     self.arrival[r] = periods_along(
                         cells.oscillators.gap.blocks[r], kept, cells.periods_flown[r], known.orbit
                     )

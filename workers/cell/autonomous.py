@@ -6,44 +6,38 @@ its equations, see continuation/cycles.py, and the event loop must close it. Fro
 period of the cycle, so that all measures see an orbit of one period.
 """
 
-import math
-from collections import deque
-from collections.abc import Iterator
-from contextlib import suppress
-from itertools import islice
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from workers.cell.cell_batch import CLOSING_DISTANCE, RETURNS, CellBatch, CellCycle
+from workers.cell.event_trail import AT_ONE_TIME, EventTrail, passages, trails, turn_from
 from workers.cell.exponents import kaplan_yorke
 from workers.cell.interval import batch_of, begin, run
 from workers.cell.orbits import end_on_orbits
 from workers.cell.outcome import end_impact_free, put_averaged, put_periodic, write_results
 from workers.cell.schedule import TORUS_RETURN, AdaptiveSchedule, Property, none_of
+from workers.cell.vertex_rest import (
+    Rest,
+    is_at_equilibrium,
+    put_rests,
+    rest_beside,
+    rest_of_turns,
+    rest_without_events,
+)
 from workers.continuation.cycles import LimitCycle, cycle_near, cycle_through
-from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit
-from workers.continuation.legs import END, EVENT, MODE, NO_EVENT, SIGNAL
-from workers.continuation.orbit_from_motion import ASKED, orbit_from_turn, reduce_symmetry
-from workers.continuation.shooting import OrbitMotion
+from workers.continuation.orbit_from_motion import ASKED, reduce_symmetry
 from workers.kernel.cell_loops import physical_states
-from workers.kernel.hybrid.leg_record import LEG, LEG_STATE
-from workers.kernel.motion import CONTRACTION, NOTHING_COUNTED, RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
-from workers.model.family import NoOscillatorError, OrbitMachines, with_modes
-from workers.model.hybrid_modes import HybridModes
+from workers.kernel.hybrid.leg_record import LEG
+from workers.kernel.motion import RUNNING, STATUS, STUCK, WORK, WORK_OF_A_TRIAL
+from workers.model.family import NoOscillatorError, OrbitMachines
 from workers.model.natural_period import set_period
-from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows, at_rows, rates_of
-from workers.orbit.recorded_legs import leg_from_row, legs_of_periods, mode_code_of_state
+from workers.model.oscillator import Array, Mask, Oscillator, Rows, at_rows
 from workers.results import (
     APERIODIC,
     AT_EQUILIBRIUM,
     CENTRE,
     CHAOTIC,
     FREE_PHASE,
-    NO_IMPACT,
     NO_REASON,
     PER_TIME,
     QUASIPERIODIC,
@@ -52,25 +46,11 @@ from workers.results import (
     Variable,
 )
 
-MIN_EXAMINED_PERIODS = 64
-"""Minimum number of natural periods over which a motion is examined: as long as all before, or until it closes."""
-
-SPARSER = 0.25
-"""Share of all periods so far after which the events are examined again, beyond MIN_EXAMINED_PERIODS periods. All
-examinations together cost a few times the last one."""
-
-AT_ONE_TIME = 1e-9
-"""Share of a natural period within which events of different signals count as one: rounding decides their order."""
-
 NEAR_CYCLE = 1e-3
 """Maximum distance of a return, relative to the motion, that may be the return of a cycle."""
 
 STABLE = 1e-12
 """Minimum -ln|mu| of a multiplier mu that is certainly inside the unit circle, if its error is smaller."""
-
-VERTEX, SAME_RAY = 1e-12, 1e-6
-"""Rounding of rates and signals in an equilibrium, as a share of their terms; and maximum change of the direction from
-an equilibrium in a turn round it, as a share of the distance."""
 
 BRUSH = 1e-7
 """Maximum share of rest in a cycle that is a graze, made longer by rounding: inside the cycle motions swing forever."""
@@ -78,69 +58,6 @@ BRUSH = 1e-7
 STEADY, MIN_TORUS_PERIODS = 15.0, 3000
 """Maximum logarithm of the shrinkage of a torus's second tangent vector, and minimum number of natural periods of
 averaging."""
-
-
-BESIDE, FEW_TURNS = 1e-4, 8
-"""Distance from an equilibrium, relative to its displacement, at which a motion is started; number of natural periods
-for which it is followed."""
-
-
-class EventTrail(NamedTuple):
-    """The last G events of one motion; events of several signals at one time are one event.
-
-    legs    (E, columns) the leg from each event of a signal, see leg_record.LegRecord
-    first   (G,) index of the first leg of each event
-    keys    (G,) key of each event: equal if signals, sides and next mode are equal
-    states  (G, 2n) states after the events, as shares of the range of each component
-    """
-
-    legs: Array
-    first: NDArray[np.int64]
-    keys: NDArray[np.int64]
-    states: Array
-
-    @property
-    def states_after(self) -> tuple[Array, NDArray[np.int64]]:
-        """Physical states (E, 2n) after the signals' events, and the numbers (E,) of the modes from there on."""
-        size = self.states.shape[1]
-        return self.legs[:, LEG_STATE : LEG_STATE + size], self.legs[:, LEG.number].astype(np.int64)
-
-    def until(self, count: int) -> "EventTrail":
-        """Return the first ``count`` events of the trail."""
-        return EventTrail(self.legs[: np.append(self.first, len(self.legs))[count]], self.first[:count],
-        self.keys[:count],
-                     self.states[:count])  # fmt: skip
-
-    def distance_between(self, last: int, first: int) -> float:
-        """Return the distance of the states after two events."""
-        return float(np.max(np.abs(self.states[last] - self.states[first])))
-
-
-def trail_of(legs: Array, size: int, period: float) -> EventTrail:
-    """Return the trail of legs in order of time; ``period`` is the natural one."""
-    events = legs[legs[:, LEG.signal] >= 0.0]
-    columns = events[:, [LEG.number, LEG.signal, LEG.side]].astype(np.int64)
-    first = _first_at_one_time(events, period)
-    last = np.append(first, len(events))[1:] - 1
-    _, keys = np.unique(columns[last], axis=0, return_inverse=True)
-    keys, names = keys.reshape(-1).astype(np.int64), dict[tuple[object, ...], int]()
-    for k in np.flatnonzero(last > first).tolist():
-        several = sorted(map(tuple, columns[first[k] : last[k] + 1, 1:].tolist()))
-        keys[k] = len(columns) + names.setdefault((columns[last[k], 0], *several), len(names))
-    ranges = np.ptp(legs[:, LEG_STATE : LEG_STATE + size].reshape(-1, 2, size // 2), axis=0).max(axis=1, initial=0.0)
-    ranges = np.repeat(np.where(ranges > 0.0, ranges, 1.0), size // 2)
-    return EventTrail(events, first, keys, events[last, LEG_STATE : LEG_STATE + size] / ranges)
-
-
-def _first_at_one_time(events: Array, period: float) -> NDArray[np.int64]:
-    """Return the indices of events that do not follow an event of another signal at once."""
-    later = np.diff(events[:, LEG.start], prepend=-np.inf) > AT_ONE_TIME * period
-    for k in np.flatnonzero(~later).tolist():
-        begin = k - 1
-        while not later[begin]:
-            begin -= 1
-        later[k] = events[k, LEG.signal] in events[begin:k, LEG.signal]  # a signal occurs only once in an event
-    return np.flatnonzero(later)
 
 
 def course_of(cells: CellBatch, is_known: Property = none_of, must_leave: Property = none_of) -> AdaptiveSchedule:
@@ -169,13 +86,13 @@ class VertexCourse(AdaptiveSchedule):
             rests |= {r: rest} if rest else {}
         put_rests(self.cells, rests)
         rows = super().end_on_orbits(rows[self.cells.is_active[rows]], budget, near)
-        stands = [still[r] and _repeats(self.cells, r) and _stands(self.cells, r) for r in rows.tolist()]
+        stands = [still[r] and _repeats(self.cells, r) and is_at_equilibrium(self.cells, r) for r in rows.tolist()]
         self.end_standing(rows[np.array(stands, dtype=np.bool_)])
         return rows[self.cells.is_active[rows]]
 
     def end_standing(self, rows: Rows) -> None:
         """Write the results of cells that stand in an equilibrium."""
-        rests = {r: rest for r in rows.tolist() if (rest := _rest_beside(self.cells, r)) is not None}
+        rests = {r: rest for r in rows.tolist() if (rest := rest_beside(self.cells, r)) is not None}
         put_rests(self.cells, rests)
         put_centres(self.cells, end_impact_free(self.cells, rows[self.cells.is_active[rows]]))
 
@@ -208,7 +125,7 @@ class AutonomousSchedule(VertexCourse):
         left = np.array(
             [r for r in left.tolist() if self.cells.is_active[r] and _repeats(self.cells, r)], dtype=np.int64
         )
-        stands = np.array([_stands(self.cells, r) for r in left.tolist()], dtype=np.bool_)
+        stands = np.array([is_at_equilibrium(self.cells, r) for r in left.tolist()], dtype=np.bool_)
         put_centres(self.cells, left[~stands])
         self.end_standing(left[stands])
         put_cycles(self.cells, cycles)
@@ -257,36 +174,6 @@ class AutonomousSchedule(VertexCourse):
             if len(trail.keys) and np.max(np.bincount(trail.keys)) > most:
                 break
         return None, trail is not None and not len(trail.keys)
-
-
-def trails(cells: CellBatch, r: int, start: tuple[Array, int] | None = None, limit: int = 0) -> Iterator[EventTrail]:
-    """Yield trails of one motion, ever longer, until it cannot be followed or its work is spent.
-
-    cells  the cells
-    r      row of the motion
-    start  physical state and number of its mode at the start; None for the present state
-    limit  maximum number of periods; 0 for as many as the motion has flown
-
-    There is a trail for each number of periods up to MIN_EXAMINED_PERIODS, and for ever fewer beyond.
-    """
-    one = np.array([r])
-    machine, size, motions = at_rows(cells.oscillators, one), cells.directions, cells.batch.motions
-    state, number = start or (physical_states(cells.oscillators, motions, one)[0], int(motions.mode[r, 0]))
-    legs, trail, period = list[Array](), None, float(cells.oscillators.period[r])
-    limit, following = limit or max(MIN_EXAMINED_PERIODS, int(cells.periods_flown[r])), 1
-    with suppress(ValueError):
-        for k, rows in enumerate(legs_of_periods(machine, state, number, motions.tally[r]), 1):
-            cells.periods_used[r] += 1
-            legs.append(rows)
-            if k < min(following, limit):
-                continue
-            following = k + max(1, int(SPARSER * k) if k >= MIN_EXAMINED_PERIODS else 1)
-            legs = [np.concatenate(legs)]
-            if trail is None or np.any(legs[0][:, LEG.signal] >= 0.0):
-                trail = trail_of(legs[0], size, period)
-            yield trail
-            if k >= limit:
-                return
 
 
 def turns_of(trail: EventTrail) -> list[int]:
@@ -343,27 +230,6 @@ def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle
     return cycle, times[keys[: len(times)] == rarest]
 
 
-def turn_from(
-    machine: Oscillator, trail: EventTrail, m: int, first: int
-) -> tuple[OrbitMachines, Orbit, NDArray[np.int64]]:
-    """Return the last m events of a trail as a turn from event ``first`` on: machine, orbit and keys.
-
-    There is a key for each signal's event. Of several signals at one time the first has the key, the others have -1.
-    """
-    starts = np.append(trail.first, len(trail.legs))[len(trail.keys) - m :]
-    rows = trail.legs[starts[0] :].copy()
-    keys = np.full(len(rows), -1)
-    keys[starts[:-1] - starts[0]] = trail.keys[-m:]
-    T = trail.legs[trail.first[-1], LEG.start] - trail.legs[trail.first[-1 - m], LEG.start]
-    begin = int(starts[first] - starts[0])
-    before = leg_from_row(machine, rows[begin - 1]).code
-    rows, keys = np.roll(rows, -begin, axis=0), np.roll(keys, -begin)
-    rows[-begin or len(rows) :, LEG.start] += T
-    rows[:, LEG.start] -= rows[0, LEG.start]
-    own = with_modes(machine.table.machines._replace(omega=np.array([2.0 * np.pi / T])))
-    return own, orbit_from_turn([leg_from_row(machine, row) for row in rows], before, 0, float(T)), keys
-
-
 def is_stable(cycle: LimitCycle) -> bool:
     """Return True if all multipliers of a cycle are certainly inside the unit circle."""
     return bool(cycle.logs[0] < -max(STABLE, cycle.error))
@@ -402,224 +268,10 @@ def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
     return cycle
 
 
-class Rest(NamedTuple):
-    """An equilibrium at a vertex, where events continue forever while the motion shrinks by a factor each turn.
-
-    state      (2n,) its physical state
-    number     number of a mode there
-    exponents  (2n,) exponents of the motion per unit of time
-    error      error of the exponents
-    """
-
-    state: Array
-    number: int
-    exponents: Array
-    error: float
-
-
-def rest_of_turns(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium at a vertex round which a cell's motion shrinks, from the first known section on.
-
-    Return None if there is no such equilibrium.
-    """
-    sections = sections_of(cells, r)
-    if len(sections) < 8:
-        return None
-    quarters = [float(np.ptp(quarter, axis=0).max()) for quarter in np.array_split(sections, 4)]
-    if not quarters[0] > quarters[3] or np.any(np.diff(quarters) > 0.0):
-        return None  # the motion does not shrink
-    return _rest_from(cells, r, sections[0], min(len(sections), MIN_EXAMINED_PERIODS))
-
-
-def _rest_beside(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium of one mass at a vertex in which a cell's motion stands; None without one.
-
-    A motion that starts near the equilibrium must shrink round it; motion from all sides then does so.
-    """
-    if cells.directions > 2:
-        return None
-    state = physical_states(cells.oscillators, cells.batch.motions, np.array([r]))[0]
-    push = BESIDE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
-    rest = _rest_from(cells, r, state + np.array([0.0, push]), FEW_TURNS)
-    return rest if rest is not None and abs(rest.state[0] - state[0]) <= CLOSING_DISTANCE * abs(state[0]) else None
-
-
-def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | None:
-    """Return the equilibrium at a vertex round which a motion from ``state`` shrinks; None without one."""
-    machine, (number,) = at_rows(cells.oscillators, np.array([r])), numbers_of(cells, r, state[None])
-    last = deque(trails(cells, r, (state, int(number)), periods), maxlen=1)
-    count, rests = len(last[0].keys) if last else 0, list[Rest]()
-    while count > 2:  # rounding hides the last turns round a rest away from the origin
-        rest = rest_of(machine, last[0].until(count))
-        rests += [rest] if rest else []
-        count //= 2
-    return min(rests, key=lambda rest: rest.error, default=None)
-
-
-def sections_of(cells: CellBatch, r: int) -> Array:
-    """Return the known physical sections (K, 2n) of a cell's last interval."""
-    h = cells.batch.sections[r, -int(cells.known_section_count()[r]) :].reshape(-1, cells.directions)
-    return np.asarray(h @ cells.oscillators.to_physical[r].T)
-
-
-def numbers_of(cells: CellBatch, r: int, states: Array) -> NDArray[np.int64]:
-    """Return the numbers (K,) of the modes of physical states (K, 2n) of a cell."""
-    own = cells.oscillators.table
-    elements = at_rows(own.elements, np.array([r]))
-    return np.array([mode_code_of_state(elements, z).number_of(*own.machines.segments) for z in states])
-
-
-def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
-    """Return the equilibrium at the end of a signal to which a cell's motion converges in one mode; None without one.
-
-    The motion comes from one side, by its slowest decay.
-    """
-    sections = sections_of(cells, r)
-    numbers = numbers_of(cells, r, sections)
-    machine = at_rows(cells.oscillators, np.array([r]))
-    rests = (_rest_in_mode(machine, sections, numbers == number, number) for number in dict.fromkeys(numbers.tolist()))
-    return next((rest for rest in rests if rest is not None), None)
-
-
-def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: int) -> Rest | None:
-    """Return the equilibrium of ``rest_without_events`` in the mode of this number; None without one.
-
-    ``inside`` (K,) is the mask of sections in that mode.
-    """
-    slot, size = np.flatnonzero(machine.table.codes[0] == number), sections.shape[1]
-    if not len(slot) or machine.table.pieces.lost[0, slot[0]] > 0.0:
-        return None
-    pieces, period = HybridModes(*(field[0, slot[0]] for field in machine.table.pieces)), float(machine.period[0])
-    rest = pieces.to_physical @ pieces.blocks[0, :, COLUMN.rest0 : COLUMN.rest1 + 1].reshape(-1)
-    logs = np.sort(rates_of(pieces.blocks[0]).real.reshape(-1))[::-1]
-    away, decay = sections - rest, math.exp(min(logs[0], 0.0) * period)
-    linear = away[:-1] @ expm(_rates(pieces.acceleration) * period).T
-    x, v = np.split(np.abs(away[:-1]), 2, axis=1)
-    far = np.maximum(x.max(axis=1), v.max(axis=1) * period / (2.0 * np.pi))
-    misses = np.maximum(np.abs(linear - decay * away[:-1]), np.abs(away[1:] - decay * away[:-1])).max(axis=1)
-    straight = (misses <= SAME_RAY * decay * far) & inside[:-1] & inside[1:]
-    if not (logs[0] < 0.0 and np.any(straight)):
-        return None
-    there = away[int(np.argmax(straight))]
-    rows, (low, high) = pieces.rows, pieces.ends.T
-    value, change = rows[:, :size] @ rest + rows[:, size], rows[:, :size] @ there
-    rounding = VERTEX * (np.abs(rows[:, :size]) @ (np.abs(rest) + np.abs(there)) + np.abs(rows[:, size]))
-    within = (value + change < high + rounding) & (value + change > low - rounding)
-    within &= (value <= high + rounding) & (value >= low - rounding)
-    rest[size // 2 :] = 0.0
-    ends = np.abs(np.stack([value - low, value - high])) <= rounding
-    return Rest(rest, number, logs, 1e-15 * abs(logs[0])) if np.all(within) and np.any(ends) else None
-
-
-def _rates(acceleration: Array) -> Array:
-    """Return the matrix (2n, 2n) of z' = A z round the rest of a mode, from its accelerations (n, 2n + 1)."""
-    n = len(acceleration)
-    return np.concatenate([np.eye(n, 2 * n, n), acceleration[:, : 2 * n]])
-
-
-def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
-    """Return the equilibrium to which the motion of a trail shrinks through ever the same events; None without one.
-
-    ``machine`` is a single machine in a batch. If each mode of a turn is at rest in one state, and each signal of an
-    event is at its end there, then the motion round it has no scale. A factor by which one turn multiplies the motion
-    then applies to every turn. Motion along itself grows by this factor, and so does the distance; the map of the turn
-    has the other multipliers.
-    """
-    last, size = len(trail.keys) - 1, trail.states.shape[1]
-    again = last - np.flatnonzero(trail.keys[:-1] == trail.keys[-1:])[::-1]
-    turns = (int(m) for m in again if 2 * m <= last and np.array_equal(trail.keys[-m:], trail.keys[-2 * m : -m]))
-    m = next(turns, 0)
-    if m == 0:
-        return None
-    own, orbit, _ = turn_from(machine, trail, m, 0)
-    begins = trail.legs[np.append(trail.first, len(trail.legs))[[last - m + 1, last + 1]] - 1]
-    before, after = begins[:, LEG_STATE : LEG_STATE + size]
-    try:
-        motion = OrbitMotion(own, orbit.itinerary, orbit.times[None], before[None])
-        rest = _state_at_rest(motion, _sizes(trail.legs[trail.first[last - m] :], 0.0, orbit.length, size))
-    except NoOscillatorError:
-        return None
-    if rest is None or motion.plan.slows:
-        return None
-    scale = _sizes(trail.legs[trail.first[last - m] :], rest, orbit.length, size)
-    there, back = (before - rest) / scale, (after - rest) / scale
-    factor = float(there @ back / (there @ there))
-    turned = float(np.max(np.abs(back - factor * there))) / abs(factor)
-    if not (0.0 < factor < 1.0 - SAME_RAY and turned <= SAME_RAY):
-        return None
-    flight = trail.legs[trail.first[last - m + 1], LEG.start] - begins[0, LEG.start]
-    rate = _rates(motion.pieces.acceleration[0, motion.plan.table[0, MODE]])
-    start = rest + expm(rate * flight) @ (before - rest)
-    others = np.abs(multipliers(OrbitMotion(own, orbit.itinerary, orbit.times[None], start[None]))[0])
-    if not np.all(others <= factor * (1.0 + SAME_RAY)):
-        return None  # rounding leads away from such a turn
-    logs = np.log(np.sort(np.append(others, factor)))[::-1]
-    rounding = float(np.max(np.abs(rest) / scale)) / factor
-    error = turned + 1e-14 * (1.0 + abs(logs[0]) + rounding)
-    return Rest(rest, int(begins[1, LEG.number]), logs / orbit.span(own), error / orbit.span(own))
-
-
-def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
-    """Return the largest distance (2n,) from ``rest`` of the states at which legs begin, by component."""
-    x, v = np.split(np.max(np.abs(legs[:, LEG_STATE : LEG_STATE + size] - rest), axis=0), 2)
-    omega = 2.0 * np.pi / float(length)
-    far = max(x.max(), v.max() / omega)
-    return np.repeat([far, omega * far], size // 2)
-
-
-def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
-    """Return the state (2n,) in which each mode of a turn rests and each event's signal is at its end, or None.
-
-    ``size`` (2n,) is the size of states in the turn.
-    """
-    pieces, plan, n = motion.pieces, motion.plan.table, len(size) // 2
-    events = plan[plan[:, EVENT] != NO_EVENT]
-    modes, signals, ends = events[:, MODE], events[:, SIGNAL], events[:, END]
-    for k in range(pieces.lost.shape[1]):
-        blocks = pieces.blocks[0, k, 0]
-        rest = pieces.to_physical[0, k] @ blocks[:, COLUMN.rest0 : COLUMN.rest1 + 1].reshape(-1)
-        there, most = np.append(rest, 1.0), np.append(np.maximum(np.abs(rest), size), 1.0)
-        forces, terms = pieces.acceleration[0] @ there, np.abs(pieces.acceleration[0]) @ most
-        rows, end = pieces.rows[0, modes, signals], pieces.ends[0, modes, signals, ends]
-        misses, sizes = rows @ there - end, np.abs(rows) @ most + np.abs(end)
-        still = np.all(np.abs(rest[n:]) <= VERTEX * size[n:]) and np.all(np.abs(forces) <= VERTEX * terms)
-        if still and np.all(np.abs(misses) <= VERTEX * sizes):
-            rest[n:] = 0.0
-            return rest
-    return None
-
-
-def put_rests(cells: CellBatch, rests: dict[int, Rest]) -> None:
-    """Write the results of cells that come to rest at a vertex; ``rests`` has their equilibria by row."""
-    if not rests:
-        return
-    rows, orbits = np.array(list(rests), dtype=np.int64), cells.orbits
-    for r, rest in rests.items():
-        period = cells.oscillators.period[r]
-        orbits.h[r] = (cells.oscillators.to_blocks[r] @ rest.state).reshape(orbits.h[r].shape)
-        orbits.mode[r, 0], orbits.period[r] = rest.number, 1
-        orbits.exponents[r], orbits.error[r] = rest.exponents * period, rest.error * period
-        orbits.tally[r] = NOTHING_COUNTED
-        orbits.tally[r, CONTRACTION] = np.nan  # no turn was followed
-    put_periodic(cells, rows)
-    write_results(cells, rows, regime=NO_IMPACT)
-
-
 def _repeats(cells: CellBatch, r: int) -> bool:
     """Return True if the sections of one motion are one state over its whole interval."""
-    kept = cells.batch.sections[r, -int(cells.known_section_count()[r]) :]
+    kept = cells.known_sections(r)
     return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= CLOSING_DISTANCE * float(np.abs(kept).max())
-
-
-def _stands(cells: CellBatch, r: int) -> bool:
-    """Return True if nothing moves or accelerates in the present state of a cell."""
-    motions, table = cells.batch.motions, cells.oscillators.table
-    state = physical_states(cells.oscillators, motions, np.array([r]))[0]
-    slot = np.flatnonzero(table.codes[r] == motions.mode[r, 0])
-    if np.any(state[len(state) // 2 :] != 0.0) or not len(slot):
-        return False
-    rows, there = table.pieces.acceleration[r, slot[0]], np.append(state, 1.0)
-    return bool(np.all(np.abs(rows @ there) <= VERTEX * (np.abs(rows) @ np.abs(there))))
 
 
 def put_centres(cells: CellBatch, rows: Rows) -> None:
@@ -629,7 +281,7 @@ def put_centres(cells: CellBatch, rows: Rows) -> None:
     """
     if not len(rows):
         return
-    reasons = np.where([_stands(cells, r) for r in rows.tolist()], np.int8(AT_EQUILIBRIUM), np.int8(CENTRE))
+    reasons = np.where([is_at_equilibrium(cells, r) for r in rows.tolist()], np.int8(AT_EQUILIBRIUM), np.int8(CENTRE))
     put_averaged(cells, rows)
     write_results(cells, rows, regime=UNDETERMINED, error=np.nan, reason=reasons)
 
@@ -721,28 +373,3 @@ def convert_to_time(cells: CellBatch, variables: tuple[Variable, ...]) -> None:
             spectrum[1 if torus else np.argmin(np.abs(spectrum))] = 0.0
             known = np.where(torus & (np.arange(len(spectrum)) == 0), 0.0, spectrum)
             results["kaplan_yorke"][r] = kaplan_yorke(-np.sort(-known))
-
-
-def passages(cells: CellBatch, r: int, count: int) -> Array:
-    """Return the states (count, 2n) just after the commonest event of a motion that does not close, from its result on.
-
-    They are NaN from the event on at which the motion cannot be followed.
-    """
-    size, states = cells.directions, list[Array]()
-    machine, number = at_rows(cells.oscillators, np.array([r])), int(cells.mode[r])
-    key = None
-    with suppress(ValueError):
-        for rows in islice(
-            legs_of_periods(machine, cells.results["state"][r], number), MIN_EXAMINED_PERIODS + 4 * count
-        ):
-            events = rows[rows[:, LEG.signal] >= 0.0]
-            keys = events[:, [LEG.signal, LEG.side, LEG.number]]
-            if key is None and len(keys):
-                kinds, counts = np.unique(keys, axis=0, return_counts=True)
-                key = kinds[np.argmax(counts)]
-            states += list(events[np.all(keys == key, axis=1), LEG_STATE : LEG_STATE + size]) if len(keys) else []
-            if len(states) >= count:
-                break
-    passed = np.full((count, size), np.nan)
-    passed[: len(states)] = np.reshape(states[:count], (-1, size))
-    return passed

@@ -203,6 +203,15 @@ class CellBatch:
         """Return the number of known sections of each cell's interval."""
         return np.minimum(self.batch.periods, self.batch.sections.shape[1])
 
+    def known_sections(self, r: int) -> Array:
+        """Return the known sections (K, n, 2) of a cell's interval, as block states."""
+        sections = self.batch.sections[r]
+        return sections[len(sections) - int(self.known_section_count()[r]) :]
+
+    def known_states(self, r: int) -> Array:
+        """Return the known sections (K, 2n) of a cell's interval, as physical states."""
+        return np.asarray(self.known_sections(r).reshape(-1, self.directions) @ self.oscillators.to_physical[r].T)
+
     def survived_periods(self, rows: Rows) -> Rows:
         """Return the number of periods for which these cells have looked chaotic."""
         return self.periods_flown[rows] - self.since[rows]

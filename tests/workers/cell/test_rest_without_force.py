@@ -14,7 +14,7 @@ from tests.unforced import machine
 from workers import Settings, System, solve_tile
 from workers.attractors.coexistence import solve_attractors
 from workers.attractors.initial_states import AttractorSettings
-from workers.cell import autonomous
+from workers.cell import event_trail
 from workers.results import AT_EQUILIBRIUM, FREE_PHASE, NO_IMPACT, PERIODIC, UNDETERMINED, WORK_SPENT
 
 SPECTRUM = Settings(exponents="spectrum")
@@ -205,7 +205,7 @@ def two_blocks_on_belts() -> System:
 
 def test_a_torus_is_examined_at_a_cost_that_grows_with_its_periods(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each look takes up an event about ten times, not once for each period that follows it."""
-    looks, legs, former = list[int](), list[int](), autonomous.trail_of
+    looks, legs, former = list[int](), list[int](), event_trail.trail_of
 
     def counted(rows: Any, *given: Any) -> Any:
         if not legs or len(rows) < legs[-1]:
@@ -214,7 +214,7 @@ def test_a_torus_is_examined_at_a_cost_that_grows_with_its_periods(monkeypatch: 
         legs.append(len(rows))
         return former(rows, *given)
 
-    monkeypatch.setattr(autonomous, "trail_of", counted)
+    monkeypatch.setattr(event_trail, "trail_of", counted)
     solve_tile(two_blocks_on_belts(), {}, Settings(exponents="none", max_periods=3000, survival=0, max_period=1000))
     assert max(legs) > 1500  # of more than 600 periods
     assert max(looks) < 10 * max(legs)
