@@ -90,9 +90,9 @@ class AtlasAccessor:
     def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
         """Return all results of the cell nearest to a point, and its distance on each axis: ``at(omega=3, b=0.15)``.
 
-        In an atlas of all attractors ``coexisting`` lists the attractors of the cell. See ``queries.at``.
+        In an atlas of all attractors ``coexisting`` lists the attractors of the cell. See ``queries.nearest_cell``.
         """
-        return query.at(self._whole, given_values(given, point))
+        return query.nearest_cell(self._whole, given_values(given, point))
 
     def is_(self, *regimes: str) -> xr.DataArray:
         """Return the mask of the cells of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.

@@ -10,7 +10,7 @@ import zarr
 
 import atlas
 from atlas.overview.builder import OverviewBuilder
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.store import create, store
 from atlas.store.metadata_backup import SPARE, encode_backup
 from atlas.store.tiles import put_record, read_tile, record_of
@@ -124,12 +124,12 @@ def assert_view_is_true(handle: store.AtlasStore) -> None:
     largest = np.where(codes == PENDING, np.nan, base.largest.values)
     for level in range(1, store_levels(handle) + 1):
         ny, nx = (-(-n // 2**level) for n in codes.shape)
-        seen = view(ds, ["largest"], pixels=(nx, ny), marks=False)
+        seen = read_view(ds, ["largest"], pixels=(nx, ny), marks=False)
         assert seen.sizes["omega"] == nx
         np.testing.assert_array_equal(seen.regime.values, each_block(codes, level, mode))
         np.testing.assert_allclose(seen.largest.values, each_block(largest, level, mean), rtol=1e-12)
         pending = each_block(codes, level, lambda block: (block == PENDING).any())
-        shown = view(ds, ["largest"], pixels=(nx, ny))
+        shown = read_view(ds, ["largest"], pixels=(nx, ny))
         np.testing.assert_array_equal(shown.regime.values == PENDING, pending)
         assert np.isnan(shown.largest.values[pending]).all()
     naive = {code: share for code, share in naive_shares(codes).items()}

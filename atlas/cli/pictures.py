@@ -112,7 +112,7 @@ def plot(
     Several stores that differ in a parameter are drawn side by side with the same colour limits, as maps of exponents
     or periods.
     """
-    from atlas.query.read_counter import counted
+    from atlas.query.read_counter import count_chunk_reads
 
     check_path(out)
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
@@ -121,7 +121,7 @@ def plot(
         raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
     of_one: dict[str, Any] = {"overlay": overlay, "curves": curves, "names": names, "variable": variable, "log": log}
     PictureRequest.from_arguments(kind, window, **of_one, observe=observe, **look)  # before stores are read
-    with input_errors(), counted() as reads:
+    with input_errors(), count_chunk_reads() as reads:
         atlases = [open_selection(store, select) for store in stores]
         other = None if against is None else open_selection(against, select)
         print_status("drawing")

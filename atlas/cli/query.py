@@ -64,7 +64,7 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
         from atlas.query import queries as questions
 
         results: dict[str, Any] = (
-            questions.at(ds, point) if point else dict(questions.fractions(select_dominant(ds), bounds))
+            questions.nearest_cell(ds, point) if point else dict(questions.fractions(select_dominant(ds), bounds))
         )
         why = (
             questions.count_reasons(select_dominant(ds), bounds)
@@ -227,7 +227,7 @@ def _asked(
     """Yield the dataset and the window of a query; with ``counted`` print the number of chunks read at the end."""
     from atlas.query import read_counter
 
-    with input_errors(), read_counter.counted() as cost:
+    with input_errors(), read_counter.count_chunk_reads() as cost:
         yield open_selection(store, select), window
     if counted:
         print_status(f"{plural(cost.chunks, 'chunk')} read from the store")

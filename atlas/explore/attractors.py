@@ -22,7 +22,7 @@ from atlas.explore.subject import Arrays, Subject
 from atlas.explore.text import first_compile_notice
 from atlas.formatting import plural
 from atlas.query.attractors import attractors_listed
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from atlas.render.class_maps import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.task.compile import ATTRACTORS
@@ -65,7 +65,9 @@ def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | 
         return AttractorListing(trouble='all attractors are found only by the method "adaptive"')
     if subject.all_attractors is None or not cell.of_atlas:
         return None
-    results = at(subject.all_attractors, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes})
+    results = nearest_cell(
+        subject.all_attractors, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes}
+    )
     return _answer(results["coexisting"], results, stored=True)
 
 

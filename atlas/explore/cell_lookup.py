@@ -11,7 +11,7 @@ from atlas.explore.grid_patch import solve_patch
 from atlas.explore.subject import Arrays, PlaneParameters
 from atlas.explore.tile_cache import TileCache
 from atlas.explore.viewport import STAGES, TILE_CELLS, CellRange, TileKey, Viewport
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
@@ -107,7 +107,7 @@ class CellLookup:
         try:
             places = {name: nearest(subject.ds, name, value) for name, value in point.items()}
             around = {name: slice(max(0, place - 1), place + 2) for name, place in places.items()}
-            results = at(subject.part(around), point)
+            results = nearest_cell(subject.part(around), point)
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None
         if results[REGIME.name] == REGIME.meaning(PENDING).name:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from atlas.explore.subject import Arrays, PlaneParameters, Subject
 from atlas.explore.viewport import STAGES, TileKey, Viewport
 from atlas.query.open import attach_store
-from atlas.query.resample import view as read_view
+from atlas.query.resample import read_view as read_view
 from atlas.query.window import axis_values, cell_edges
 from atlas.store.schema import coordinates, variable_attributes
 from workers.results import PENDING, REGIME

@@ -14,10 +14,10 @@ from atlas.errors import InputError, check_names
 from atlas.explore.grid_patch import GridPatch, packed
 from atlas.explore.lattice import Lattice
 from atlas.explore.viewport import TILE_CELLS, CellRange, TileKey, Viewport
-from atlas.query.attractors import own
+from atlas.query.attractors import select_own
 from atlas.query.open import open_atlas
 from atlas.query.window import select
-from atlas.spec.axis import Axis, admitted
+from atlas.spec.axis import Axis, validate_in_range
 from atlas.spec.cells import edges_of, nearest
 from atlas.spec.resolved import digest_of
 from atlas.spec.spec import MAX_AXES, Spec
@@ -114,7 +114,7 @@ class Subject:
         """
         assert self.ds is not None
         part = self.ds.isel(cells)
-        return part if self.all_attractors is None else own(part)
+        return part if self.all_attractors is None else select_own(part)
 
     @property
     def starts(self) -> AttractorSettings:
@@ -216,7 +216,7 @@ class Subject:
         """
         if name not in dict(plane.parameters):
             raise InputError(f"{name} is no parameter of this plane; possible: {', '.join(dict(plane.parameters))}")
-        return plane.with_value(name, admitted(self.system.parameter(name), value))
+        return plane.with_value(name, validate_in_range(self.system.parameter(name), value))
 
     def point(self, values: Mapping[str, float]) -> tuple[PlaneParameters, float, float]:
         """Return the plane and the position (x, y) of a cell with these parameters: the inverse of ``values``."""

@@ -14,7 +14,7 @@ from atlas.orbits.orbit_table import Array, Mask, OrbitTable, Rows
 from workers.continuation import Family, Orbit, family_of
 from workers.continuation.equilibria import equilibrium_of
 from workers.continuation.orbit_from_motion import record_orbit, reduce_symmetry
-from workers.continuation.orbits import OrbitBatch, alike, attract, continued_to, many_of
+from workers.continuation.orbits import OrbitBatch, attract, continued_to, group_indices, many_of
 from workers.model.family import NoOscillatorError
 from workers.results import CYCLE_PERIOD, NO_IMPACT, REGIME
 
@@ -78,7 +78,7 @@ class StoredOrbits:
         """
         self.find(rows)
         orbits = [self.orbit_of_row(int(row)) for row in rows]
-        for places in alike(None if orbit is None else orbit.itinerary for orbit in orbits):
+        for places in group_indices(None if orbit is None else orbit.itinerary for orbit in orbits):
             yield places, [orbit for place in places if (orbit := orbits[place]) is not None]
 
     def continue_orbits(
@@ -131,7 +131,7 @@ def orbits_of(family: Family, points: Array, cells: Mapping[str, NDArray[Any]]) 
 def _exact(family: Family, orbits: Sequence[Orbit | str], points: Array) -> list[Orbit | str]:
     """Return the orbits near these at their points (N, free), to rounding, or why there is none. Reasons are kept."""
     solved = list(orbits)
-    for rows in alike(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
+    for rows in group_indices(orbit.itinerary if isinstance(orbit, Orbit) else None for orbit in orbits):
         same = [orbit for k in rows.tolist() if isinstance(orbit := orbits[k], Orbit)]
         for k, orbit in zip(rows.tolist(), _by_newton(family, same, points[rows]), strict=True):
             solved[k] = orbit

@@ -42,7 +42,7 @@ def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
     return made.assign_attrs({ATTRACTOR: int(index)})
 
 
-def own(ds: "xr.Dataset") -> "xr.Dataset":
+def select_own(ds: "xr.Dataset") -> "xr.Dataset":
     """Select the attractor that each cell's own initial state reaches. The variable ``own_attractor`` is read at once.
 
     Cells whose own attractor was not stored have the regime of a cell without a result.

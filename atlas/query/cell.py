@@ -8,7 +8,7 @@ import numpy as np
 
 from atlas.errors import InputError
 from atlas.query.attractors import select_dominant
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_spec, system_of
 from workers import Settings
@@ -36,11 +36,11 @@ def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
     """Return the specification of the cell nearest to a point.
 
     In an atlas of all attractors, the initial state lies on the selected attractor, by default the one with the largest
-    share. The cell's own initial state may reach another attractor. Raise InputError as ``queries.at`` does, and if the
-    dataset lacks the spec of its atlas.
+    share. The cell's own initial state may reach another attractor. Raise InputError as ``queries.nearest_cell`` does,
+    and if the dataset lacks the spec of its atlas.
     """
     ds = select_dominant(ds)
-    cell, who = at(ds, point), "this dataset has no record of how it was solved"
+    cell, who = nearest_cell(ds, point), "this dataset has no record of how it was solved"
     system = system_of(ds.attrs, who)
     try:
         settings = Settings(**stored_spec(ds.attrs)["solve"])
@@ -55,6 +55,6 @@ def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
 
 
 def values_of(ds: "xr.Dataset", system: System, cell: Mapping[str, Any]) -> dict[str, float]:
-    """Return the parameters of a cell, as ``queries.at`` returns it: from axes, from columns, or fixed."""
+    """Return the parameters of a cell, as ``queries.nearest_cell`` returns it: from axes, from columns, or fixed."""
     names = [parameter.name for parameter in system.parameters if parameter.name in ds.coords]
     return {name: float(cell[name] if name in cell else ds[name]) for name in names}

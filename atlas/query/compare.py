@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from atlas.errors import InputError
 from atlas.query.plane import Plane
 from atlas.query.queries import rate_of
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.query.window import Window, axis_names, axis_values, cell_widths, columns, select_window, window_indices
 from atlas.spec.points import POINT
 from atlas.spec.system import stored_name, stored_system
@@ -72,7 +72,7 @@ class Comparison:
         _check_cells(one, other)
         slices = window_indices(one, window)
         weights = tuple(cell_widths(one, str(dim))[slices[str(dim)]] for dim in one[REGIME.name].dims)
-        pairs = {name: (float(one[name]), float(other[name])) for name in differing([one, other])}
+        pairs = {name: (float(one[name]), float(other[name])) for name in differing_parameters([one, other])}
         return cls(select_window(one, window), select_window(other, window), pairs, weights)
 
     @property
@@ -83,9 +83,9 @@ class Comparison:
     def planes(self, pixels: tuple[int, int]) -> list[Plane]:
         """Return both planes with the same cells: overviews for ``pixels`` if both have them, else the cells."""
         names = [LARGEST.name] if self.has_exponents else []
-        read = [view(ds, names, pixels=pixels) for ds in (self.first, self.second)]
+        read = [read_view(ds, names, pixels=pixels) for ds in (self.first, self.second)]
         if read[0][REGIME.name].shape != read[1][REGIME.name].shape:
-            read = [view(ds, names) for ds in (self.first, self.second)]
+            read = [read_view(ds, names) for ds in (self.first, self.second)]
         return [Plane.from_dataset(ds, names) for ds in read]
 
     @cached_property
@@ -182,7 +182,7 @@ class Comparison:
         for first in range(0, regime.shape[0], rows):
             part = {regime.dims[0]: slice(first, first + rows)}
             here, there = (
-                view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.first, self.second)
+                read_view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.first, self.second)
             )  # fmt: skip
             codes = here[REGIME.name].values, there[REGIME.name].values
             if names:
@@ -197,7 +197,7 @@ class Comparison:
         return place | {name: float(axis_values(self.first, name)[index[POINT]]) for name in columns(self.first)}
 
 
-def differing(atlases: Sequence["xr.Dataset"]) -> list[str]:
+def differing_parameters(atlases: Sequence["xr.Dataset"]) -> list[str]:
     """Return the names of the fixed parameters that all atlases have, with values that are not all equal."""
     fixed = [str(n) for n in atlases[0].coords if all(n in ds.coords and ds[n].ndim == 0 for ds in atlases)]
     numbers = [n for n in fixed if atlases[0][n].dtype.kind in "iuf"]

@@ -14,7 +14,7 @@ from atlas.errors import InputError, check_names
 from atlas.query.attractors import has_all_attractors, list_attractors, select_dominant
 from atlas.query.cell_blocks import iter_cell_blocks
 from atlas.query.read_counter import count_reads
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.query.store_block import find_part
 from atlas.query.totals import StoreTotals
 from atlas.query.window import (
@@ -60,7 +60,7 @@ BOUNDARY_CELLS = 2000
 """Number of cells along each axis, approximately, on which boundaries are traced in larger windows."""
 
 
-def at(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
+def nearest_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]:
     """Return the cell nearest to a point: its coordinates, its distance from the point, and all its values.
 
     ``point`` has a value for every axis, inside the grid or at most half a cell beyond its ends. The nearest cell is
@@ -186,7 +186,7 @@ def boundary(
     if len(names) != 2:
         raise InputError(f"a boundary needs two axes, found {len(names)} ({', '.join(names)})")
     (code,) = codes_of([regime])
-    seen = view(ds, [], window, (BOUNDARY_CELLS,) * 2, marks=False)
+    seen = read_view(ds, [], window, (BOUNDARY_CELLS,) * 2, marks=False)
     for name in names:
         if axis_values(seen, name).size > 1 and np.any(np.diff(axis_values(seen, name)) < 0):
             seen = seen.sortby(name)

@@ -38,7 +38,7 @@ _reads: ContextVar[ReadCounter | None] = ContextVar("reads", default=None)
 
 
 @contextmanager
-def counted() -> Iterator[ReadCounter]:
+def count_chunk_reads() -> Iterator[ReadCounter]:
     """Count the chunks that views and fractions read inside the ``with`` block; surrounding blocks count them too."""
     outer, reads = _reads.get(), ReadCounter()
     token = _reads.set(reads)

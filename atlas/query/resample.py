@@ -45,7 +45,7 @@ _WITHOUT = (PENDING, UNDETERMINED, INVALID, FAILED)
 """Regimes without an exponent."""
 
 
-def view(
+def read_view(
     ds: "xr.Dataset",
     names: Iterable[str],
     window: Window | None = None,

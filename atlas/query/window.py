@@ -64,7 +64,7 @@ def select(ds: "xr.Dataset", point: Mapping[str, float]) -> "xr.Dataset":
     """Return the part of an atlas nearest to one value of some axes: a plane of a stack, or a line of a plane.
 
     The key ``attractor`` selects an attractor of each cell by its rank; rank 0 has the largest share. Raise InputError
-    for a value outside the grid, as in ``queries.at``.
+    for a value outside the grid, as in ``queries.nearest_cell``.
     """
     places = {}
     if ATTRACTOR in point:

@@ -11,7 +11,7 @@ from atlas.errors import InputError, check_names
 from atlas.query.attractors import select_dominant
 from atlas.query.compare import Comparison
 from atlas.query.queries import fractions, rate_of
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.query.window import Window, axis_names, select_window
 from atlas.render.kinds import AXES, KIND_TABLE, KINDS, MAX_PANELS
 from atlas.render.options import AtlasFigureOptions, FigureOptions, accepts_options, names_in, split_look
@@ -182,7 +182,7 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
     )
     from atlas.render.painters import draw  # imports matplotlib
 
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         drawn = draw(kind, shown, request)
     if max(reads.block) > 1 and page.title:
         _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)

@@ -24,7 +24,7 @@ from atlas.argument_checks import validate_flag
 from atlas.errors import InputError, brief_repr
 from atlas.render.options import ScaleOptions
 from atlas.render.style import DPI, defaults, drawing_context, rc_params
-from atlas.render.text_wrap import TITLE, fit
+from atlas.render.text_wrap import TITLE, wrap_texts
 
 WIDTH = 7.0
 """Default width of a figure in inches: two columns of a journal."""
@@ -223,7 +223,7 @@ class FigureLayout:
         """Break labels and titles that are longer than the figure into lines, except in given axes."""
         if not self.given:
             with self.context():
-                fit(fig)
+                wrap_texts(fig)
 
     def finalize(self, fig: Figure) -> None:
         """Fit the texts and lay the figure out: its plots then have their final size."""

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from atlas.query.label_placement import places
 from atlas.query.plane import Cells, Plane
-from atlas.query.resample import view as in_view
+from atlas.query.resample import read_view as in_view
 from atlas.render import overlays, raster, scalar_maps, style, text
 from atlas.render.kinds import PictureKind
 from atlas.render.layers import MapLayers, MapView

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 
 from atlas.errors import InputError
 from atlas.query.color_limits import scale_ends
-from atlas.query.compare import Comparison, differences, differing
+from atlas.query.compare import Comparison, differences, differing_parameters
 from atlas.query.plane import Cells, Plane
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.query.window import axis_names, select_window
 from atlas.render import maps, scalar_maps, text
 from atlas.render.kinds import KIND_TABLE, found_axes
@@ -50,7 +50,7 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
     if not compared.has_exponents:
         layout.check_no_limits("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
-    with counted() as reads, layout.context():
+    with count_chunk_reads() as reads, layout.context():
         drawn, panels, own = _sheet(layout, count, limit=2)
         here, there = compared.planes(own.map_pixels)
         layout.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
@@ -81,8 +81,8 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
     if chosen.name == "period":
         page.check_no_limits("kind 'period' draws classes")
     shown = [select_window(ds, request.window) for ds in atlases]
-    changed = differing(shown)
-    with counted() as reads, page.context():
+    changed = differing_parameters(shown)
+    with count_chunk_reads() as reads, page.context():
         drawn, panels, own = _sheet(page, len(shown), limit=3)
         views = [maps.read(chosen, ds, PictureRequest(own)) for ds in shown]
         page.add_title(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))

@@ -110,7 +110,7 @@ def system_line(system: System, values: Mapping[str, float]) -> str:
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:
-    """Return symbols with their values on one line, which ``text_wrap.fit`` breaks at commas."""
+    """Return symbols with their values on one line, which ``text_wrap.wrap_texts`` breaks at commas."""
     return ",  ".join(f"${sign} = {number(value)}$" for sign, value in items)
 
 

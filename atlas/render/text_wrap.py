@@ -16,7 +16,7 @@ OWN_TITLE = "own title"
 """Group name that marks titles limited to the width of their plot by neighbours."""
 
 
-def fit(fig: Figure) -> None:
+def wrap_texts(fig: Figure) -> None:
     """Break labels and titles that are longer than the figure into lines."""
     for _ in range(3):  # a label in two lines leaves less room for all others
         fig.draw_without_rendering()

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.robustness.fatal_shock import CHAOS_STATES, NO_MOTION, reached
+from atlas.robustness.fatal_shock import CHAOS_STATES, NO_MOTION, reached_labels
 from atlas.robustness.linear_measures import not_smooth
 from atlas.robustness.section_map import SectionMap
 from workers.attractors.basins import AttractorTable, section_points
@@ -118,7 +118,7 @@ class _Tracker:
 
     def inside(self, states: Array) -> NDArray[np.bool_]:
         """Return the mask of states (N, 2n) that reach the basin's attractor."""
-        return np.asarray(reached(self.table, states) == self.own)
+        return np.asarray(reached_labels(self.table, states) == self.own)
 
     def size(self, deviation: Array) -> float:
         return float(np.linalg.norm(self.weights * deviation))
@@ -196,7 +196,7 @@ class _Tracker:
             return None
         normal, along = zip(*(self._directions(one, period) for one in states), strict=True)
         aside = ASIDE * max(self.size(one) for one in states) * normal[0] / self.weights
-        low, high = reached(self.table, np.stack([z - aside, z + aside])).tolist()
+        low, high = reached_labels(self.table, np.stack([z - aside, z + aside])).tolist()
         if low == high or {low, high} & {UNKNOWN_LABEL, NO_MOTION}:
             return None
         return Saddle(

@@ -115,10 +115,10 @@ def shock_of(table: AttractorTable, own: int, weights: Array) -> FatalShock | No
         return None
     starts = [table.states[0, table.attractors[k].starts] for k in others]
     known = np.concatenate([*(of_each[k] for k in others), *starts])
-    return minimal_fatal_shock(lambda states: reached(table, states), own, of_each[own], weights, known)
+    return minimal_fatal_shock(lambda states: reached_labels(table, states), own, of_each[own], weights, known)
 
 
-def reached(table: AttractorTable, states: Array) -> Labels:
+def reached_labels(table: AttractorTable, states: Array) -> Labels:
     """Return the label of the attractor that each physical section state (N, 2n) reaches.
 
     The label is BEYOND_TABLE for an orbit that the table does not have, NO_MOTION beyond a stop, and UNKNOWN_LABEL if

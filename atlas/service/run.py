@@ -23,7 +23,7 @@ from atlas.service.worker_pool import WorkerPool, hold_store_lease
 from atlas.spec.spec import Spec
 from atlas.store.create import check_run, create_store
 from atlas.store.groups import ATTRACTORS, group_attributes
-from atlas.store.object_backend import Given, StoreBackend, open_backend, waiting
+from atlas.store.object_backend import Given, StoreBackend, open_backend, with_patience
 from atlas.store.origin import Origin
 from atlas.store.store import AtlasStore, done_tiles, find_store
 from atlas.store.tile_records import RunTileRecords, TileRecords
@@ -102,7 +102,7 @@ def complete(
         workers = worker_count(client, options)
         plan = plan_of_run(spec, place, handle, workers, options.tile)
         claim = stack.enter_context(hold_store_lease(place, options))
-        place = claim.fence_backend(waiting(place, options.patience))
+        place = claim.fence_backend(with_patience(place, options.patience))
         before = handle  # before the lease another run may have created or replaced the store
         handle = find_store(place) if before is None else before.with_backend(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:

@@ -21,7 +21,7 @@ from atlas.service.options import RunOptions
 from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
 from atlas.store.create import remove_half_made
-from atlas.store.object_backend import Given, StoreBackend, open_backend, picklable_backend, waiting
+from atlas.store.object_backend import Given, StoreBackend, open_backend, picklable_backend, with_patience
 from atlas.store.sidecar import LEASE_NAME, read_lease_token, sidecar_of
 from atlas.store.store import AtlasStore, open_store
 from atlas.task.store_ref import StoreRef, prepare_worker
@@ -183,10 +183,10 @@ def open_store_call(
     with progress_reporter(options.on_progress) as report, ExitStack() as stack:
         options = replace(options, on_progress=report)
         if isinstance(store, AtlasStore):
-            handle = store.with_backend(waiting(store.backend, options.patience))
+            handle = store.with_backend(with_patience(store.backend, options.patience))
         else:
             place = open_backend(store, storage_options=options.storage_options)
-            handle = open_store(waiting(place, options.patience))
+            handle = open_store(with_patience(place, options.patience))
         yield handle, options, stack
 
 
@@ -198,7 +198,7 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
     heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
     store; meanwhile every write still checks the lease.
     """
-    notes = sidecar_of(waiting(place, options.patience))
+    notes = sidecar_of(with_patience(place, options.patience))
 
     def say(text: str) -> None:
         options.report(Progress(text))

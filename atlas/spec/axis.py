@@ -131,7 +131,7 @@ def number(where: str, value: object) -> float:
     return result
 
 
-def admitted(parameter: Parameter, value: object) -> float:
+def validate_in_range(parameter: Parameter, value: object) -> float:
     """Return the value as a float in the parameter's valid range; raise InputError with the range for other values."""
     result = number(parameter.name, value)
     if not parameter.admits(result):
@@ -167,7 +167,7 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
     if not np.all(parameter.admits(np.array(values))):
         for point in values:
-            admitted(parameter, point)
+            validate_in_range(parameter, point)
     return Axis(parameter.name, values, scale, continuation)
 
 

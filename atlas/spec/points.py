@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from atlas.errors import InputError, brief_repr, check_names
-from atlas.spec.axis import Axis, Values, admitted, all_floats, number
+from atlas.spec.axis import Axis, Values, all_floats, number, validate_in_range
 from workers.model.parameter import Parameter
 from workers.model.system import System
 
@@ -81,7 +81,7 @@ def axis_of(points: Columns) -> Axis:
     return Axis(POINT, tuple(map(float, range(row_count(points)))))
 
 
-def described(points: Columns) -> str:
+def describe_points(points: Columns) -> str:
     """Return a table as a short text."""
     return f"{row_count(points)} rows of {', '.join(points)}"
 
@@ -175,6 +175,6 @@ def _all_admitted(parameter: Parameter, values: Sequence[object]) -> tuple[float
 def _value(where: str, name: str, value: object, system: System) -> float:
     checked = number(where, value)
     try:
-        return admitted(system.parameter(name), checked)
+        return validate_in_range(system.parameter(name), checked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None

@@ -12,9 +12,9 @@ import numpy as np
 from atlas.argument_checks import is_integer, validate_atlas, validate_path, validate_type
 from atlas.errors import InputError, brief_repr, check_names
 from atlas.spec.attractors import attractors_to_json, parse_attractors
-from atlas.spec.axis import Axis, StoredAxis, Values, admitted, read_axis, validate_num
+from atlas.spec.axis import Axis, StoredAxis, Values, read_axis, validate_in_range, validate_num
 from atlas.spec.examples import packaged_text
-from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, described, parse_points, row_count
+from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, describe_points, parse_points, row_count
 from atlas.spec.resolved import outline_names, resolved_digest, with_values
 from atlas.spec.system import parse_system, resolved_system
 from workers import Settings
@@ -183,7 +183,7 @@ class Spec:
     @property
     def axis_descriptions(self) -> tuple[str, ...]:
         """A short text for each axis, or for the table of points."""
-        return (described(self.points),) if self.points else tuple(map(str, self.axes))
+        return (describe_points(self.points),) if self.points else tuple(map(str, self.axes))
 
     @property
     def n_uncoarsened_dims(self) -> int:
@@ -355,7 +355,7 @@ def check_parameters(system: System, given: Iterable[object], kind: str = "param
 def validate_parameters(system: System, given: Mapping[str, Any]) -> dict[str, float]:
     """Return all parameters of a system: given values checked against their ranges, others at their defaults."""
     check_parameters(system, given)
-    return {p.name: admitted(p, given[p.name]) if p.name in given else p.default for p in system.parameters}
+    return {p.name: validate_in_range(p, given[p.name]) if p.name in given else p.default for p in system.parameters}
 
 
 def parse_settings(given: Mapping[str, Any]) -> Settings:

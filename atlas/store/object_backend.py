@@ -157,7 +157,7 @@ def _place_at(path: Path) -> StoreBackend:
     return ZipBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
 
 
-def waiting(place: StoreBackend, patience: float) -> StoreBackend:
+def with_patience(place: StoreBackend, patience: float) -> StoreBackend:
     """Return the same backend with another patience, if it is at a URL."""
     return replace(place, patience=patience).with_fence(place.fence) if isinstance(place, ObjectBackend) else place
 

@@ -193,7 +193,7 @@ def main() -> None:
     """Call ``warm_up`` for parts given as JSON; write the number of compiled functions to stdout every second."""
     from numba.core import event
 
-    class Counter(event.Listener):
+    class CompileCounter(event.Listener):
         done = 0
 
         def on_start(self, event: object) -> None:
@@ -202,7 +202,7 @@ def main() -> None:
         def on_end(self, event: object) -> None:
             self.done += 1
 
-    counter = Counter()
+    counter = CompileCounter()
 
     def tell() -> None:
         while True:

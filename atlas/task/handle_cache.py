@@ -3,7 +3,7 @@
 from collections.abc import Hashable
 from threading import Lock
 
-from atlas.store.object_backend import StoreBackend, open_backend, sibling_backend, waiting
+from atlas.store.object_backend import StoreBackend, open_backend, sibling_backend, with_patience
 from atlas.store.outage import LONG_PATIENCE
 from atlas.store.store import ROOT, AtlasStore, open_store
 from atlas.store.tile_records import TileRecords
@@ -16,7 +16,7 @@ _headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
 
 def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> AtlasStore:
     """Return the handle of a store, after one check of its root's version. Raise errors like ``open_store``."""
-    place = waiting(open_backend(store), patience)
+    place = with_patience(open_backend(store), patience)
     version = place.version(ROOT)
     with _reading:  # the threads of a worker ask at the same time
         known = _headers.get((place, patience))

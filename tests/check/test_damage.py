@@ -21,7 +21,7 @@ from atlas.errors import ChunkError
 from atlas.overview.builder import OverviewBuilder
 from atlas.query.export import export
 from atlas.query.queries import fractions
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.render import figure
 from atlas.store import create, store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
@@ -207,7 +207,7 @@ def test_a_bad_chunk_is_named_by_whatever_reads_it(
         lambda: export(ds, tmp_path / "a.csv"),
         lambda: export(ds, tmp_path / "a.nc"),
         lambda: ds[name].values,
-        lambda: view(ds, [name]).load(),
+        lambda: read_view(ds, [name]).load(),
     ]
     asked += [lambda: ds.atlas.at(omega=1, b=0.1)] if name != "state" else []
     for ask in asked:

@@ -156,12 +156,12 @@ def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:
     text = REASONS[NOT_STATIONARY].text
     assert f"1 chaotic cell: {text}" in call("query", store).stdout.splitlines()
     assert f"  1 chaotic cell: {text}" in call("status", store).stdout.splitlines()
-    assert query.at(atlas.open(store), {"omega": 2.0, "b": 0.5})["reason"] == text
+    assert query.nearest_cell(atlas.open(store), {"omega": 2.0, "b": 0.5})["reason"] == text
 
 
 def test_a_cell_asked_for_reports_its_reason_in_words(store: Path) -> None:
-    assert query.at(atlas.open(store), {"omega": 3.0, "b": 0.1})["reason"] == BEYOND
-    assert "reason" not in query.at(atlas.open(store), {"omega": 3.0, "b": 0.5})
+    assert query.nearest_cell(atlas.open(store), {"omega": 3.0, "b": 0.1})["reason"] == BEYOND
+    assert "reason" not in query.nearest_cell(atlas.open(store), {"omega": 3.0, "b": 0.5})
 
 
 def test_an_export_names_the_reason_of_every_cell(store: Path, tmp_path: Path) -> None:

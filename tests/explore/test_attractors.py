@@ -21,7 +21,7 @@ from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.tile_cache import TileCache
 from atlas.explore.view_state import initial_view
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.zoom import list_metatiles, metatile_backend
@@ -70,8 +70,8 @@ def test_the_known_attractors_of_a_coexistence_atlas_are_shown(coexistence: Path
     subject = subject_of(str(coexistence))
     assert subject.all_attractors is not None
     point = {"omega": 4.0, "R": 0.7}
-    found = at(subject.all_attractors, point)
-    cell = CellResult(dict(subject.plane.parameters) | point, at(subject.part({}), point), of_atlas=True)
+    found = nearest_cell(subject.all_attractors, point)
+    cell = CellResult(dict(subject.plane.parameters) | point, nearest_cell(subject.part({}), point), of_atlas=True)
     shown = stored_attractors(subject, cell)
     assert shown is not None and shown.stored
     assert str(list(shown.listed)) == str(found["coexisting"])  # NaN is not equal to itself

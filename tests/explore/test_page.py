@@ -15,7 +15,7 @@ from atlas.explore.picture_renderer import PictureRenderer
 from atlas.explore.session import ExplorerSession, explore
 from atlas.explore.view_state import from_address
 from atlas.explore.viewport import STAGES, TileKey, Viewport
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from rig.browser import Tab, opened
 from workers.results import PENDING, REGIME
 
@@ -153,7 +153,7 @@ def test_the_text_about_the_cell_under_the_pointer_is_that_of_at(running: Explor
     x, y = (float(text.split(f" {symbol} ")[1].split()[0]) for symbol in ("ω", "b"))
     ds = running.explorer.subject.ds
     assert ds is not None
-    found = at(ds, {"omega": x, "b": y})
+    found = nearest_cell(ds, {"omega": x, "b": y})
     assert f"regime {found['regime'].replace('_', ' ')}" in text
 
 

@@ -23,7 +23,7 @@ from atlas.explore.tile_cache import TileCache
 from atlas.explore.view_state import ViewState, initial_view
 from atlas.explore.viewport import STAGES
 from atlas.platform import release_memory
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.explore.messages import opened
@@ -139,11 +139,11 @@ def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_i
     assert pending() == arrays["regime"].size
     write_tile(handle, index, arrays)
     assert pending() == 0
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         for _ in range(5):
             assert pending() == 0
     assert reads.chunks == 0
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         known.visible_cells(subject.plane, sight, ["period"])
     assert reads.chunks > 0
 

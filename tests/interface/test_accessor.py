@@ -39,7 +39,7 @@ def with_units(ds: xr.Dataset) -> xr.Dataset:
 
 def test_at_takes_the_axes_by_name() -> None:
     ds = plane([1, 2, 3], [0.1, 0.2])
-    assert ds.atlas.at(omega=2.9, b=0.2) == query.at(ds, {"omega": 2.9, "b": 0.2})
+    assert ds.atlas.at(omega=2.9, b=0.2) == query.nearest_cell(ds, {"omega": 2.9, "b": 0.2})
 
 
 def test_fractions_take_a_window() -> None:

@@ -23,7 +23,7 @@ from atlas.overview.coarsen import POSITIVE, coarsen, from_cells
 from atlas.overview.levels import OverviewLevels
 from atlas.overview.pyramid import Pyramid
 from atlas.query.queries import fractions
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.service.progress import Progress
 from atlas.store import create, store
 from atlas.store.object_backend import LocalBackend
@@ -581,7 +581,7 @@ def test_the_store_itself_stays_as_it_was(filled: store.AtlasStore) -> None:
 
 
 def test_a_view_with_marks_takes_away_what_the_shown_class_does_not_have(shared: store.AtlasStore) -> None:
-    seen = view(atlas.open(shared.path), ["largest", "period"], pixels=(12, 10))
+    seen = read_view(atlas.open(shared.path), ["largest", "period"], pixels=(12, 10))
     shown = seen.regime.values
     assert np.isnan(seen.largest.values[shown == UNDETERMINED]).all()
     assert (seen.period.values[shown == NO_IMPACT] == 1).all()

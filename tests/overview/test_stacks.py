@@ -18,8 +18,8 @@ from atlas import render
 from atlas.check.overviews import check_overviews
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.query.read_counter import counted
-from atlas.query.resample import view
+from atlas.query.read_counter import count_chunk_reads
+from atlas.query.resample import read_view
 from atlas.service.plan import make_plan
 from atlas.store import create, store
 from tests import synthetic
@@ -153,8 +153,8 @@ def test_a_plane_of_a_large_stack_is_read_from_its_overviews(large: store.AtlasS
     for k in (0, 2):
         for level in (1, 2, 3):
             ny, nx = (-(-n // 2**level) for n in codes.shape[1:])
-            with counted() as reads:
-                seen = view(ds.isel(R=k), ["largest"], pixels=(nx, ny), marks=False)
+            with count_chunk_reads() as reads:
+                seen = read_view(ds.isel(R=k), ["largest"], pixels=(nx, ny), marks=False)
             assert (reads.level, seen.regime.dims) == (level, ("b", "omega"))
             np.testing.assert_allclose(seen.largest.values, each_block(largest[k], level, mean), rtol=1e-12)
             np.testing.assert_array_equal(seen.regime.values, each_block(codes[k], level, mode))
@@ -169,11 +169,11 @@ def test_a_level_of_a_stack_never_mixes_planes(large: store.AtlasStore) -> None:
 
 def test_a_whole_stack_seen_coarser_keeps_its_planes(large: store.AtlasStore) -> None:
     ds = atlas.open(large.path)
-    seen = view(ds, ["largest"], pixels=(12, 10), marks=False)
+    seen = read_view(ds, ["largest"], pixels=(12, 10), marks=False)
     assert (seen.R.values.tolist(), seen.regime.shape) == ([0.5, 0.6, 0.8], (3, 10, 12))
     for k in range(3):
         np.testing.assert_array_equal(
-            seen.regime.values[k], view(ds.isel(R=k), [], pixels=(12, 10), marks=False).regime
+            seen.regime.values[k], read_view(ds.isel(R=k), [], pixels=(12, 10), marks=False).regime
         )
 
 

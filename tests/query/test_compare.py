@@ -14,7 +14,7 @@ from atlas import render
 from atlas.errors import InputError
 from atlas.query.color_limits import scale_ends
 from atlas.query.compare import Comparison
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.render import side_by_side
 from atlas.store import create, store
 from tests import pictures
@@ -115,7 +115,7 @@ def test_numbers_of_two_stores_are_those_of_their_cells(folder: Path) -> None:
 def test_a_comparison_of_a_window_reads_its_tiles_alone(folder: Path) -> None:
     one, other = (atlas.open(folder / name) for name in ("a.zarr", "b.zarr"))
     window = {"omega": (1.0, float(one.omega[10])), "b": (0.1, float(one.b[10]))}
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         numbers = one.atlas.compare(other, window).numbers
     assert (reads.chunks, int(numbers.cells.sum())) == (2 * 2, 11 * 11)
 

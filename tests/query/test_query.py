@@ -38,12 +38,12 @@ def spec(**scales: str) -> str:
 
 
 def test_at_finds_the_cell_whose_values_are_asked_for() -> None:
-    cell = query.at(plane([1, 2, 3], [0.1, 0.2]), {"omega": 3, "b": 0.2})
+    cell = query.nearest_cell(plane([1, 2, 3], [0.1, 0.2]), {"omega": 3, "b": 0.2})
     assert (cell["omega"], cell["b"], cell["largest"]) == (3.0, 0.2, 5.0)
 
 
 def test_at_takes_the_nearest_cell_and_reports_its_distance_per_axis() -> None:
-    cell = query.at(plane([1, 2, 3], [0.1, 0.2]), {"omega": 1.75, "b": 0.1})
+    cell = query.nearest_cell(plane([1, 2, 3], [0.1, 0.2]), {"omega": 1.75, "b": 0.1})
     assert cell["omega"] == 2.0
     assert cell["distance"] == {"omega": 0.25, "b": 0.0}
 
@@ -53,39 +53,41 @@ def test_at_takes_the_cell_that_is_drawn_at_the_point_on_a_log_axis() -> None:
     values = np.geomspace(0.1, 1.0, 3)
     for order in (values, values[::-1]):
         ds = plane(order, [0.1, 0.2], spec=spec(omega="log", b="linear"))
-        assert query.at(ds, {"omega": 0.19, "b": 0.1})["omega"] == pytest.approx(0.316, rel=1e-3)
-        assert query.at(ds, {"omega": 0.17, "b": 0.1})["omega"] == 0.1
-        assert query.at(ds, {"omega": 0.57, "b": 0.1})["omega"] == 1.0
+        assert query.nearest_cell(ds, {"omega": 0.19, "b": 0.1})["omega"] == pytest.approx(0.316, rel=1e-3)
+        assert query.nearest_cell(ds, {"omega": 0.17, "b": 0.1})["omega"] == 0.1
+        assert query.nearest_cell(ds, {"omega": 0.57, "b": 0.1})["omega"] == 1.0
         assert float(window.select(ds, {"omega": 0.19}).omega) == pytest.approx(0.316, rel=1e-3)
 
 
 def test_at_finds_each_cell_of_an_axis_of_neighbouring_floats() -> None:
     values = [1.0, np.nextafter(1.0, 2.0), np.nextafter(np.nextafter(1.0, 2.0), 2.0)]
     for value in values:
-        assert query.at(plane(values, [0.1, 0.2]), {"omega": value, "b": 0.1})["omega"] == value
+        assert query.nearest_cell(plane(values, [0.1, 0.2]), {"omega": value, "b": 0.1})["omega"] == value
 
 
 def test_at_names_the_regime() -> None:
-    assert query.at(plane([1, 2], [0.1, 0.2], [[0, 1], [2, 3]]), {"omega": 2, "b": 0.2})["regime"] == "chaotic"
+    assert (
+        query.nearest_cell(plane([1, 2], [0.1, 0.2], [[0, 1], [2, 3]]), {"omega": 2, "b": 0.2})["regime"] == "chaotic"
+    )
 
 
 def test_at_gives_every_variable_with_one_value_a_cell_as_a_plain_python_value() -> None:
-    cell = query.at(plane([1, 2], [0.1, 0.2]), {"omega": 1, "b": 0.1})
+    cell = query.nearest_cell(plane([1, 2], [0.1, 0.2]), {"omega": 1, "b": 0.1})
     kinds = {name: type(value) for name, value in cell.items()}
     assert kinds == {"omega": float, "b": float, "distance": dict, "regime": str, "largest": float, "sticks": bool}
 
 
 def test_at_takes_a_point_up_to_half_a_cell_beyond_the_grid() -> None:
-    assert query.at(plane([1, 2, 3], [0.1, 0.2]), {"omega": 3.5, "b": 0.1})["omega"] == 3.0
+    assert query.nearest_cell(plane([1, 2, 3], [0.1, 0.2]), {"omega": 3.5, "b": 0.1})["omega"] == 3.0
 
 
 def test_at_works_along_a_sweep() -> None:
     sweep = xr.Dataset({"regime": ("omega", np.array([1, 3], np.int8))}, {"omega": [2.0, 4.0], "b": 0.15})
-    assert query.at(sweep, {"omega": 4.0})["regime"] == "chaotic"
+    assert query.nearest_cell(sweep, {"omega": 4.0})["regime"] == "chaotic"
 
 
 def test_at_finds_the_only_point_of_an_axis() -> None:
-    assert query.at(plane([1, 2], [0.15]), {"omega": 1, "b": 0.15})["b"] == 0.15
+    assert query.nearest_cell(plane([1, 2], [0.15]), {"omega": 1, "b": 0.15})["b"] == 0.15
 
 
 @pytest.mark.parametrize(
@@ -100,7 +102,7 @@ def test_at_finds_the_only_point_of_an_axis() -> None:
 )
 def test_at_answers_a_bad_point_with_one_line(point: Mapping[str, float], message: str) -> None:
     with pytest.raises(InputError) as error:
-        query.at(plane([1, 2, 3], [0.1, 0.2]), point)
+        query.nearest_cell(plane([1, 2, 3], [0.1, 0.2]), point)
     assert str(error.value) == message
 
 
@@ -122,7 +124,7 @@ def test_selections_without_cells_and_masked_atlases_are_answered_with_one_line(
 def test_at_reads_no_variable_with_more_than_one_value_a_cell() -> None:
     ds = plane([1, 2], [0.1, 0.2]).drop_vars("state")
     ds["section"] = xr.Variable(("b", "omega", "sample"), _Unreadable((2, 2, 9)))
-    assert "section" not in query.at(ds, {"omega": 1, "b": 0.1})
+    assert "section" not in query.nearest_cell(ds, {"omega": 1, "b": 0.1})
 
 
 def test_fractions_of_even_cells_are_shares_of_their_number() -> None:

@@ -12,7 +12,7 @@ import atlas
 from atlas.errors import InputError
 from atlas.query.connected_regions import labels, regions
 from atlas.query.extremes import extremes
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.store import create, store
 from atlas.store.tiles import write_tile
 from tests.interface.test_cli import call
@@ -199,7 +199,7 @@ def test_regions_of_a_store_are_those_of_its_cells(handle: store.AtlasStore, by:
 def test_regions_in_a_part_read_the_tiles_of_that_part_alone(handle: store.AtlasStore) -> None:
     ds = atlas.open(handle.path)
     part = {"omega": (float(ds.omega[0]), float(ds.omega[15])), "b": (float(ds.b[0]), float(ds.b[7]))}
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         regions(ds, "period", window=part)
     assert reads.chunks == 2 * 2  # of two tiles, the regimes and the periods
 
@@ -218,13 +218,13 @@ def recorded(path: Path) -> store.AtlasStore:
 
 def test_tiles_that_records_say_enough_of_are_not_read(tmp_path: Path) -> None:
     ds = atlas.open(recorded(tmp_path / "a.zarr").path)
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         regions(ds, "regime")
     assert reads.chunks == 1  # the regimes of the mixed tile
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         regions(ds, "period", 2)
     assert reads.chunks == 1 + 2  # nothing of the chaotic tile, periods of the periodic one, both of the mixed
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         extremes(ds, "periods_used", "regime")
     assert reads.chunks == 1 + 3
 

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 import atlas
 from atlas import render
 from atlas.query.queries import fractions
-from atlas.query.read_counter import ReadCounter, counted
-from atlas.query.resample import view
+from atlas.query.read_counter import ReadCounter, count_chunk_reads
+from atlas.query.resample import read_view
 from atlas.query.store_block import find_part
 from atlas.query.window import cell_edges
 from atlas.store import create, store
@@ -49,8 +49,8 @@ def of_cells(keys: list[str]) -> list[str]:
 
 def test_a_whole_plane_is_read_from_the_level_that_fits_its_pixels(ds: xr.Dataset, keys: list[str]) -> None:
     keys.clear()
-    with counted() as reads:
-        seen = view(ds, ["largest"], pixels=(25, 23))
+    with count_chunk_reads() as reads:
+        seen = read_view(ds, ["largest"], pixels=(25, 23))
     assert (reads.level, reads.block, seen.regime.shape) == (2, (4, 4), (23, 25))
     assert sorted(of_cells(keys)) == sorted(
         f"overviews/2/{name}/c/{y}/{x}" for name in ("largest", "regime_shown") for y in (0, 1) for x in (0, 1)
@@ -67,7 +67,7 @@ def test_a_plane_of_dask_arrays_is_read_from_the_same_level(
     for chunks in (None, {}):
         ds = atlas.open(handle.path, chunks=chunks)
         keys.clear()
-        seen.append(view(ds.isel(omega=slice(2, 98)), ["largest"], window, pixels=(25, 23)))
+        seen.append(read_view(ds.isel(omega=slice(2, 98)), ["largest"], window, pixels=(25, 23)))
         read.append(sorted(of_cells(keys)))
     assert read[0] == read[1] and all(key.startswith("overviews/") for key in read[0])
     xr.testing.assert_identical(*seen)
@@ -93,8 +93,8 @@ def test_what_was_read_says_at_which_resolution() -> None:
 def test_a_window_is_read_from_its_own_chunks_alone(ds: xr.Dataset, keys: list[str]) -> None:
     window = {"omega": (1.0, float(ds.omega[29])), "b": (0.1, float(ds.b[20]))}
     keys.clear()
-    with counted() as reads:
-        seen = view(ds, ["largest"], window, pixels=(15, 11))
+    with count_chunk_reads() as reads:
+        seen = read_view(ds, ["largest"], window, pixels=(15, 11))
     assert (reads.level, seen.regime.shape) == (1, (11, 15))
     assert sorted(of_cells(keys)) == ["overviews/1/largest/c/0/0", "overviews/1/regime_shown/c/0/0"]
     assert reads.chunks == 2
@@ -102,14 +102,14 @@ def test_a_window_is_read_from_its_own_chunks_alone(ds: xr.Dataset, keys: list[s
 
 def test_cells_not_finer_than_pixels_are_read_themselves(ds: xr.Dataset) -> None:
     window = {"omega": (float(ds.omega[3]), float(ds.omega[12])), "b": (float(ds.b[8]), float(ds.b[15]))}
-    with counted() as reads:
-        seen = view(ds, ["largest"], window, pixels=(10, 8))
+    with count_chunk_reads() as reads:
+        seen = read_view(ds, ["largest"], window, pixels=(10, 8))
     assert (reads.level, reads.chunks) == (0, 4)
     np.testing.assert_array_equal(seen.largest.values, ds.largest.values[8:16, 3:13])
 
 
 def test_pixels_do_not_change_what_is_read_where_none_are_given(ds: xr.Dataset) -> None:
-    xr.testing.assert_identical(view(ds, ["period"]).load(), ds[["period", "regime"]].load())
+    xr.testing.assert_identical(read_view(ds, ["period"]).load(), ds[["period", "regime"]].load())
 
 
 def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Path) -> None:
@@ -117,8 +117,8 @@ def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Pa
     fill(handle)
     keep(handle, side=256, least=128)
     ds = atlas.open(handle.path)
-    with counted() as reads:
-        seen = view(ds, ["periods_used"], pixels=(50, 12))
+    with count_chunk_reads() as reads:
+        seen = read_view(ds, ["periods_used"], pixels=(50, 12))
     assert (seen.regime.shape, reads.block) == ((12, 50), (4, 1))
     expected = ds.periods_used.values.reshape(12, 50, 4).mean(2)
     np.testing.assert_allclose(seen.periods_used.where(seen.regime != FAILED), expected, rtol=1e-12)
@@ -128,14 +128,14 @@ def test_a_long_narrow_plane_is_coarsened_along_its_long_side_alone(tmp_path: Pa
 def test_a_plane_that_takes_fewer_pixels_than_the_last_level_has_cells_is_coarsened_on(
     ds: xr.Dataset, pixels: tuple[int, int]
 ) -> None:
-    seen = view(ds, ["largest"], pixels=pixels)
+    seen = read_view(ds, ["largest"], pixels=pixels)
     assert seen.sizes["omega"] <= 2 * pixels[0] and seen.sizes["b"] <= 2 * pixels[1]
     assert np.allclose([cell_edges(seen, "omega")[[0, -1]]], cell_edges(ds, "omega")[[0, -1]])
 
 
 def test_a_coarse_view_ends_where_its_window_ends(ds: xr.Dataset) -> None:
     part = ds.isel(omega=slice(5, 62), b=slice(3, 50))
-    seen = view(part, ["largest"], pixels=(10, 10))
+    seen = read_view(part, ["largest"], pixels=(10, 10))
     for name in ("omega", "b"):
         assert cell_edges(seen, name)[[0, -1]] == pytest.approx(cell_edges(part, name)[[0, -1]], rel=1e-12)
 
@@ -146,14 +146,14 @@ def test_the_widest_cells_of_an_uneven_axis_decide_the_level(tmp_path: Path) -> 
     handle = create.create_store(tmp_path / "a.zarr", spec, (50, 50))
     fill(handle)
     keep(handle, side=256, least=128)
-    with counted() as reads:
-        assert view(atlas.open(handle.path), [], pixels=(100, 100)).sizes["omega"] == 200
+    with count_chunk_reads() as reads:
+        assert read_view(atlas.open(handle.path), [], pixels=(100, 100)).sizes["omega"] == 200
     assert reads.level == 0
 
 
 def test_shares_of_a_whole_plane_need_one_chunk_of_the_last_level(ds: xr.Dataset, keys: list[str]) -> None:
     keys.clear()
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         fractions(ds)
     assert sorted(of_cells(keys)) == ["overviews/3/regime/c/0/0", "overviews/3/regime_share/c/0/0/0"]
     assert reads.chunks == 2
@@ -165,7 +165,7 @@ def test_shares_in_a_window_are_those_of_its_cells_from_few_chunks(
 ) -> None:
     left, right, low, high = part
     block = ds.isel(omega=slice(left, right), b=slice(low, high))
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         found = fractions(block)
     expected = fractions(block.load())
     assert found == pytest.approx(expected, rel=1e-12)
@@ -179,8 +179,8 @@ def test_of_unfinished_regions_only_what_exists_is_read(tmp_path: Path, keys: li
         write_tile(handle, index, results(handle, index))
     keep(handle, side=256, least=128)
     keys.clear()
-    with counted() as reads:
-        seen = view(atlas.open(handle.path), ["largest"], pixels=(75, 70))
+    with count_chunk_reads() as reads:
+        seen = read_view(atlas.open(handle.path), ["largest"], pixels=(75, 70))
     assert len(of_cells(keys)) == reads.chunks == 2 * 2
     assert (seen.regime.values >= 0).sum() == 50
 
@@ -189,7 +189,7 @@ def test_what_a_worker_has_begun_to_write_is_not_seen(tmp_path: Path) -> None:
     handle = create.create_store(tmp_path / "a.zarr", spec_of(), (19, 23))
     fill(handle, skip=((0, 0),))
     assert np.isfinite(atlas.open(handle.path).largest.values[:19, :23]).any()
-    seen = view(atlas.open(handle.path), ["largest", "periods_used"])
+    seen = read_view(atlas.open(handle.path), ["largest", "periods_used"])
     pending = seen.regime.values == -1
     assert pending.any()
     assert np.isnan(seen.largest.values[pending]).all()
@@ -214,7 +214,7 @@ def test_what_a_worker_has_begun_to_write_is_not_seen(tmp_path: Path) -> None:
 )
 def test_a_changed_atlas_is_drawn_as_it_is_and_not_as_the_store(ds: xr.Dataset, change: object) -> None:
     other = change(ds[["largest", "error", "regime"]])  # type: ignore[operator]
-    seen = view(other, ["largest"], pixels=(10, 10))
+    seen = read_view(other, ["largest"], pixels=(10, 10))
     xr.testing.assert_equal(seen.load(), other[["largest", "regime"]].load())
 
 
@@ -222,13 +222,13 @@ def test_a_variable_of_another_atlas_is_drawn_as_what_it_is(ds: xr.Dataset, tmp_
     handle = create.create_store(tmp_path / "b.zarr", spec_of(nx=100, ny=90), (50, 50))
     fill(handle, seed=1)
     mixed = ds.assign(largest=atlas.open(handle.path).largest)
-    seen = view(mixed, ["largest"], pixels=(10, 10))
+    seen = read_view(mixed, ["largest"], pixels=(10, 10))
     np.testing.assert_array_equal(seen.largest, atlas.open(handle.path).largest)
 
 
 def test_an_assignment_in_place_is_seen(ds: xr.Dataset) -> None:
     ds["largest"][0, 0] = 7.0
-    assert float(view(ds, ["largest"], pixels=(10, 10)).largest[0, 0]) == 7.0
+    assert float(read_view(ds, ["largest"], pixels=(10, 10)).largest[0, 0]) == 7.0
 
 
 def test_that_a_variable_is_as_stored_is_found_without_a_read(
@@ -249,8 +249,8 @@ def test_that_a_variable_is_as_stored_is_found_by_no_private_word_of_xarray() ->
 
 
 def test_a_selection_of_neighbours_still_reads_overviews(ds: xr.Dataset) -> None:
-    with counted() as reads:
-        view(ds.sel(omega=slice(1, 3)), ["largest"], pixels=(10, 10))
+    with count_chunk_reads() as reads:
+        read_view(ds.sel(omega=slice(1, 3)), ["largest"], pixels=(10, 10))
     assert reads.level > 0
 
 
@@ -267,7 +267,7 @@ def title(figure: Figure) -> str:
 
 @pytest.mark.parametrize("kind", ["exponent", "period"])
 def test_a_map_is_drawn_from_its_overview(ds: xr.Dataset, kind: str) -> None:
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         figure = render.figure(ds, kind, pixels=FEW)
     assert (reads.level, reads.chunks) == (2, 2 * 4 + 2)
     assert "one cell drawn for 4 × 4 computed" in title(figure)

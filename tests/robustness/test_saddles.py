@@ -180,7 +180,9 @@ def test_a_saddle_has_its_least_period_after_however_many_turns_a_motion_recurs(
             return states[:-1], states[-1], np.diag(powers[-1])
 
     monkeypatch.setattr(boundary_tracking, "not_smooth", lambda oscillator, states: "")
-    monkeypatch.setattr(boundary_tracking, "reached", lambda table, states: (states[:, 1] > 0.0).astype(np.int64))
+    monkeypatch.setattr(
+        boundary_tracking, "reached_labels", lambda table, states: (states[:, 1] > 0.0).astype(np.int64)
+    )
     tracker = object.__new__(boundary_tracking._Tracker)
     tracker.own, tracker.weights, tracker.map = 0, np.ones(2), Turning()  # type: ignore[assignment]
     tracker.table = None  # type: ignore[assignment]

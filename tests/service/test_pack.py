@@ -14,7 +14,7 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.service.lease import LeaseRecord
 from atlas.service.pack import pack
 from atlas.service.process_identity import this_process
@@ -59,7 +59,7 @@ def test_plain_xarray_opens_it_and_finds_what_the_store_holds(handle: store.Atla
 def test_atlas_opens_it_and_reads_as_few_chunks_as_of_the_store(handle: store.AtlasStore, packed: Path) -> None:
     found = []
     for place in (handle.path, packed):
-        with counted() as reads:
+        with count_chunk_reads() as reads:
             shares = atlas.open(place).atlas.fractions({"omega": (1.2, 3.1)})
         found.append((shares, reads.chunks))
     assert found[0] == found[1]

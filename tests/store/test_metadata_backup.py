@@ -16,7 +16,7 @@ import xarray as xr
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.robustness.table import LINEAR, StoredMeasures, empty, of_family, write_measures
 from atlas.store.create import create_store
 from atlas.store.metadata_backup import SPARE
@@ -153,7 +153,7 @@ def big_endian(array: dict[str, Any]) -> None:
 def test_cells_are_not_read_by_metadata_that_differ_from_their_copy(whole: Path) -> None:
     changed(whole / "largest/zarr.json", big_endian)
     handle = open_store(whole)
-    for read in (lambda: read_tile(handle, (0, 0)), lambda: view(atlas.open(whole), ["largest"])):
+    for read in (lambda: read_tile(handle, (0, 0)), lambda: read_view(atlas.open(whole), ["largest"])):
         with pytest.raises(ChunkError, match=r"largest/zarr.json differs from its copy in zarr.json: atlas ver"):
             read()
 

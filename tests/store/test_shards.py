@@ -13,7 +13,7 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.service.extend import extend
 from atlas.store import create, store
 from atlas.store.store import done_tiles, open_store
@@ -84,7 +84,7 @@ def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.AtlasStore) 
         taken.append(len(found.to_bytes()) if found is not None and "/c/" in key else 0)
         return found
 
-    with pytest.MonkeyPatch.context() as patch, counted():
+    with pytest.MonkeyPatch.context() as patch, count_chunk_reads():
         patch.setattr(zarr.storage.LocalStore, "get", counting)
         np.testing.assert_array_equal(ds.largest[3, 5].values, results(whole, (0, 0))["largest"][3, 5])
     assert 0 < sum(taken) < size / 3

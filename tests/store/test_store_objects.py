@@ -25,7 +25,7 @@ from zarr.core.sync import sync
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.query.resample import view
+from atlas.query.resample import read_view
 from atlas.query.store_block import find_part
 from atlas.service.submit import submit
 from atlas.store.access import StorageAccess, access_by
@@ -150,7 +150,7 @@ def test_a_part_of_it_has_the_overviews_of_its_store(tmp_path: Path) -> None:
     given = memory(objects_of(handle.path))
     parts = [atlas.open(place).isel(omega=slice(3, 40)) for place in (given, handle.path)]
     assert all(find_part(part, ["largest"]) for part in parts)
-    coarse, truth = (view(part, ["largest"], pixels=(8, 8)) for part in parts)
+    coarse, truth = (read_view(part, ["largest"], pixels=(8, 8)) for part in parts)
     assert coarse.encoding["level"] > 0 and same(coarse, truth)
 
 

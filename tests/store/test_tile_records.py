@@ -15,7 +15,7 @@ from distributed import Client
 import atlas
 from atlas.overview.pyramid import Pyramid
 from atlas.query.queries import fractions
-from atlas.query.read_counter import counted
+from atlas.query.read_counter import count_chunk_reads
 from atlas.service.status import StoreStatus, read_status
 from atlas.store import tile_records
 from atlas.store.object_backend import LocalBackend
@@ -126,7 +126,7 @@ def test_status_of_a_half_done_atlas_reads_no_cell(handle: AtlasStore, keys: lis
 
 def test_shares_of_a_half_done_atlas_read_no_cell(handle: AtlasStore, keys: list[str]) -> None:
     ds = atlas.open(handle.path)
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         found = fractions(ds)
     assert keys == []
     assert reads.chunks <= 1  # shares that are left of a dropped overview
@@ -156,7 +156,7 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
     Pyramid(handle).drop([(3, 4)])
     record(handle)
     ds = atlas.open(handle.path)
-    with counted() as reads:
+    with count_chunk_reads() as reads:
         found = fractions(ds)
     assert reads.chunks < 10
     assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)

@@ -42,7 +42,7 @@ class OrbitBatch(NamedTuple):
         return self.orbits.at_rows(k)
 
 
-def alike(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
+def group_indices(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
     """Return the indices of equal keys, one array per key, in the order in which the keys occur.
 
     Keys of None are left out.

@@ -21,8 +21,8 @@ from atlas.query.attractors import has_all_attractors, select_attractor, select_
 from atlas.query.export import check_writable, replace_on_success
 from atlas.query.open import handle_of
 from atlas.query.plane import Plane, sort_axes
-from atlas.query.read_counter import counted
-from atlas.query.resample import view
+from atlas.query.read_counter import count_chunk_reads
+from atlas.query.resample import read_view
 from atlas.query.store_block import find_part
 from atlas.query.window import axis_names, check_not_points
 from atlas.render.coded_lines import lines_over, names_on
@@ -171,8 +171,8 @@ def _cells(ds: "xr.Dataset", limit: int) -> tuple["xr.Dataset", tuple[int, ...]]
     halved = 0
     while True:  # unevenly spaced cells may need more halvings than their number suggests
         pixels = [-(-count >> halved) for count in size]
-        with counted() as reads:
-            seen = view(ds, names, pixels=pixels) if math.prod(pixels) <= limit else ds
+        with count_chunk_reads() as reads:
+            seen = read_view(ds, names, pixels=pixels) if math.prod(pixels) <= limit else ds
         if seen[REGIME.name].size <= limit:
             return seen.load().transpose(up, across, ...), reads.block if len(reads.block) == 2 else (1, 1)
         halved += 1

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from atlas.argument_checks import is_integer, validate_flag, validate_interval
 from atlas.errors import InputError, check_names
 from atlas.orbits.branches.seed import BranchSeed
-from atlas.spec.axis import admitted
+from atlas.spec.axis import validate_in_range
 from workers.model.observables import Observable
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def checked_window(seed: BranchSeed, along: str, window: tuple[float, float]) ->
     check_names("parameter", [along], [p.name for p in record.parameters])
     if along in record.states:
         raise InputError(f"{along}: found an initial state, on which no orbit depends; use another parameter")
-    low, high = (admitted(record.parameter(along), end) for end in validate_interval("window", window))
+    low, high = (validate_in_range(record.parameter(along), end) for end in validate_interval("window", window))
     if not low < high:
         raise InputError(f"{along}: found {low:g} to {high:g}, must increase")
     if not low <= seed.values[along] <= high:

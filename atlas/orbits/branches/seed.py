@@ -55,11 +55,11 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
     """
     from atlas.query.attractors import select_dominant
     from atlas.query.cell import values_of
-    from atlas.query.queries import at
+    from atlas.query.queries import nearest_cell
     from atlas.query.window import axis_names
 
     ds = select_dominant(ds)
-    cell = at(ds, point)
+    cell = nearest_cell(ds, point)
     record = system_of(ds.attrs)
     row = ds.sel({name: cell[name] for name in axis_names(ds)})
     stored = ["regime", "reason", "period", "symmetric", "state"]

@@ -25,7 +25,7 @@ from workers.continuation import (
 )
 from workers.continuation.equilibria import equilibria
 from workers.continuation.families import has_images
-from workers.continuation.orbits import alike, refine_orbit
+from workers.continuation.orbits import group_indices, refine_orbit
 from workers.model.system import System
 
 Array = NDArray[np.float64]
@@ -313,7 +313,7 @@ class BranchTree:
     def _sections(self, run: BranchRun, shift: float) -> Array:
         """Return the states (N, n, 2d) of all points of a run; at an end with a shorter orbit they are repeated."""
         states_of = dict[int, Array]()
-        for rows in alike(point.orbit.itinerary for point in run.points):
+        for rows in group_indices(point.orbit.itinerary for point in run.points):
             given = {name: np.full(len(rows), value) for name, value in self.values.items()}
             given[self.along] = np.array([run.points[k].values[0] for k in rows])
             states = section_states(self.system, given, [run.points[k].orbit for k in rows], shift)

@@ -11,7 +11,7 @@ from atlas.orbits.stored_orbits import StoredOrbits
 from workers.continuation import Orbit
 from workers.continuation.equilibria import code_of, equilibrium_near, is_equilibrium
 from workers.continuation.orbit_equality import is_same_orbit
-from workers.continuation.orbits import alike
+from workers.continuation.orbits import group_indices
 
 CEASES, PERSISTS, IS = range(3)
 """Fate of a cell's orbit at the parameters of another cell: it ceases, persists, or is that cell's orbit."""
@@ -84,7 +84,7 @@ class CellOrbits(StoredOrbits):
         """
         belongs = np.zeros(len(cells), dtype=bool)
         omega = self.omega(self.plane.values(cells)) if len(cells) else np.zeros(0)
-        for rows in alike(orbit.itinerary for orbit in points):
+        for rows in group_indices(orbit.itinerary for orbit in points):
             if is_equilibrium(points[rows[0]], self.plane.system):
                 belongs[rows] = self.are_still(cells[rows])
                 continue

@@ -12,7 +12,7 @@ from atlas.orbits.curves.following import PlaneEvent, bounds_stability, events_t
 from atlas.orbits.curves.plane import CurvePlane, plane_of
 from atlas.orbits.curves.table import KINDS
 from atlas.query.open import handle_of
-from atlas.query.queries import at
+from atlas.query.queries import nearest_cell
 from workers.continuation import Event, Orbit
 from workers.continuation.events import GRAZING, LOST
 
@@ -43,7 +43,7 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
         check_names("kind of event", [kind], KINDS)
         kind = GRAZING if kind in LOST else kind
     plane = plane_of(handle_of(ds))
-    results = at(ds, point)
+    results = nearest_cell(ds, point)
     orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
     orbit = _orbit_at(orbits, plane, results, here)
     entries = [

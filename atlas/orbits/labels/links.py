@@ -59,7 +59,7 @@ class OrbitLinks(NamedTuple):
     one_way: int
 
 
-def followed(attractors: AttractorOrbitTable) -> OrbitLinks:
+def find_links(attractors: AttractorOrbitTable) -> OrbitLinks:
     """Return all links between orbits of neighbouring cells, followed in both directions.
 
     Motion without impact is the same orbit in all cells. Orbits that these links do not connect are followed over up to

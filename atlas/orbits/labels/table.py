@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from atlas.orbits.labels.attractor_orbits import attractors_of
 from atlas.orbits.labels.components import branches
-from atlas.orbits.labels.links import followed
+from atlas.orbits.labels.links import find_links
 from atlas.orbits.orbit_table import Array, Rows, current_group
 from atlas.store.groups import LABELS, write_table
 from atlas.store.schema import StoredArray, variable_attributes
@@ -85,7 +85,7 @@ class AttractorLabels:
 def labels_of(handle: AtlasStore) -> AttractorLabels:
     """Return the labels of a finished atlas of all attractors. Errors are those of ``attractors_of``."""
     every, kept = attractors_of(handle)
-    links = followed(every)
+    links = find_links(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))

@@ -20,7 +20,7 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable, attractors_of
 from atlas.orbits.labels.components import branches
-from atlas.orbits.labels.links import AttractorOrbits, OrbitLinks, followed
+from atlas.orbits.labels.links import AttractorOrbits, OrbitLinks, find_links
 from atlas.orbits.labels.table import labels_of, mirror_labels
 from atlas.service.labels import label_attractors
 from atlas.store.store import open_store
@@ -174,7 +174,7 @@ def test_motion_without_impact_is_one_branch(labelled: Path) -> None:
 
 def test_labels_do_not_depend_on_which_way_an_axis_is_gone_through(unlabelled: Path) -> None:
     every, _ = attractors_of(open_store(unlabelled))
-    links = followed(every)
+    links = find_links(every)
     turned, _ = branches(len(links.cell), links.pairs[::-1, ::-1], links.change[::-1], links.cell, links.image)
     there, _ = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     assert np.array_equal(turned, there)
@@ -198,7 +198,7 @@ def test_twins_are_linked_alike_where_newtons_method_finds_the_link_of_one_of_th
         return reached & (rng.random(len(pairs)) < 0.7), change
 
     monkeypatch.setattr(AttractorOrbits, "follow_pairs", unsure)
-    links = followed(every)
+    links = find_links(every)
     assert len(links.pairs) > 10 and equivariant(links)
 
 
@@ -208,7 +208,7 @@ def test_an_orbit_is_linked_through_cells_that_saw_its_twin_alone(unlabelled: Pa
     twins = (every.twin >= 0) & (every.twin != np.arange(len(every)))
     lost = twins & (every.twin < np.arange(len(every))) & (every.cell % 2 == 1)
     assert lost.any()
-    links, whole = followed(kept(every, ~lost)), followed(every)
+    links, whole = find_links(kept(every, ~lost)), find_links(every)
     assert equivariant(links)
     full, _ = branches(len(whole.cell), whole.pairs, whole.change, whole.cell, whole.image)
     fewer, _ = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
@@ -223,7 +223,7 @@ def test_mirror_images_of_linked_orbits_are_linked(tmp_path: Path, client: Clien
     given = {"axes": {"omega": {"values": omega}}, "parameters": {"b": 0.1}, "solve": solve}
     atlas.run(atlas.Spec("two-mass", **given, attractors={"starts": 24}), tmp_path / "out.zarr", client=client)
     every, _ = attractors_of(open_store(tmp_path / "out.zarr"))
-    assert equivariant(followed(every))
+    assert equivariant(find_links(every))
     mirror = labels_of(open_store(tmp_path / "out.zarr")).mirror
     known = mirror >= 0
     assert np.array_equal(mirror[mirror[known]], np.flatnonzero(known))
@@ -241,7 +241,7 @@ def test_orbits_that_some_cells_have_missed_break_no_branch(unlabelled: Path) ->
     every, _ = attractors_of(open_store(unlabelled))
     found = every.points[every.cell, 1] != OMEGA[1]
     fewer = kept(every, found)
-    links = followed(fewer)
+    links = find_links(fewer)
     branch_of = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)[0][: len(fewer)]
     omega = fewer.points[fewer.cell, 1]
     before, after = ({*branch_of[(omega == OMEGA[k]) & (fewer.period == 1)].tolist()} for k in (0, 2))

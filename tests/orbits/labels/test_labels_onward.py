@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable
-from atlas.orbits.labels.links import followed
+from atlas.orbits.labels.links import find_links
 from tests.orbits.branches.test_branches_onward import GRAZE
 from tests.orbits.branches.test_branches_onward import followed as branch_through
 from workers.results import PERIODIC
@@ -36,9 +36,9 @@ def beside() -> Any:
 
 def test_orbits_on_both_sides_of_a_continuous_graze_are_linked(beside: Any) -> None:
     assert beside.impacts_upper.tolist() == [1, 2]
-    assert followed(attractors(beside)).pairs.tolist() == [[0, 1]]
+    assert find_links(attractors(beside)).pairs.tolist() == [[0, 1]]
 
 
 def test_another_orbit_beyond_a_graze_is_not_linked(beside: Any) -> None:
     states = beside[["x", "v"]].to_numpy() + np.array([[0.0, 0.0], [1e-4, 0.0]])
-    assert followed(attractors(beside, state=states)).pairs.tolist() == []
+    assert find_links(attractors(beside, state=states)).pairs.tolist() == []
