@@ -1,7 +1,7 @@
 """Jobs that the explorer runs on a Dask cluster, by the priority that they have at the moment.
 
 Submission, retries and failures are those of ``atlas.service.dispatch``. A job that no consumer waits for any more is
-cancelled, unless a worker has started it: Dask cannot interrupt running jobs. Its result is delivered all the same.
+not submitted. If it was submitted before, it is done, and its result is delivered all the same.
 """
 
 import logging
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from atlas.errors import InputError, RunError
 from atlas.explore.threads import restarting_thread, why
-from atlas.service.batches import MIN_WORKER_MEMORY
 from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported
 from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.summary import TileFailure
@@ -263,13 +262,11 @@ class JobService:
 
         Raise _StoppedError once the service is stopped.
         """
-        dispatcher = Dispatcher(client, answer, self._timing, MIN_WORKER_MEMORY, queued_seconds=0.0)
+        dispatcher = Dispatcher(client, answer, self._timing, queue=False)
         try:
             while True:
                 self._woken.clear()
-                for outcome in dispatcher.iter_outcomes(
-                    filter(None, map(self._made, self._wanted)), partial(self._look, dispatcher)
-                ):
+                for outcome in dispatcher.iter_outcomes(filter(None, map(self._made, self._wanted)), self._look):
                     self._take(outcome)
                 self._woken.wait(self._timing.tick)
         except RunError as error:
@@ -279,17 +276,14 @@ class JobService:
                 self._give_up(job, _without_advice(error))
             self._forget()
 
-    def _look(self, force: "Dispatcher[SubmittedJob, JobOutput]", workers: WorkerStatus) -> None:
-        """Record the state of the cluster, and cancel jobs that no consumer waits for and no worker has started."""
+    def _look(self, workers: WorkerStatus) -> None:
+        """Record the state of the cluster; raise _StoppedError once the service is stopped."""
         if self._stopped.is_set():
             raise _StoppedError
         self._say(
             workers.trouble or ("" if workers.threads else "no workers connected: waiting for one to join"),
             workers.threads,
         )
-        for sent in force.cancel_stale(lambda sent: self._sent[sent.index][0] not in self._wanted):
-            job, _ = self._sent.pop(sent.index)
-            self._wanted.release(job)
 
     def _say(self, trouble: str, workers: int = 0) -> None:
         with self._lock:

@@ -85,7 +85,7 @@ def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
     """Connect to the scheduler and close the connection; raise an exception if nothing answers."""
-    from distributed.comm.core import connect
+    from distributed import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
     await comm.close()
@@ -129,7 +129,7 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
                     processes=True,
                     host="127.0.0.1",
                     dashboard_address=DASHBOARD if dashboard else "127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": dashboard},
+                    scheduler_kwargs={"dashboard": dashboard, "allowed_failures": 1},
                     memory_limit=0,
                     silence_logs=logging.CRITICAL,
                     security=Security.temporary(),
@@ -192,7 +192,7 @@ def performance_reported(
 def loss_reported(client: "Client") -> Iterator[None]:
     """Raise RunError in place of Dask's errors if the cluster is lost within the block."""
     from distributed import CancelledError
-    from distributed.comm.core import CommClosedError
+    from distributed.comm import CommClosedError  # type: ignore[attr-defined]  # exported without __all__
 
     try:
         yield

@@ -9,10 +9,9 @@ from atlas.argument_checks import validate_type
 from atlas.errors import InputError, RunError
 from atlas.formatting import plural
 from atlas.overview.builder import OverviewBuilder
-from atlas.service.batches import MIN_WORKER_MEMORY
 from atlas.service.clients import check_client, connect_client, worker_count
 from atlas.service.cluster import leave_if_bootstrapping
-from atlas.service.dispatch import WorkerStatus
+from atlas.service.dispatch import MIN_WORKER_MEMORY, WorkerStatus
 from atlas.service.notebook import progress_reporter
 from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.plan import Plan, check_free_space, plan_of_run

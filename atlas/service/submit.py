@@ -15,7 +15,6 @@ from atlas.service.lease import record_end
 from atlas.service.options import RunOptions
 from atlas.service.progress import Progress
 from atlas.service.run import complete
-from atlas.service.worker_health import WorkerRefusal
 from atlas.spec.spec import Spec
 from atlas.store.access import BY_ENVIRONMENT
 from atlas.store.object_backend import LocalBackend, StoreBackend, open_backend
@@ -28,6 +27,14 @@ from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
     from distributed import Client, Event, Future
+
+
+@dataclass(frozen=True)
+class WorkerRefusal:
+    """The address of a worker that must not coordinate, and the reason."""
+
+    worker: str
+    reason: str
 
 
 @dataclass(frozen=True)

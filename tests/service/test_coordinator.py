@@ -21,9 +21,8 @@ from atlas.service.options import DEFAULTS, RunOptions
 from atlas.service.process_identity import process_name
 from atlas.service.run import complete
 from atlas.service.status import read_status
-from atlas.service.submit import Submission, check_coordinator, coordinate, submit
+from atlas.service.submit import Submission, WorkerRefusal, check_coordinator, coordinate, submit
 from atlas.service.timing import Timing
-from atlas.service.worker_health import WorkerRefusal
 from atlas.store.create import create_store
 from atlas.store.object_backend import open_backend
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
