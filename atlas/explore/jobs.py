@@ -171,11 +171,6 @@ class JobQueue(Iterator[ServiceJob]):
         with self._lock:
             return len(self._jobs.get(consumer, ()))
 
-    def __contains__(self, job: ServiceJob) -> bool:
-        """Return True if any consumer waits for a job."""
-        with self._lock:
-            return any(job in jobs for jobs in self._jobs.values())
-
     def __next__(self) -> ServiceJob:
         """Return the next job, which is in flight from now on."""
         with self._lock:
@@ -188,10 +183,10 @@ class JobQueue(Iterator[ServiceJob]):
                         return job
         raise StopIteration
 
-    def release(self, job: ServiceJob | None = None) -> None:
-        """Mark a job, or all jobs, as not in flight."""
+    def release_all(self) -> None:
+        """Mark all jobs as not in flight."""
         with self._lock:
-            self._under_way = self._under_way - {job} if job else set()
+            self._under_way = set()
 
     def remove(self, job: ServiceJob) -> None:
         """Remove a job from the queues of all consumers."""
@@ -316,7 +311,7 @@ class JobService:
     def _forget(self) -> None:
         """Mark all jobs as not submitted."""
         self._sent.clear()
-        self._wanted.release()
+        self._wanted.release_all()
 
     def _tried(self, job: ServiceJob, step: Callable[[], Any]) -> Any:
         """Return the result of a step of a job; None after an unexpected exception, which ends that job only."""
