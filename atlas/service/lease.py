@@ -26,9 +26,6 @@ from atlas.service.timing import TIMING, Timing
 from atlas.store.object_backend import StoreBackend
 from atlas.store.sidecar import LEASE_NAME, Sidecar, token_fence
 
-ENDED = "ended"
-"""Name of the sidecar file about the end of the last submitted run."""
-
 
 @dataclass(frozen=True)
 class LeaseRecord:
@@ -330,20 +327,6 @@ def cancel(
             raise RunError(f"{name}: {seen.trouble}")
         time.sleep(timing.lease_poll)
     raise RunError(f"{name}: {record} has not stopped within {wait_seconds:g} s; it stops at its next heartbeat")
-
-
-def record_end(sidecar: Sidecar, text: str) -> None:
-    """Write the end of a submitted run into the sidecar, for ``atlas status``.
-
-    The next run that ends well clears it.
-    """
-    with suppress(Exception):  # a failure to write the file must not hide the run's own error
-        sidecar.compare_and_set(ENDED, text.encode(), expected=sidecar.read(ENDED))
-
-
-def read_end(sidecar: Sidecar) -> str:
-    """Return the text about the end of the last submitted run; empty if it ended well."""
-    return (sidecar.read(ENDED) or b"").decode(errors="replace")
 
 
 def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
