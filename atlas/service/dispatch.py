@@ -264,15 +264,10 @@ class Dispatcher(Generic[J, R]):
 
     def _fill(self) -> None:
         """Submit jobs until the window is full; raise RunError if no worker is left and no replacement has come."""
-        fit = self._fit_workers()
+        fit, waited = self._fit_workers(), time.monotonic() - self._fit_at > self._timing.replacement_worker
         if fit or not self._threads:
             self._fit_at = time.monotonic()
-        elif self._flying:
-            return
-        elif (
-            len(self._threads) >= self._most_workers
-            or time.monotonic() - self._fit_at > self._timing.replacement_worker
-        ):
+        elif not self._flying and (waited or len(self._threads) >= self._most_workers):
             worker, reason = next(iter(self._excluded.items()))
             raise RunError(
                 f"all workers are excluded, for example {worker}: {reason}; finished tiles are kept, rerun the same "
@@ -314,19 +309,25 @@ class Dispatcher(Generic[J, R]):
         return self._retries.popleft() if self._retries else None
 
     def _submit(self, open_job: _OpenJob[J]) -> None:
-        """Submit an attempt at a job to a worker on which the job has not failed; at a last one, that has done jobs."""
-        fit, failed = self._fit_workers(), {failure.worker for failure in open_job.failures}
-        some = [worker for worker in fit if worker not in failed] or fit
-        some = [worker for worker in some if open_job.is_last and worker in self._proven] or some
-        chosen = None if len(some) == len(self._threads) else tuple(random.sample(some, min(len(some), MAX_ALLOWED)))
+        """Submit an attempt at a job."""
+        workers = self._allowed_workers(open_job)
         key = (f"tile-{self._token}", next(self._numbers), *open_job.job.index)  # Dask remembers a failed attempt's
         with loss_reported(self.client):
             future = self.client.submit(
-                run_attempt, self._act, open_job.job, key=key, workers=chosen and list(chosen), pure=False
+                run_attempt, self._act, open_job.job, key=key, workers=workers and list(workers), pure=False
             )
         open_job.n_flying += 1
-        self._attempts[future] = _Attempt(open_job, chosen, time.monotonic())
+        self._attempts[future] = _Attempt(open_job, workers, time.monotonic())
         self._completed.add(future)
+
+    def _allowed_workers(self, open_job: _OpenJob[J]) -> tuple[str, ...] | None:
+        """Return workers on which a job has not failed, if its failure is final that have done jobs; None for all."""
+        if not (open_job.failures or self._excluded):
+            return None
+        fit, failed = self._fit_workers(), {failure.worker for failure in open_job.failures}
+        some = [worker for worker in fit if worker not in failed] or fit
+        some = [worker for worker in some if open_job.is_last and worker in self._proven] or some
+        return None if len(some) == len(self._threads) else tuple(random.sample(some, min(len(some), MAX_ALLOWED)))
 
     def _handle(self, future: "Future[AttemptOutcome[R]]", result: Any) -> R | TileFailure | None:
         """Return the report or the failure of a job; None if the job is still open, or has ended before."""
@@ -338,8 +339,7 @@ class Dispatcher(Generic[J, R]):
         outcome: AttemptOutcome[R] = result if future.status == "finished" else outcome_of_error(result[1])
         open_job, self._ended_at = attempt.open_job, time.monotonic()
         open_job.n_flying -= 1
-        if self._slow.pop(outcome.worker, None):
-            LOG.debug("%s has ended a tile", outcome.worker)
+        self._slow.pop(outcome.worker, None)  # it does not hang
         if open_job not in self._flying:
             return None  # another attempt was faster
         if outcome.ending is Ending.DONE:
@@ -370,7 +370,8 @@ class Dispatcher(Generic[J, R]):
         self._proven.add(outcome.worker)
         self._unreachable.clear()  # the store responds to this worker, so perhaps to the others too
         for failure in open_job.failures:
-            self._blamed[failure.worker][open_job.job.index] = failure.reason
+            if failure.worker:
+                self._blamed[failure.worker][open_job.job.index] = failure.reason
         self._blamed.pop(outcome.worker, None)
 
     def _record_failure(self, open_job: _OpenJob[J], outcome: AttemptOutcome[R]) -> None:
