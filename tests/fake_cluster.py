@@ -3,10 +3,11 @@
 Nothing is solved, and no time passes but that of the clock: requests and attempts are counted exactly.
 """
 
+import asyncio
 import heapq
 import itertools
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -125,10 +126,16 @@ class Cluster:
     def add(self, future: PretendedFuture) -> None:
         """All futures are watched."""
 
-    def next_batch(self, block: bool) -> list[tuple[PretendedFuture, AttemptOutcome[Numbered]]]:
+    def next_batch(self, block: bool) -> list[PretendedFuture]:
         assert not block
         batch, self.ended = self.ended, []
-        return [(future, self._outcome(future)) for future in batch]
+        return batch
+
+    async def gather(self, futures: dict[int, PretendedFuture], **_: object) -> dict[int, AttemptOutcome[Numbered]]:
+        return {number: self._outcome(future) for number, future in futures.items()}
+
+    def sync(self, call: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+        return asyncio.run(call())
 
     def _outcome(self, future: PretendedFuture) -> AttemptOutcome[Numbered]:
         reason = self.fails(future.worker, future.job)

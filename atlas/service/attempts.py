@@ -3,12 +3,11 @@
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Generic, Protocol, TypeVar
 
 from atlas.errors import NetworkError, RunError
-from atlas.formatting import plural
 from atlas.task.store_ref import StoreFullError, WorkerRefusedError
 
 
@@ -63,6 +62,41 @@ class AttemptOutcome(Generic[R]):
     is_death: bool = False
 
 
+@dataclass(eq=False)
+class OpenJob(Generic[J]):
+    """A job without an outcome.
+
+    job        the job
+    failures   failures of its attempts
+    n_flying   number of its attempts in flight
+    is_copied  True if it took long, and a second worker has got it
+    """
+
+    job: J
+    failures: list[AttemptOutcome[Any]] = field(default_factory=list)
+    n_flying: int = 0
+    is_copied: bool = False
+
+    @property
+    def n_deaths(self) -> int:
+        """Number of its attempts that ended with the death of their workers."""
+        return sum(failure.is_death for failure in self.failures)
+
+    @property
+    def n_errors(self) -> int:
+        """Number of its attempts that ended with an exception."""
+        return len(self.failures) - self.n_deaths
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt(Generic[J]):
+    """An attempt in flight: its job, the workers that it is restricted to, its begin in seconds of ``monotonic``."""
+
+    open_job: OpenJob[J]
+    workers: tuple[str, ...] | None
+    since: float
+
+
 def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
     """Do a job on this worker, and return the outcome: an exception becomes a value that names the worker."""
     from distributed import get_worker
@@ -84,7 +118,7 @@ def outcome_of_error(error: BaseException) -> AttemptOutcome[Any]:
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):
-        reason = f"each of {plural(error.allowed_failures + 1, 'worker process')} that had it died"
+        reason = f"all of its workers have died, {error.allowed_failures + 1} of them"
         return AttemptOutcome(error.last_worker.address, Ending.FAILED, reason=reason, is_death=True)
     if "deserialization of the task graph" in str(error):
         raise RunError(

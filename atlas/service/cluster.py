@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 DASHBOARD = "127.0.0.1:8787"
 """Address of the dashboard: Dask's default port, so that a browser or a tunnel may stay open from run to run."""
+LOST_WORKER_TIMEOUT = "10 minutes"
+"""Time in which a worker process that died must be back: on a busy host it may take longer than Dask's 15 s."""
 CLUSTER_LOST_MESSAGE = "the cluster was lost; rerun the same command to resume from the stored tiles"
 
 
@@ -115,7 +117,8 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
 
     check_startable(count)
     dashboard = dashboard and has_dashboard()
-    with _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
+    patient = {"distributed.deploy.lost-worker-timeout": LOST_WORKER_TIMEOUT}
+    with dask.config.set(patient), _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
         try:
             with (
                 interrupts_blocked(),

@@ -6,6 +6,7 @@ worker for a job that failed, since Dask's own retries may choose the same one; 
 takes too long; and workers at which jobs fail that succeed elsewhere.
 """
 
+import asyncio
 import logging
 import math
 import random
@@ -14,14 +15,14 @@ import uuid
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 from statistics import median
 from typing import TYPE_CHECKING, Any, Generic
 
 from atlas.errors import RunError
 from atlas.formatting import byte_size, duration, plural
-from atlas.service.attempts import AttemptOutcome, Ending, J, R, outcome_of_error, run_attempt
+from atlas.service.attempts import Attempt, AttemptOutcome, Ending, J, OpenJob, R, outcome_of_error, run_attempt
 from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported, worker_memory, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
@@ -49,6 +50,8 @@ MEDIAN_OF = 1001
 """Number of last jobs whose durations give the median."""
 MAX_BLAMED = 3
 """Number of jobs that failed on a worker and succeeded on another after which the worker is excluded."""
+MAX_ERRORS, MAX_DEATHS = 3, 2
+"""Number of exceptions, and of deaths of its workers, after which a job is given up."""
 MAX_FAILED_JOBS = 16
 """Number of jobs that failed twice after which a run in which no job has succeeded ends."""
 MAX_ALLOWED = 64
@@ -71,33 +74,6 @@ class WorkerStatus:
     threads: int
     excluded: Mapping[str, str]
     trouble: str = ""
-
-
-@dataclass(eq=False)
-class _OpenJob(Generic[J]):
-    """A job without an outcome.
-
-    job        the job
-    failures   failures of its attempts
-    n_flying   number of its attempts in flight
-    is_copied  True if it took long, and a second worker has got it
-    is_last    True if its next failure is final
-    """
-
-    job: J
-    failures: list[AttemptOutcome[Any]] = field(default_factory=list)
-    n_flying: int = 0
-    is_copied: bool = False
-    is_last: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class _Attempt(Generic[J]):
-    """An attempt in flight: its job, the workers that it is restricted to, its begin in seconds of ``monotonic``."""
-
-    open_job: _OpenJob[J]
-    workers: tuple[str, ...] | None
-    since: float
 
 
 class Dispatcher(Generic[J, R]):
@@ -134,10 +110,11 @@ class Dispatcher(Generic[J, R]):
 
     def _start(self, jobs: Iterator[J]) -> None:
         self._pending = jobs
-        self._attempts: dict[Future[AttemptOutcome[R]], _Attempt[J]] = {}
-        self._flying: set[_OpenJob[J]] = set()
-        self._retries: deque[_OpenJob[J]] = deque()
-        self._deferred: list[_OpenJob[J]] = []
+        self._attempts: dict[Future[AttemptOutcome[R]], Attempt[J]] = {}
+        self._flying: set[OpenJob[J]] = set()
+        self._retries: deque[OpenJob[J]] = deque()
+        self._deferred: list[OpenJob[J]] = []
+        self._unfetched: list[Future[AttemptOutcome[R]]] = []
         self._fit_at = self._ended_at = time.monotonic()
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
@@ -151,7 +128,7 @@ class Dispatcher(Generic[J, R]):
         from distributed import as_completed
 
         self._start(iter(jobs))
-        self._completed = as_completed(loop=self.client.loop, with_results=True, raise_errors=False)
+        self._completed = as_completed(loop=self.client.loop)
         ticked = -math.inf
         try:
             while True:
@@ -164,7 +141,7 @@ class Dispatcher(Generic[J, R]):
                     on_tick(self._status())  # shows workers excluded since the last tick
                     return
                 time.sleep(POLL_SECONDS if self._queue else QUICK_POLL_SECONDS)
-                for future, result in self._completed.next_batch(block=False):
+                for future, result in self._fetch_results():
                     outcome = self._handle(future, result)
                     if outcome is not None:
                         yield outcome
@@ -295,20 +272,18 @@ class Dispatcher(Generic[J, R]):
         short = math.ceil(QUEUED_SECONDS * len(self._seconds) / (sum(self._seconds) or math.inf))
         return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, short))
 
-    def _next_job(self) -> _OpenJob[J] | None:
+    def _next_job(self) -> OpenJob[J] | None:
         """Return the next job to submit, None if there is none: retries first, and deferred jobs after all others."""
         if not self._retries and (job := next(self._pending, None)) is not None:
-            return _OpenJob(job)
+            return OpenJob(job)
         if not self._retries and not self._flying:
             # Dask blames a worker's death on all its jobs: alone only the job that kills its worker fails again.
             last = [each for each in self._deferred if not each.failures[-1].is_death] or self._deferred[:1]
             self._deferred = [each for each in self._deferred if each not in last]
-            for each in last:
-                each.is_last = True
             self._retries.extend(last)
         return self._retries.popleft() if self._retries else None
 
-    def _submit(self, open_job: _OpenJob[J]) -> None:
+    def _submit(self, open_job: OpenJob[J]) -> None:
         """Submit an attempt at a job."""
         workers = self._allowed_workers(open_job)
         key = (f"tile-{self._token}", next(self._numbers), *open_job.job.index)  # Dask remembers a failed attempt's
@@ -317,26 +292,23 @@ class Dispatcher(Generic[J, R]):
                 run_attempt, self._act, open_job.job, key=key, workers=workers and list(workers), pure=False
             )
         open_job.n_flying += 1
-        self._attempts[future] = _Attempt(open_job, workers, time.monotonic())
+        self._attempts[future] = Attempt(open_job, workers, time.monotonic())
         self._completed.add(future)
 
-    def _allowed_workers(self, open_job: _OpenJob[J]) -> tuple[str, ...] | None:
-        """Return workers on which a job has not failed, if its failure is final that have done jobs; None for all."""
+    def _allowed_workers(self, open_job: OpenJob[J]) -> tuple[str, ...] | None:
+        """Return the workers for a job, after a failure others that have done jobs, if there are any; None for all."""
         if not (open_job.failures or self._excluded):
             return None
         fit, failed = self._fit_workers(), {failure.worker for failure in open_job.failures}
         some = [worker for worker in fit if worker not in failed] or fit
-        some = [worker for worker in some if open_job.is_last and worker in self._proven] or some
+        some = [worker for worker in some if not failed or worker in self._proven] or some
         return None if len(some) == len(self._threads) else tuple(random.sample(some, min(len(some), MAX_ALLOWED)))
 
-    def _handle(self, future: "Future[AttemptOutcome[R]]", result: Any) -> R | TileFailure | None:
+    def _handle(self, future: "Future[AttemptOutcome[R]]", outcome: AttemptOutcome[R]) -> R | TileFailure | None:
         """Return the report or the failure of a job; None if the job is still open, or has ended before."""
         attempt = self._attempts.pop(future, None)
         if attempt is None:
             return None  # cancelled
-        if future.status not in ("finished", "error"):
-            raise RunError(CLUSTER_LOST_MESSAGE)
-        outcome: AttemptOutcome[R] = result if future.status == "finished" else outcome_of_error(result[1])
         open_job, self._ended_at = attempt.open_job, time.monotonic()
         open_job.n_flying -= 1
         self._slow.pop(outcome.worker, None)  # it does not hang
@@ -351,20 +323,49 @@ class Dispatcher(Generic[J, R]):
             return None  # another attempt is in flight
         if outcome.ending is not Ending.FAILED:
             self._requeue(open_job, self._retries)
-        elif open_job.is_last:
+        elif open_job.n_errors >= MAX_ERRORS or open_job.n_deaths >= MAX_DEATHS:
             self._flying.remove(open_job)
             LOG.debug("tile %s is given up after %s", open_job.job.index, plural(len(open_job.failures), "attempt"))
             return TileFailure(open_job.job.index, outcome.reason, outcome.worker, outcome.traceback)
         else:
-            again = len(open_job.failures) < 2 and not outcome.is_death
-            self._requeue(open_job, self._retries if again else self._deferred)
+            defer = outcome.is_death or open_job.n_errors >= MAX_ERRORS - 1
+            self._requeue(open_job, self._deferred if defer else self._retries)
         return None
 
-    def _requeue(self, open_job: _OpenJob[J], queue: "deque[_OpenJob[J]] | list[_OpenJob[J]]") -> None:
+    def _fetch_results(self) -> "Iterator[tuple[Future[AttemptOutcome[R]], AttemptOutcome[R]]]":
+        """Yield the attempts that have ended, with their outcomes, by one request to the scheduler.
+
+        If a result was lost with its worker, Dask repeats the job, and the attempt ends again. Dask would wait for it,
+        and for a worker that hangs; so an outcome that does not come soon is asked for again.
+        """
+        ended = [*self._unfetched, *self._completed.next_batch(block=False)]
+        by_number = {n: future for n, future in enumerate(ended) if future.status == "finished"}
+
+        async def gather() -> dict[int, AttemptOutcome[R]]:
+            asked = self.client.gather(by_number, errors="skip", direct=False, asynchronous=True)
+            return await asyncio.wait_for(asked, self._timing.connect)
+
+        outcomes: dict[int, AttemptOutcome[R]] = {}
+        with loss_reported(self.client), suppress(TimeoutError):
+            outcomes = {n: found for n, found in self.client.sync(gather).items() if found} if by_number else {}
+        self._unfetched = []
+        for n, future in enumerate(ended):
+            if n in outcomes:
+                yield future, outcomes[n]
+            elif n in by_number:
+                self._unfetched.append(future)
+            elif future.status == "error":
+                yield future, outcome_of_error(future.exception())
+            elif future in self._attempts and future.status == "pending":
+                self._completed.add(future)  # its result was lost
+            elif future in self._attempts:
+                raise RunError(CLUSTER_LOST_MESSAGE)
+
+    def _requeue(self, open_job: OpenJob[J], queue: "deque[OpenJob[J]] | list[OpenJob[J]]") -> None:
         self._flying.remove(open_job)
         queue.append(open_job)
 
-    def _record_success(self, open_job: _OpenJob[J], outcome: AttemptOutcome[R]) -> None:
+    def _record_success(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
         """Record a worker's success: failures of the same job speak against the workers on which it failed."""
         self._seconds.append(outcome.seconds)
         self._proven.add(outcome.worker)
@@ -374,7 +375,7 @@ class Dispatcher(Generic[J, R]):
                 self._blamed[failure.worker][open_job.job.index] = failure.reason
         self._blamed.pop(outcome.worker, None)
 
-    def _record_failure(self, open_job: _OpenJob[J], outcome: AttemptOutcome[R]) -> None:
+    def _record_failure(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
         """Record an attempt that did not succeed; raise RunError if there is no point in going on."""
         index, where = open_job.job.index, outcome.worker or "an unknown worker"
         LOG.debug("tile %s failed on %s: %s\n%s", index, where, outcome.reason, outcome.traceback)

@@ -1,5 +1,6 @@
 """Jobs of a large cluster by counts, on a pretended clock, and on Dask: busy workers, bad ones, those that hang."""
 
+import asyncio
 import random
 import re
 import threading
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 from distributed import CancelledError, Client, get_worker
+from distributed.comm import CommClosedError  # type: ignore[attr-defined]  # exported without __all__
 
 from atlas.errors import RunError
 from atlas.service import dispatch
@@ -227,17 +229,28 @@ def test_dask_tries_a_job_that_failed_on_another_worker(two_workers: Client) -> 
     assert last.excluded.keys() <= {bad}
 
 
-def test_a_cluster_that_cancels_jobs_is_lost(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Cancelled:
-        status = "cancelled"
+def test_a_result_that_is_lost_with_its_worker_holds_up_no_other(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: Dask's own gather waits until such a job has been done again."""
+    whole, asked = Client.gather, []
 
-    whole = dispatch.Dispatcher._handle
+    def gather(self: Client, futures: Any, **more: Any) -> Any:
+        asked.append(len(futures))
+        return asyncio.sleep(60) if len(asked) == 1 else whole(self, futures, **more)
 
-    def handle(force: Any, future: Any, result: Any) -> Any:
-        lost = Cancelled()
-        force._attempts[lost] = force._attempts.pop(future)
-        return whole(force, lost, CancelledError())  # type: ignore[arg-type]
+    monkeypatch.setattr(Client, "gather", gather)
+    found, _ = outcomes(client, lambda job: job, 20, Timing(connect=0.1))
+    assert indices(found) == [(k,) for k in range(20)]
 
-    monkeypatch.setattr(dispatch.Dispatcher, "_handle", handle)
+
+@pytest.mark.parametrize("raised", [CancelledError, CommClosedError])
+def test_a_cluster_that_goes_before_a_result_is_here_is_lost(
+    client: Client, monkeypatch: pytest.MonkeyPatch, raised: type[Exception]
+) -> None:
+    async def gone(*_: object, **__: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(Client, "gather", gone)
     with pytest.raises(RunError, match=r"^the cluster was lost; rerun the same command to resume"):
         outcomes(client, lambda job: job, 3)
