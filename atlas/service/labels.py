@@ -48,9 +48,7 @@ class LabelSummary:
 
 
 @with_fields
-def label_attractors(
-    store: "Given | AtlasStore", options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]
-) -> LabelSummary:
+def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Return at once if the store has labels. Raise InputError if the store is not a finished atlas of all attractors.

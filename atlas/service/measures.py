@@ -96,7 +96,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: "Given | AtlasStore",
+    store: Given,
     *,
     shocks: bool = False,
     margin: bool = False,
