@@ -4,11 +4,14 @@ Usage: python -m scripts.measured [--check] [--docs FOLDER]
 
 Every script that measures takes ``--keep``. It then writes its table to docs/measured/NAME.json, with its command and
 the solver version, and sets it into the page that shows it, between the comments ``<!-- measured: NAME -->`` and
-``<!-- end -->``. This command sets all kept tables into their pages anew. With ``--check`` it changes nothing,
-prints the faults of tables and pages, and exits with 1 if there are any.
+``<!-- end -->``. Where a page has the link ``[Table](measured/NAME.csv)`` instead, that file gets the table, and the
+page the line with its command. This command sets all kept tables anew. With ``--check`` it changes nothing, prints the
+faults of tables and pages, and exits with 1 if there are any.
 """
 
 import argparse
+import csv
+import io
 import json
 import re
 import shlex
@@ -24,12 +27,18 @@ from workers import SOLVER_VERSION
 DOCS = ROOT / "docs"
 PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
 """The place of a table on a page: its name, and all up to its end."""
+LINK = re.compile(r"(?<=\[Table\]\(measured/)([\w-]+)(\.csv\)\n\n)\*`.*?\*$", re.MULTILINE)
+"""A link to a table in a file of its own, and the line of its command."""
+
+
+def shown(cells: Iterable[object]) -> list[str]:
+    """The texts of a row; whole numbers from 10,000 on have their thousands apart."""
+    return [re.sub(r"^\d{5,}$", lambda number: f"{int(number[0]):,}", str(cell)) for cell in cells]
 
 
 def line(cells: Iterable[object]) -> str:
-    """One row of a Markdown table; whole numbers from 10,000 on have their thousands apart."""
-    shown = [re.sub(r"^\d{5,}$", lambda number: f"{int(number[0]):,}", str(cell)) for cell in cells]
-    return f"| {' | '.join(shown)} |"
+    """One row of a Markdown table."""
+    return f"| {' | '.join(shown(cells))} |"
 
 
 def header(head: Sequence[str]) -> str:
@@ -64,10 +73,21 @@ def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) ->
     fill_pages(DOCS)
 
 
+def source(kept: dict[str, Any]) -> str:
+    """The line below a kept table: its command and the solver version."""
+    return f"*`{kept['command']}`, solver version {kept['solver_version']}*"
+
+
 def as_text(kept: dict[str, Any]) -> str:
-    """A kept table as its page shows it: the table, its command and the solver version."""
-    source = f"*`{kept['command']}`, solver version {kept['solver_version']}*"
-    return "\n".join([header(kept["head"]), *map(line, kept["rows"]), "", source])
+    """A kept table as its page shows it, with the line below it."""
+    return "\n".join([header(kept["head"]), *map(line, kept["rows"]), "", source(kept)])
+
+
+def as_csv(kept: dict[str, Any]) -> str:
+    """A kept table as the file that its page links to."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([kept["head"], *map(shown, kept["rows"])])
+    return text.getvalue()
 
 
 def tables(docs: Path) -> dict[str, dict[str, Any]]:
@@ -79,15 +99,22 @@ def tables(docs: Path) -> dict[str, dict[str, Any]]:
 
 def filled(page: str, kept: Mapping[str, dict[str, Any]]) -> str:
     """The text of a page with the kept tables in their places; a place without a table stays as it is."""
+    page = LINK.sub(
+        lambda match: f"{match[1]}{match[2]}{source(kept[match[1]])}" if match[1] in kept else match[0], page
+    )
     return PLACE.sub(
         lambda match: f"{match[1]}{match[2]}\n{as_text(kept[match[1]])}\n\n" if match[1] in kept else match[0], page
     )
 
 
 def fill_pages(docs: Path) -> None:
-    """Set all kept tables into their pages."""
+    """Set all kept tables into their pages, and into the files that these link to."""
+    kept = tables(docs)
     for page in docs.glob("*.md"):
-        page.write_text(filled(page.read_text(encoding="utf-8"), tables(docs)), encoding="utf-8")
+        text = filled(page.read_text(encoding="utf-8"), kept)
+        page.write_text(text, encoding="utf-8")
+        for name in (match[1] for match in LINK.finditer(text) if match[1] in kept):
+            (docs / "measured" / f"{name}.csv").write_text(as_csv(kept[name]), encoding="utf-8")
 
 
 def faults(docs: Path) -> list[str]:
@@ -95,9 +122,12 @@ def faults(docs: Path) -> list[str]:
     kept, places, found = tables(docs), Counter[str](), []
     for page in sorted(docs.glob("*.md")):
         text = page.read_text(encoding="utf-8")
-        here = [match[1] for match in PLACE.finditer(text)]
+        linked = [match[1] for match in LINK.finditer(text)]
+        here = [match[1] for match in PLACE.finditer(text)] + linked
         found += [f"{page.name}: no table {name}" for name in here if name not in kept]
-        if text != filled(text, kept):
+        files = {docs / "measured" / f"{name}.csv": as_csv(kept[name]) for name in linked if name in kept}
+        differ = [file for file, table in files.items() if not file.exists() or file.read_text("utf-8") != table]
+        if differ or text != filled(text, kept):
             found.append(f"{page.name}: tables differ from those measured; run python -m scripts.measured")
         places.update(here)
     for name, table in kept.items():

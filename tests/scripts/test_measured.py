@@ -80,6 +80,23 @@ def test_a_table_that_was_edited_on_its_page_is_set_anew(docs: Path) -> None:
     assert (docs / "page.md").read_text() == PAGE.format(COMMAND)
 
 
+LINKED = f"before\n\n[Table](measured/cell.csv)\n\n*`{COMMAND}`, solver version 9*\n\nafter"
+
+
+def test_a_table_that_a_page_links_to_is_a_file_and_its_command_stands_on_the_page(docs: Path) -> None:
+    (docs / "page.md").write_text(LINKED.replace("version 9", "version 8"))
+    script("measured", "--docs", str(docs))
+    assert (docs / "page.md").read_text() == LINKED
+    assert (docs / "measured/cell.csv").read_text() == "a,b\n1,2\n"
+
+
+def test_a_linked_file_with_another_table_is_found(docs: Path) -> None:
+    (docs / "page.md").write_text(LINKED)
+    (docs / "measured/cell.csv").write_text("a,b\n7,2\n")
+    faults = script("measured", "--check", "--docs", str(docs), code=1).splitlines()
+    assert faults[0] == "page.md: tables differ from those measured; run python -m scripts.measured"
+
+
 def test_rough_numbers_are_not_kept() -> None:
     assert "--keep: found --light" in script("stress", "--light", "--keep", code=2)
 
