@@ -1,12 +1,11 @@
-"""The tables of measurements on the pages: each is a data file, which the script that measured it writes.
+"""The tables of measurements on the pages: each is a file, which the script that measured it writes.
 
 Usage: python -m scripts.measured [--check] [--docs FOLDER]
 
 Every script that measures takes ``--keep``. It then writes its table to docs/measured/NAME.json, with its command and
-the solver version, and sets it into the page that shows it, between the comments ``<!-- measured: NAME -->`` and
-``<!-- end -->``. Where a page has the link ``[Table](measured/NAME.csv)`` instead, that file gets the table, and the
-page the line with its command. This command sets all kept tables anew. With ``--check`` it changes nothing, prints the
-faults of tables and pages, and exits with 1 if there are any.
+the solver version. The page that shows it has the link ``[Table](measured/NAME.csv)``, which the site replaces by the
+table; below stands the command. This program writes these files and lines anew from all kept tables. With ``--check``
+it changes nothing, prints the faults of tables and pages, and exits with 1 if there are any.
 """
 
 import argparse
@@ -25,10 +24,8 @@ from rig import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
-PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
-"""The place of a table on a page: its name, and all up to its end."""
 LINK = re.compile(r"(?<=\[Table\]\(measured/)([\w-]+)(\.csv\)\n\n)\*`.*?\*$", re.MULTILINE)
-"""A link to a table in a file of its own, and the line of its command."""
+"""The name of a table that a page links to, and all up to the end of the line of its command."""
 
 
 def shown(cells: Iterable[object]) -> list[str]:
@@ -63,7 +60,7 @@ def print_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]], k
 
 
 def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Write a table of this process to its data file, and set it into its page."""
+    """Write a table of this process to its data file, and for its page."""
     words = [word for word in sys.argv[1:] if word != "--keep"]
     command = shlex.join(["python", "-m", f"scripts.{Path(sys.argv[0]).stem}", *words])
     kept = {"command": command, "solver_version": SOLVER_VERSION, "head": list(head), "rows": [list(r) for r in rows]}
@@ -76,11 +73,6 @@ def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) ->
 def source(kept: dict[str, Any]) -> str:
     """The line below a kept table: its command and the solver version."""
     return f"*`{kept['command']}`, solver version {kept['solver_version']}*"
-
-
-def as_text(kept: dict[str, Any]) -> str:
-    """A kept table as its page shows it, with the line below it."""
-    return "\n".join([header(kept["head"]), *map(line, kept["rows"]), "", source(kept)])
 
 
 def as_csv(kept: dict[str, Any]) -> str:
@@ -98,17 +90,14 @@ def tables(docs: Path) -> dict[str, dict[str, Any]]:
 
 
 def filled(page: str, kept: Mapping[str, dict[str, Any]]) -> str:
-    """The text of a page with the kept tables in their places; a place without a table stays as it is."""
-    page = LINK.sub(
+    """The text of a page with the line of its command below each kept table; other links stay as they are."""
+    return LINK.sub(
         lambda match: f"{match[1]}{match[2]}{source(kept[match[1]])}" if match[1] in kept else match[0], page
-    )
-    return PLACE.sub(
-        lambda match: f"{match[1]}{match[2]}\n{as_text(kept[match[1]])}\n\n" if match[1] in kept else match[0], page
     )
 
 
 def fill_pages(docs: Path) -> None:
-    """Set all kept tables into their pages, and into the files that these link to."""
+    """Write the files that pages link to, and the lines of their commands."""
     kept = tables(docs)
     for page in docs.glob("*.md"):
         text = filled(page.read_text(encoding="utf-8"), kept)
@@ -123,13 +112,12 @@ def faults(docs: Path) -> list[str]:
     for page in sorted(docs.glob("*.md")):
         text = page.read_text(encoding="utf-8")
         linked = [match[1] for match in LINK.finditer(text)]
-        here = [match[1] for match in PLACE.finditer(text)] + linked
-        found += [f"{page.name}: no table {name}" for name in here if name not in kept]
+        found += [f"{page.name}: no table {name}" for name in linked if name not in kept]
         files = {docs / "measured" / f"{name}.csv": as_csv(kept[name]) for name in linked if name in kept}
         differ = [file for file, table in files.items() if not file.exists() or file.read_text("utf-8") != table]
         if differ or text != filled(text, kept):
             found.append(f"{page.name}: tables differ from those measured; run python -m scripts.measured")
-        places.update(here)
+        places.update(linked)
     for name, table in kept.items():
         words = shlex.split(table["command"])
         script = ROOT / f"{words[2].replace('.', '/')}.py"
@@ -143,7 +131,7 @@ def faults(docs: Path) -> list[str]:
 
 
 def main() -> int:
-    """Set all kept tables into their pages, or check them; 1 if something is wrong."""
+    """Write all kept tables for their pages, or check them; 1 if something is wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--check", action="store_true", help="change nothing, print faults")
     parser.add_argument("--docs", type=Path, default=DOCS, metavar="FOLDER", help="the pages; default: docs/")
