@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping
+from itertools import groupby
 from textwrap import fill
 from typing import Any
 
@@ -45,14 +46,17 @@ def page_of(results: Record) -> str:
 
 
 def summary(entries: list[Record]) -> str:
-    """The table of all entries, one per line."""
-    rows = ["| work | entry | agree |", "|---|---|---|"]
-    for entry in entries:
-        anchor = re.sub(r"[^\w\- ]", "", entry["title"].lower()).replace(" ", "-")
-        agrees = all(statement["agrees"] for statement in entry["statements"])
-        count = agreement(entry) if agrees else f"**{agreement(entry)}**"
-        work = f"[{entry['work']}]({entry['link']})" if entry["link"] else entry["work"]
-        rows.append(f"| {work} | [{entry['title']}](#{anchor}) | {count} |")
+    """The table of all works, one per line, with their entries."""
+    rows = ["| work | agree |", "|---|---|"]
+    for work, group in groupby(entries, key=lambda entry: entry["work"]):
+        found, link = [], ""
+        for entry in group:
+            anchor = re.sub(r"[^\w\- ]", "", entry["title"].lower()).replace(" ", "-")
+            agrees = all(statement["agrees"] for statement in entry["statements"])
+            count = agreement(entry) if agrees else f"**{agreement(entry)}**"
+            found.append(f"[{entry['title']}](#{anchor}): {count}")
+            link = entry["link"]
+        rows.append(f"| {f'[{work}]({link})' if link else work} | {'; '.join(found)} |")
     return "\n".join(rows) + "\n"
 
 
