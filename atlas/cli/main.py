@@ -27,7 +27,6 @@ _COMMANDS: _Table = {
     },
     "Compute": {
         "plan": ("run.plan", "Estimate the cost of SPEC: cells, bytes, time."),
-        "check-law": ("law.check", "Check whether the segments of a law matter."),
         "run": ("run.run", "Compute SPEC into a store, or resume an interrupted run."),
         "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
         "retry": ("run.retry", "Solve cells of STORE again, with more periods."),
