@@ -36,7 +36,6 @@ _COMMANDS: _Table = {
     "Look": {
         "plot": ("pictures.plot", "Draw STORES: maps, sweeps, stacks."),
         "explore": ("explore.explore", "Look anywhere in a plane, in the browser."),
-        "figures": ("pictures.figures", "Compute and draw the figures of the paper."),
     },
     "Ask": {
         "query": ("query.query", "Print the share of each regime, or one cell."),

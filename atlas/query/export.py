@@ -147,7 +147,7 @@ def _components(name: str, variable: "xr.DataArray", dims: tuple[str, ...]) -> d
     if inner is None:
         return {name: variable}
     labels = variable[inner].values if inner in variable.coords else range(1, variable.sizes[inner] + 1)
-    components = {}
+    components: dict[str, xr.DataArray] = {}
     for k, label in enumerate(labels):
         components |= _components(f"{name}_{label}", variable.isel({inner: k}, drop=True), dims)
     return components

@@ -39,7 +39,7 @@ atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
-commands    demo example schema systems plan run extend retry status cancel plot explore figures query find
+commands    demo example schema systems plan run extend retry status cancel plot explore query find
             attractors compare point portrait branch verify pack export cite
 find        regions extremes curves
 attractors  label measure basins stability saddles
