@@ -24,7 +24,7 @@ from atlas.cli.options import (
 from atlas.cli.output import print_table, text, to_json
 from atlas.cli.progress import show_solving
 from atlas.errors import InputError
-from atlas.query.export import write_rows
+from atlas.query.export import write_table
 from atlas.robustness.norm import validate_weights
 from atlas.task.compile import ATTRACTORS
 
@@ -57,6 +57,8 @@ def saddles(
 
     A boundary is the stable manifold of such an orbit, a saddle.
     """
+    import pandas as pd
+
     from atlas.robustness.saddles import saddles as find_saddles
 
     record, pairs, settings = resolve_cell(given, system, solve)
@@ -70,16 +72,13 @@ def saddles(
             pairs, system=record, settings=settings, starts=starts, norm=weights, manifolds=out is not None, box=box
         )
     if out is not None:
-        names = record.states
-        write_rows(
-            out,
-            [
-                {"saddle": k, "line": number, **dict(zip(names, state, strict=True))}
-                for k, saddle in enumerate(results["saddles"])
-                for number, line in enumerate(saddle["manifold"])
-                for state in line
-            ],
-        )
+        rows = [
+            (k, number, *state)
+            for k, saddle in enumerate(results["saddles"])
+            for number, line in enumerate(saddle["manifold"])
+            for state in line
+        ]
+        write_table(out, pd.DataFrame(rows, columns=["saddle", "line", *record.states]))
     if as_json:
         click.echo(to_json(results | ({"file": str(out)} if out is not None else {})))
         return
