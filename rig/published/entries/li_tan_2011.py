@@ -5,15 +5,27 @@ digits, and those of the bifurcations along Fig. 6, come from multiprecision ari
 exponents of Fig. 5 are those of long runs.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 from atlas.cell.trajectory import cell_orbit
-from atlas.cli import paper_figures
 from rig.published.entry import PublishedEntry, Statement
 from rig.published.helpers import event
+from workers import Settings
 
 WORK = "Q.-H. Li and J.-Y. Tan, Chin. Phys. B 20 (2011) 040505"
 LINK = "https://doi.org/10.1088/1674-1056/20/4/040505"
+_COMMON = {"R": 0.8, "tau": math.pi}
+CELLS = {
+    "fig3": {**_COMMON, "mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "omega": 4.0, "b": 0.1},
+    "fig4": {**_COMMON, "mu_k": 4.0, "mu_m": 6.0, "zeta": 0.5, "f2": 2.0, "omega": 1.0, "b": 0.2},
+    "fig5": {**_COMMON, "mu_k": 2.0, "mu_m": 2.0, "zeta": 0.5, "f2": 5.0, "omega": 3.0, "b": 0.2},
+}
+"""The parameters of the cells in Figs 3, 4 and 5: two periodic motions and a chaotic one."""
+
+SETTINGS = Settings(tolerance=0.002, max_periods=400_000)
+"""Settings for the exponents of Fig. 5 to the three digits that the paper gives."""
+
 FIG_3 = (-0.235569640371152, -0.235569640371152, -0.524876727616246, -0.524876727616246)
 FIG_4 = (-0.475914135412643, -2.614830482264854, -2.614830482264854, -7.598746373733903)
 FIG_5 = (1.123, -1.577, -1.582, -4.38)
@@ -22,7 +34,7 @@ DIGITS = "multiprecision arithmetic"
 
 def periodic(name: str, impacts: str, exponents: tuple[float, ...]) -> list[Statement]:
     """Period, impacts and exponents of Fig. 3 or 4."""
-    solved = cell_orbit(paper_figures.CELLS[name]).cell
+    solved = cell_orbit(CELLS[name]).cell
     ours = f"{solved['impacts_upper']} and {solved['impacts_lower']}"
     found = [
         Statement("period", 1, int(solved["period"]), basis="described"),
@@ -35,7 +47,7 @@ def periodic(name: str, impacts: str, exponents: tuple[float, ...]) -> list[Stat
 
 def chaotic() -> list[Statement]:
     """Exponents and impacts of Fig. 5."""
-    solved = cell_orbit(paper_figures.CELLS["fig5"], settings=paper_figures.SETTINGS).cell
+    solved = cell_orbit(CELLS["fig5"], settings=SETTINGS).cell
     found = [
         Statement(f"exponent {k + 1}", stated, float(solved["spectrum"][k]), 0.02 if k == 3 else 0.008,
                   "long runs, known to 0.002")
@@ -65,7 +77,7 @@ def entry(number: int, title: str, statements: Callable[[], Sequence[Statement]]
         link=LINK,
         place=f"Fig. {number}",
         title=title,
-        machine="System `two-mass` with the parameters of the figure; `atlas figures` draws it.",
+        machine="System `two-mass` with the parameters of the figure; `python -m scripts.paper_figures` draws it.",
         statements=statements,
         example="fig6" if number == 6 else "",
         commands=(command,),
