@@ -42,7 +42,7 @@ def main() -> None:
             left, top, width, height = tab.plot()
             x, y = left + CELL[0] * width, top + CELL[1] * height
             tab.page.mouse.click(x, y)
-            tab.page.locator("img.portrait").wait_for(timeout=120_000)
+            tab.page.get_by_role("button", name="move the machine").wait_for(timeout=120_000)
             tab.until(lambda: "n-p-q" in tab.text(), 120.0)
             tab.page.mouse.move(x + 40, y - 30)
             tab.page.wait_for_timeout(2e3)
