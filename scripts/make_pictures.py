@@ -16,7 +16,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from rig import ROOT
+from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
