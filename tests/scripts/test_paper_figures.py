@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from atlas.cell.trajectory import cell_orbit, describe
-from rig.published.entries.li_tan_2011 import CELLS, SETTINGS
+from scripts.published.entries.li_tan_2011 import CELLS, SETTINGS
 from tests import naive
 from tests.script import script
 
