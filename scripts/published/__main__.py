@@ -1,4 +1,4 @@
-"""Compute the gallery of published results: docs/published.json, and docs/published.md from it.
+"""Compute the gallery of published results: docs/published.json, and the page and its tables from it.
 
 Usage: python -m scripts.published [NAME ...] [--list] [--picture FILE]
 
@@ -15,12 +15,12 @@ from typing import Any
 
 from scripts.published.entries import ENTRIES
 from scripts.published.entry import EXACT
-from scripts.published.page import agreement, page_of
+from scripts.published.page import agreement, page_of, table
 from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
-RESULTS, PAGE = DOCS / "published.json", DOCS / "published.md"
+RESULTS, PAGE, TABLES = DOCS / "published.json", DOCS / "published.md", DOCS / "published"
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 
 
@@ -48,11 +48,14 @@ def kept() -> dict[str, Any]:
 
 
 def write(found: dict[str, Any]) -> None:
-    """Both files, with the entries in their order."""
+    """The results, with the entries in their order, the page, and a table for each entry."""
     ordered = [found[name] for name in BY_NAME if name in found]
     results = {"solver_version": SOLVER_VERSION, "exact": EXACT, "entries": ordered}
     RESULTS.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n")
     PAGE.write_text(page_of(results))
+    TABLES.mkdir(exist_ok=True)
+    for entry in ordered:
+        (TABLES / f"{entry['name']}.csv").write_text(table(entry["statements"]))
 
 
 def main() -> None:

@@ -31,7 +31,7 @@ from scripts.published.entries import (
     shaw_1986,
 )
 from scripts.published.one_impact import OneImpact
-from scripts.published.page import page_of
+from scripts.published.page import page_of, table
 from tests import naive
 from tests.paths import ROOT
 from tests.support.oracle.closed_form import symmetric_orbit
@@ -45,6 +45,11 @@ BY_STORED = {entry["name"]: entry for entry in STORED["entries"]}
 
 def test_the_page_is_that_of_the_json() -> None:
     assert (ROOT / "docs/published.md").read_text() == page_of(STORED), "run python -m scripts.published"
+
+
+def test_the_tables_are_those_of_the_json() -> None:
+    tables = {path.stem: path.read_text() for path in (ROOT / "docs/published").iterdir()}
+    assert tables == {name: table(entry["statements"]) for name, entry in BY_STORED.items()}
 
 
 def test_the_json_holds_every_entry_of_the_present_solver() -> None:
