@@ -12,7 +12,6 @@ from atlas.service.worker_pool import hold_store_lease, open_store_call
 from atlas.spec.system import must_offer
 from atlas.store.groups import check_table_size
 from atlas.store.object_backend import Given
-from atlas.store.store import AtlasStore
 from atlas.store.zip_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
 from workers.results import LABEL
