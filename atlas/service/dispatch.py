@@ -136,8 +136,8 @@ class Dispatcher(Generic[J, R]):
                     self._refresh()
                     on_tick(self._status())
                     ticked = time.monotonic()
-                self._fill()
-                if not (self._flying or self._retries):
+                is_waiting = not self._fill()
+                if not (is_waiting or self._flying or self._retries or self._deferred):
                     on_tick(self._status())  # shows workers excluded since the last tick
                     return
                 time.sleep(POLL_SECONDS if self._queue else QUICK_POLL_SECONDS)
@@ -180,12 +180,9 @@ class Dispatcher(Generic[J, R]):
     def _copy_slow(self, now: float) -> None:
         """Give jobs that take many times the median to second workers; the first outcome counts."""
         old = {
-            future: attempt
-            for future, attempt in self._attempts.items()
-            if now - attempt.since > self._timing.hung
-            and attempt.open_job in self._flying
-            and not attempt.open_job.is_copied
+            f: a for f, a in self._attempts.items() if now - a.since > self._timing.hung and not a.open_job.is_copied
         }
+        old = {future: attempt for future, attempt in old.items() if attempt.open_job in self._flying}
         usual = median(self._seconds) if old and self._seconds else math.inf
         old = {future: attempt for future, attempt in old.items() if now - attempt.since > SLOW * usual}
         holders = self._holders() if old else {}
@@ -239,8 +236,11 @@ class Dispatcher(Generic[J, R]):
         held = [(holders[f.key], a.open_job.job.index) for f, a in self._attempts.items() if f.key in holders]
         return f"{begin}{_some_of([f'{worker} has tile {index}' for worker, index in held])}" if held else ""
 
-    def _fill(self) -> None:
-        """Submit jobs until the window is full; raise RunError if no worker is left and no replacement has come."""
+    def _fill(self) -> bool:
+        """Submit jobs until the window is full; return False if no worker is fit, and one may come.
+
+        Raise RunError if no worker is left and no replacement has come.
+        """
         fit, waited = self._fit_workers(), time.monotonic() - self._fit_at > self._timing.replacement_worker
         if fit or not self._threads:
             self._fit_at = time.monotonic()
@@ -251,13 +251,14 @@ class Dispatcher(Generic[J, R]):
                 "command to resume"
             )
         else:
-            return  # a worker that did jobs is gone, and may reconnect
+            return False  # a worker that did jobs is gone, and may reconnect
         if self.client.status != "running":
             raise RunError(CLUSTER_LOST_MESSAGE)
         threads = max(1, sum(self._threads[worker] for worker in fit))
         while len(self._flying) < self._window(threads) and (open_job := self._next_job()):
             self._flying.add(open_job)
             self._submit(open_job)
+        return True
 
     def _fit_workers(self) -> list[str]:
         """Return the workers that get jobs: those not excluded; if there are none, those that do not refuse."""
@@ -319,11 +320,13 @@ class Dispatcher(Generic[J, R]):
             self._record_success(open_job, outcome)
             return outcome.report
         self._record_failure(open_job, outcome)
-        if open_job.n_flying:
-            return None  # another attempt is in flight
+        is_hopeless = open_job.n_errors >= MAX_ERRORS or open_job.n_deaths >= MAX_DEATHS
+        if open_job.n_flying and not is_hopeless:
+            open_job.is_copied = False
+            return None  # another attempt is in flight, which may hang
         if outcome.ending is not Ending.FAILED:
             self._requeue(open_job, self._retries)
-        elif open_job.n_errors >= MAX_ERRORS or open_job.n_deaths >= MAX_DEATHS:
+        elif is_hopeless:
             self._flying.remove(open_job)
             LOG.debug("tile %s is given up after %s", open_job.job.index, plural(len(open_job.failures), "attempt"))
             return TileFailure(open_job.job.index, outcome.reason, outcome.worker, outcome.traceback)

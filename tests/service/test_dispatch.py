@@ -254,3 +254,32 @@ def test_a_cluster_that_goes_before_a_result_is_here_is_lost(
     monkeypatch.setattr(Client, "gather", gone)
     with pytest.raises(RunError, match=r"^the cluster was lost; rerun the same command to resume"):
         outcomes(client, lambda job: job, 3)
+
+
+def test_a_job_whose_second_attempt_fails_while_the_first_hangs_is_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: Counter[str] = Counter()
+
+    def fail(worker: str, job: Numbered) -> str:
+        tried[worker] += job.index == (4,)
+        return "OSError" if job.index == (4,) and tried.total() == 1 else ""
+
+    cluster = Cluster(WORKERS[:3], hanging({(BAD, k) for k in range(3, 60)}, 1e9), fail)
+    found, _ = all_outcomes(cluster, 60, monkeypatch)
+    assert indices(found) == [(k,) for k in range(60)]
+    assert not [outcome for outcome in found if isinstance(outcome, TileFailure)]
+
+
+def test_a_run_without_a_fit_worker_waits_for_the_one_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of two workers has too little memory; the other is away from 5 s to 20 s."""
+
+    class Away(Cluster):
+        def nthreads(self) -> dict[str, int]:
+            self.workers = WORKERS[:1] if 5 < self.now < 20 else WORKERS[:2]
+            return super().nthreads()
+
+        def scheduler_info(self, n_workers: int = 5) -> dict[str, Any]:
+            return {"workers": {BAD: {"memory_limit": 1, "status": "running"}}}
+
+    found, seen = all_outcomes(Away(WORKERS[:2], lambda *_: 1.0), 40, monkeypatch)
+    assert indices(found) == [(k,) for k in range(40)]
+    assert seen[-1].excluded.keys() == {BAD}
