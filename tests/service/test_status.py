@@ -67,7 +67,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     monkeypatch.setattr(tile_records, "done_tiles", count)
     monkeypatch.setattr(LocalSidecar, "read", read)
     read_status(open_store(finished))
-    assert looks == ["claim", "tiles", "claim", "ended"]
+    assert looks == ["claim", "tiles", "claim"]
 
 
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
