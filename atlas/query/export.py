@@ -3,7 +3,7 @@
 import csv
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 FORMATS = (".csv", ".nc")
@@ -61,15 +62,10 @@ def export(
     return count
 
 
-def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write dicts with equal keys as CSV, one row each. The file is written completely or not at all.
-
-    Raise InputError for a path that cannot be written.
-    """
-    with replace_on_success(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+def write_table(path: Path, frame: "pd.DataFrame") -> None:
+    """Write a frame as CSV, completely or not at all. Raise InputError for a path that cannot be written."""
+    with replace_on_success(path) as unfinished:
+        frame.to_csv(unfinished, index=False, na_rep="nan")
 
 
 def check_writable(path: Path) -> None:

@@ -1,14 +1,18 @@
-"""Export of the curves of a plane to a file for other programs: CSV or JSON, selected by the suffix."""
+"""The curves of a plane as tables, and their export to a file: CSV or JSON, selected by the suffix."""
 
-import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from atlas.argument_checks import validate_path, validate_suffix
-from atlas.orbits.curves.table import Curve, Curves
+from atlas.errors import check_names
+from atlas.orbits.curves.table import KINDS, Curve, Curves
 from atlas.query.export import check_writable, replace_on_success
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORMATS = (".csv", ".json")
 
@@ -16,20 +20,19 @@ FORMATS = (".csv", ".json")
 def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file, completely or not at all.
 
-    CSV has one row per point, curve by curve, with the columns of ``columns`` and numbers in their shortest exact form.
-    A point of codimension two is a row of its own kind at its position in the curve. JSON has one object, as
-    ``as_json``. Raise InputError for another suffix, and for a path that cannot be written.
+    CSV has the rows of ``to_frames``, numbers in their shortest exact form: the points, then the points of codimension
+    two. JSON has one object, as ``as_json``. Raise InputError for another suffix, and for a path that cannot be
+    written.
     """
     target = validate_path(path)
     suffix = check_path(target)
-    with replace_on_success(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with replace_on_success(target) as unfinished:
         if suffix == ".csv":
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns(curves.axes))
-            writer.writerows(rows(curves))
+            points, corners = to_frames(curves)
+            points.to_csv(unfinished, index=False)
+            corners.drop(columns="after").to_csv(unfinished, index=False, header=False, mode="a")
         else:
-            json.dump(as_json(curves), file, allow_nan=False)
-            file.write("\n")
+            unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", "utf-8")
 
 
 def check_path(path: Path) -> str:
@@ -39,21 +42,47 @@ def check_path(path: Path) -> str:
     return suffix
 
 
-def columns(axes: tuple[str, str]) -> list[str]:
-    """Return the columns of the CSV; ``unstable`` counts unstable multipliers besides the event's own."""
-    return ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *axes, "unstable"]
+class CurveFrames(NamedTuple):
+    """Curves as tables.
+
+    points   one row per point, curve by curve, in order along each: number of the curve, its kind, period, impacts and
+             symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
+             event's own; the attribute ``report`` is the report on the search
+    corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
+             that it follows, and the number ``after`` of that point
+    """
+
+    points: "pd.DataFrame"
+    corners: "pd.DataFrame"
 
 
-def rows(curves: Curves) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
+def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
+    """Return curves as tables, of one kind or all. Raise InputError for an unknown kind."""
+    import pandas as pd
+
+    if kind is not None:
+        check_names("kind of curve", [kind], KINDS)
+    columns = ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *curves.axes, "unstable"]
+    points, corners = list["pd.DataFrame"](), list["pd.DataFrame"]()
+
+    def rows(number: int, curve: Curve, kinds: Any, at: Any, places: Any) -> "pd.DataFrame":
+        upper, lower, unstable = (values[at] for values in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        orbit = number, kinds, curve.period, upper, lower, curve.symmetric
+        return pd.DataFrame(dict(zip(columns, (*orbit, *np.transpose(places), unstable), strict=True)))
+
     for number, curve in enumerate(curves):
-        corners, symmetric = _placed(curve), str(curve.symmetric).lower()
-        counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
-        for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
-            orbit = (curve.period, upper, lower, symmetric)
-            yield (number, curve.kind, *orbit, x, y, unstable)
-            for corner in corners.get(k, ()):
-                yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
+        if kind in (None, curve.kind):
+            points.append(rows(number, curve, curve.kind, slice(None), curve.points))
+            if curve.corners:
+                kinds, x, y, after = zip(*curve.corners, strict=True)
+                at = np.minimum(after, len(curve.points) - 1)
+                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(after=at))
+    made = CurveFrames(
+        pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
+        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "after"]),
+    )
+    made.points.attrs["report"] = dict(curves.report)
+    return made
 
 
 def as_json(curves: Curves) -> dict[str, Any]:
@@ -76,11 +105,3 @@ def as_json(curves: Curves) -> dict[str, Any]:
         ],
         "report": dict(curves.report),
     }
-
-
-def _placed(curve: Curve) -> dict[int, list[Any]]:
-    """Return the points of codimension two by the index of the curve's point that they follow."""
-    corners_after: dict[int, list[Any]] = {}
-    for corner in curve.corners:
-        corners_after.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
-    return corners_after
