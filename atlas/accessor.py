@@ -13,8 +13,7 @@ from atlas.errors import InputError
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves import queries
-from atlas.orbits.curves.export import CurveFrames, to_frames
+from atlas.orbits.curves.queries import CurveFrames, curves_of, to_frames
 from atlas.query import connected_regions
 from atlas.query import queries as query
 from atlas.query.attractors import select_dominant
@@ -170,9 +169,9 @@ class AtlasAccessor:
         """Return the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold").points``.
 
         ``points`` has a row for each point of a curve, ``corners`` for each point of codimension two. See
-        ``atlas.orbits.curves.export.to_frames``.
+        ``atlas.orbits.curves.queries.to_frames``.
         """
-        return to_frames(queries.curves_of(self._ds), kind)
+        return to_frames(curves_of(self._ds), kind)
 
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float

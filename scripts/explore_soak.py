@@ -31,7 +31,7 @@ from atlas.explore.metatiles import MetatileKey
 from atlas.explore.session import ExplorerSession, explore
 from atlas.explore.viewport import TileKey
 from atlas.store.zoom import drop_metatile
-from rig.browser import Tab, opened, started
+from tests.support.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
 """Seconds between two moves, at least and at most."""

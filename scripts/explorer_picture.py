@@ -16,7 +16,7 @@ from atlas.explore.picture_renderer import PictureRenderer
 from atlas.explore.session import explore
 from atlas.query.open import open_atlas
 from atlas.render.provenance import metadata, provenance_of
-from rig.browser import opened, started
+from tests.support.browser import opened, started
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
 SIZE = 1440, 900

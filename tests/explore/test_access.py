@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from atlas.explore.session import ExplorerSession
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 

@@ -8,7 +8,7 @@ import pytest
 
 import atlas
 from atlas.explore.session import ExplorerSession
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 

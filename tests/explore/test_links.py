@@ -15,7 +15,7 @@ from distributed import Client
 from PIL import Image
 
 from atlas.explore.session import HUB, ExplorerSession, explore
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 

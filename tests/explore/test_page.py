@@ -16,7 +16,7 @@ from atlas.explore.session import ExplorerSession, explore
 from atlas.explore.view_state import from_address
 from atlas.explore.viewport import STAGES, TileKey, Viewport
 from atlas.query.queries import nearest_cell
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 from workers.results import PENDING, REGIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]

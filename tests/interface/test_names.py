@@ -15,7 +15,7 @@ import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.errors import InputError
 from atlas.explore.view_state import ARGUMENTS
-from atlas.orbits.curves.export import to_frames
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves, as_arrays
 from atlas.orbits.labels.table import BRANCH, OF_BRANCHES
 from atlas.overview.coarsen import SHARE, level_variables

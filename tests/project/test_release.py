@@ -17,7 +17,7 @@ import workers
 from atlas.cli.main import attractors, find, main
 from atlas.errors import InputError, RunError
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves.export import to_frames
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
@@ -39,7 +39,7 @@ atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
-commands    demo example schema systems plan check-law run extend retry status cancel plot explore figures query find
+commands    demo example schema systems plan run extend retry status cancel plot explore query find
             attractors compare point portrait branch verify pack export cite
 find        regions extremes curves
 attractors  label measure basins stability saddles

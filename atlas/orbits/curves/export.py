@@ -1,18 +1,13 @@
-"""The curves of a plane as tables, and their export to a file: CSV or JSON, selected by the suffix."""
+"""Export of the curves of a plane to a file for other programs: CSV or JSON, selected by the suffix."""
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from atlas.argument_checks import validate_path, validate_suffix
-from atlas.errors import check_names
-from atlas.orbits.curves.table import KINDS, Curve, Curves
-from atlas.query.export import check_writable, replace_on_success
-
-if TYPE_CHECKING:
-    import pandas as pd
+from atlas.orbits.curves.queries import to_frames
+from atlas.orbits.curves.table import Curves
+from atlas.query.export import check_writable, replace_on_success, write_table
 
 FORMATS = (".csv", ".json")
 
@@ -20,19 +15,19 @@ FORMATS = (".csv", ".json")
 def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file, completely or not at all.
 
-    CSV has the rows of ``to_frames``, numbers in their shortest exact form: the points, then the points of codimension
-    two. JSON has one object, as ``as_json``. Raise InputError for another suffix, and for a path that cannot be
-    written.
+    CSV has the points, then the points of codimension two, as in ``atlas.orbits.curves.queries.to_frames``, with
+    numbers in their shortest exact form. JSON has one object, as ``as_json``. Raise InputError for another suffix, and
+    for a path that cannot be written.
     """
     target = validate_path(path)
-    suffix = check_path(target)
+    if check_path(target) == ".csv":
+        import pandas as pd
+
+        points, corners = to_frames(curves)
+        write_table(target, pd.concat([points, corners.drop(columns="after")]) if len(corners) else points)
+        return
     with replace_on_success(target) as unfinished:
-        if suffix == ".csv":
-            points, corners = to_frames(curves)
-            points.to_csv(unfinished, index=False)
-            corners.drop(columns="after").to_csv(unfinished, index=False, header=False, mode="a")
-        else:
-            unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", "utf-8")
+        unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
 
 
 def check_path(path: Path) -> str:
@@ -40,49 +35,6 @@ def check_path(path: Path) -> str:
     suffix = validate_suffix(path, FORMATS)
     check_writable(path)
     return suffix
-
-
-class CurveFrames(NamedTuple):
-    """Curves as tables.
-
-    points   one row per point, curve by curve, in order along each: number of the curve, its kind, period, impacts and
-             symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
-             event's own; the attribute ``report`` is the report on the search
-    corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
-             that it follows, and the number ``after`` of that point
-    """
-
-    points: "pd.DataFrame"
-    corners: "pd.DataFrame"
-
-
-def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
-    """Return curves as tables, of one kind or all. Raise InputError for an unknown kind."""
-    import pandas as pd
-
-    if kind is not None:
-        check_names("kind of curve", [kind], KINDS)
-    columns = ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *curves.axes, "unstable"]
-    points, corners = list["pd.DataFrame"](), list["pd.DataFrame"]()
-
-    def rows(number: int, curve: Curve, kinds: Any, at: Any, places: Any) -> "pd.DataFrame":
-        upper, lower, unstable = (values[at] for values in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
-        orbit = number, kinds, curve.period, upper, lower, curve.symmetric
-        return pd.DataFrame(dict(zip(columns, (*orbit, *np.transpose(places), unstable), strict=True)))
-
-    for number, curve in enumerate(curves):
-        if kind in (None, curve.kind):
-            points.append(rows(number, curve, curve.kind, slice(None), curve.points))
-            if curve.corners:
-                kinds, x, y, after = zip(*curve.corners, strict=True)
-                at = np.minimum(after, len(curve.points) - 1)
-                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(after=at))
-    made = CurveFrames(
-        pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
-        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "after"]),
-    )
-    made.points.attrs["report"] = dict(curves.report)
-    return made
 
 
 def as_json(curves: Curves) -> dict[str, Any]:

@@ -1,12 +1,15 @@
-"""Queries for the stored curves of an atlas."""
+"""Queries for the stored curves of an atlas, and their tables."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from atlas.errors import InputError
-from atlas.orbits.curves.table import Curves, read_curves
+import numpy as np
+
+from atlas.errors import InputError, check_names
+from atlas.orbits.curves.table import KINDS, Curve, Curves, read_curves
 from atlas.query.open import handle_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -17,3 +20,46 @@ def curves_of(ds: "xr.Dataset") -> Curves:
     if curves is None:
         raise InputError(f"{handle.backend}: has no curves yet; find them with atlas find curves")
     return curves
+
+
+class CurveFrames(NamedTuple):
+    """Curves as tables.
+
+    points   one row per point, curve by curve, in order along each: number of the curve, its kind, period, impacts and
+             symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
+             event's own; the attribute ``report`` is the report on the search
+    corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
+             that it follows, and the number ``after`` of that point
+    """
+
+    points: "pd.DataFrame"
+    corners: "pd.DataFrame"
+
+
+def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
+    """Return curves as tables, of one kind or all. Raise InputError for an unknown kind."""
+    import pandas as pd
+
+    if kind is not None:
+        check_names("kind of curve", [kind], KINDS)
+    columns = ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *curves.axes, "unstable"]
+    points, corners = list["pd.DataFrame"](), list["pd.DataFrame"]()
+
+    def rows(number: int, curve: Curve, kinds: Any, at: Any, places: Any) -> "pd.DataFrame":
+        upper, lower, unstable = (values[at] for values in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        orbit = number, kinds, curve.period, upper, lower, curve.symmetric
+        return pd.DataFrame(dict(zip(columns, (*orbit, *np.transpose(places), unstable), strict=True)))
+
+    for number, curve in enumerate(curves):
+        if kind in (None, curve.kind):
+            points.append(rows(number, curve, curve.kind, slice(None), curve.points))
+            if curve.corners:
+                kinds, x, y, after = zip(*curve.corners, strict=True)
+                at = np.minimum(after, len(curve.points) - 1)
+                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(after=at))
+    made = CurveFrames(
+        pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
+        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "after"]),
+    )
+    made.points.attrs["report"] = dict(curves.report)
+    return made
