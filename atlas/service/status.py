@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,7 @@ class StoreStatus:
             ],
             "parameters": spec.parameters,
             "columns": list(spec.points),
-            "solve": spec.outline()["solve"],
+            "solve": asdict(spec.settings),
             "tile": self.handle.tile,
             "tiles": self.handle.tiling.count,
             "tiles_done": self.tiles_done,

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Spec
+from atlas.store.metadata import COMPRESSED, CRC32C, array_node
+from atlas.store.origin import ALLOWANCES
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
 
 TILES = "tiles"
 RECORD, RECORDS = f"{TILES}/record", f"{TILES}/records"
-COVERED = "variables"
-"""Attribute with the names of the variables in a digest, in their order."""
 _ROOM = {"cells": 16, "area": 16, "reason": 64}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
@@ -77,7 +77,7 @@ def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def encode_row(row: Rows) -> bytes:
-    """Return a row as the chunk of its tile, in the form that ``create_arrays`` declares."""
+    """Return a row as the chunk of its tile, in the form that ``record_nodes`` declares."""
     data = row.astype("<f8").tobytes()
     return data + google_crc32c.value(data).to_bytes(4, "little")
 
@@ -105,32 +105,30 @@ def record_index(key: str, grid: Index) -> Index | None:
     return None if index is None else index[:-1]
 
 
-def create_arrays(
-    root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any]
-) -> None:
-    """Create the arrays of the tile records of a store: one with a chunk per tile, and one with a single chunk."""
-    from zarr.codecs import Crc32cCodec
-
+def record_nodes(variables: Iterable[Variable], dims: tuple[str, ...], grid: Index) -> dict[str, dict[str, Any]]:
+    """Return the metadata of the arrays of tile records, by path: one with a chunk per tile, and one with one chunk."""
     columns = [""] * WIDTH
     columns[DIGEST] = "digest, upper half", "digest, lower half"
     columns[CELLS] = [f"cells {regime.name}" for regime in REGIMES]
     columns[AREAS] = [f"area {regime.name}" for regime in REGIMES]
     columns[BY_REASON] = [f"reason {reason.name}" for reason in REASONS]
-    described: dict[str, Any] = {"units": "1", "columns": columns, COVERED: [variable.name for variable in variables]}
-    group = root.require_group(TILES)
-    for name, chunk, packing, meant in (
-        ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, as its worker wrote them"),
-        ("records", grid, codecs, "digests and counts of all tiles, as the last run put them together"),
-    ):
-        group.create_array(
-            name,
-            shape=(*grid, WIDTH),
-            chunks=(*chunk, WIDTH),
-            dtype="float64",
-            fill_value=0.0,
-            dimension_names=(*(f"tile_{dim}" for dim in dims), "column"),
-            chunk_key_encoding={"name": "default", "separator": "."},
-            compressors=packing,
-            attributes={"long_name": meant, **described},
-            overwrite=True,
+    described: dict[str, Any] = {
+        "units": "1",
+        "columns": columns,
+        "variables": [variable.name for variable in (*variables, *ALLOWANCES)],
+    }
+    return {
+        path: array_node(
+            (*grid, WIDTH),
+            "float64",
+            (*(f"tile_{dim}" for dim in dims), "column"),
+            {"long_name": meant, **described},
+            block=(*chunk, WIDTH),
+            codecs=codecs,
+            separator=".",
         )
+        for path, chunk, codecs, meant in (
+            (RECORD, (1,) * len(grid), (CRC32C,), "digest and counts of a tile, as its worker wrote them"),
+            (RECORDS, grid, COMPRESSED, "digests and counts of all tiles, as the last run put them together"),
+        )
+    }

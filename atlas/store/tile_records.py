@@ -40,7 +40,7 @@ from atlas.store.record_format import (
     record_index,
     record_key,
 )
-from atlas.store.store import READERS, AtlasStore, array_by, done_tiles, is_done, open_arrays
+from atlas.store.store import READERS, AtlasStore, array_by, done_tiles, is_done
 from atlas.store.tiles import encode_chunks, read_tile
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
@@ -232,13 +232,10 @@ def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | C
 
     The row of a tile that is no longer finished is zero.
     """
-    if not tiles:
-        return
-    arrays = open_arrays(handle)
 
     def count_one(index: Index) -> Rows | ChunkError:
         try:
-            classes = read_tile(handle, index, (REGIME.name, REASON.name), arrays)
+            classes = read_tile(handle, index, (REGIME.name, REASON.name))
         except ChunkError as error:
             return error if is_done(handle, index) else np.zeros(WIDTH)
         return count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(classes))

@@ -12,7 +12,6 @@ from atlas.store.host import current_host
 from atlas.store.host_records import record_host
 from atlas.store.origin import ALLOWANCES, BudgetVariable
 from atlas.store.record_format import (
-    COVERED,
     DIGEST,
     WIDTH,
     Rows,
@@ -22,7 +21,7 @@ from atlas.store.record_format import (
     halves,
     record_key,
 )
-from atlas.store.store import AtlasStore, chunk_key, open_arrays
+from atlas.store.store import AtlasStore, chunk_key
 from workers.results import LABEL, REGIME, Variable
 
 
@@ -31,7 +30,7 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
 
     The tile is finished once ``regime`` exists. Another attempt at the tile writes the same bits.
     """
-    to, whole = handle.declared, _with_allowances(handle, index, arrays)
+    to, whole = handle.arrays, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
     for variable in _written(handle):
         array, values = to[variable.name], whole[variable.name]
@@ -82,7 +81,7 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
 
     Meanwhile its record is empty, so a kill leaves no record that contradicts the tile.
     """
-    array = handle.declared[LABEL.name]
+    array = handle.arrays[LABEL.name]
     put_record(handle, index, np.zeros(WIDTH))
     handle.backend.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
     put_record(handle, index, record_of(handle, index, arrays))
@@ -105,8 +104,7 @@ def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) 
 def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Return the record of a tile with these arrays, including those of ``ALLOWANCES``."""
     row = count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(arrays))
-    covered = covered_variables(handle, handle.record["attributes"])
-    row[DIGEST] = halves(digest_of(index, covered, arrays))
+    row[DIGEST] = halves(digest_of(index, (*handle.variables, *ALLOWANCES), arrays))
     return row
 
 
@@ -128,19 +126,17 @@ def read_tile(
     handle: AtlasStore,
     index: tuple[int, ...],
     names: Iterable[str] | None = None,
-    arrays: Mapping[str, Any] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the arrays of a finished tile: those named, or all results and ``ALLOWANCES``.
 
     handle   handle of the store
     index    index of the tile
     names    names of the variables, None for all
-    arrays   Zarr arrays to read, see ``open_arrays``; None to open them
 
     Raise ChunkError, which names every damaged chunk, or OSError if the backend cannot be read at all.
     """
     wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
-    arrays = open_arrays(handle, wanted) if arrays is None else arrays
+    arrays = handle.arrays
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*handle.variables, *ALLOWANCES):
@@ -161,15 +157,6 @@ def read_tile(
     if faults:
         raise ChunkError(handle.backend, faults)
     return values
-
-
-def covered_variables(handle: AtlasStore, attributes: Mapping[str, Any]) -> list[Variable]:
-    """Return the variables in digests, by the attributes of the records' array.
-
-    Raise KeyError for an unknown variable.
-    """
-    known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
-    return [known[name] for name in attributes[COVERED]]
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:

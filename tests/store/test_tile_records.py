@@ -20,7 +20,7 @@ from atlas.service.status import StoreStatus, read_status
 from atlas.store import tile_records
 from atlas.store.object_backend import LocalBackend
 from atlas.store.record_format import BY_REASON, RECORD, RECORDS, WIDTH, digest_of, record_key
-from atlas.store.store import AtlasStore, done_tiles, open_arrays, open_store
+from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.store.tile_records import RunTileRecords, TileRecords, compact_records, single_records
 from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
 from atlas.task.attempt import run_tile_job
@@ -46,9 +46,8 @@ def half_done(path: Path) -> AtlasStore:
 
 def record(handle: AtlasStore) -> None:
     """Write the record of every finished tile, as its worker does."""
-    arrays = open_arrays(handle)
     for index in sorted(done_tiles(handle)):
-        put_record(handle, index, record_of(handle, index, read_tile(handle, index, arrays=arrays)))
+        put_record(handle, index, record_of(handle, index, read_tile(handle, index)))
 
 
 def test_a_digest_is_of_the_place_of_a_tile_and_of_the_names_and_values_of_its_results() -> None:
