@@ -14,8 +14,10 @@ from atlas.overview.builder import OverviewBuilder
 from atlas.query.resample import read_view
 from atlas.store import create, store
 from atlas.store.metadata import seal, unsealed
+from atlas.store.record_format import Rows
 from atlas.store.schema import SPEC_KEY
-from atlas.store.tiles import put_record, read_tile, record_of
+from atlas.store.tile_records import TileRecords, write_records
+from atlas.store.tiles import read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -167,6 +169,13 @@ def mean(block: np.ndarray) -> float:
 def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
     ds = xr.open_zarr(path, group=group)
     return {str(name): ds[name].values.tobytes() for name in ds.data_vars}
+
+
+def put_record(handle: store.AtlasStore, index: Index, row: Rows) -> None:
+    """Write the record of a tile into the table."""
+    rows = TileRecords(handle, store.done_tiles(handle)).columns().copy()
+    rows[index] = row
+    write_records(handle, rows)
 
 
 def record_again(path: Path) -> store.AtlasStore:

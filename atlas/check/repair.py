@@ -19,8 +19,9 @@ from atlas.store.groups import drop_group
 from atlas.store.host_records import mend_record, read_host
 from atlas.store.metadata import ROOT
 from atlas.store.record_format import RECORDS, WIDTH
+from atlas.store.schema import PARTS
 from atlas.store.store import ZOOM
-from atlas.store.tile_records import write_compaction
+from atlas.store.tile_records import forget_records, write_records
 from atlas.store.tiles import drop_tile
 from atlas.store.zoom import describe_planes, drop_metatile
 
@@ -42,6 +43,8 @@ def repair(findings: VerifyFindings) -> VerifyReport:
 
     pyramid = Pyramid(handle)
     dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.chunk_over(tile)) for tile in tiles)})
+    if tiles:
+        forget_records(handle, tiles)
     for index in tiles:
         drop_tile(handle, index)
     removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
@@ -71,7 +74,7 @@ def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
     place = findings.handle.backend
     for (key,) in names:
         place.remove(key)
-        yield f"{key} dropped: {REBUILD_COMMANDS[key.split('/')[1]]} {place} finds it again"
+        yield f"{key} dropped: {REBUILD_COMMANDS[key.removeprefix(PARTS).split('/')[1]]} {place} finds it again"
 
 
 def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
@@ -83,12 +86,11 @@ def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
 
 
 def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    """Write the tile records of sound tiles from their cells, as one compaction."""
-    grid = findings.handle.tiling.grid
-    rows, settled = np.zeros((*grid, WIDTH)), np.zeros(grid, dtype=bool)
+    """Write the records of sound tiles, from their cells."""
+    rows = np.zeros((*findings.handle.tiling.grid, WIDTH))
     for index, row in findings.rows.items():
-        rows[index], settled[index] = row, True
-    write_compaction(findings.handle, rows, settled)
+        rows[index] = row
+    write_records(findings.handle, rows)
     yield f"records of {plural(len(findings.rows), 'tile')} written again"
 
 

@@ -30,7 +30,7 @@ from atlas.store.metadata import (
     sealed,
 )
 from atlas.store.origin import Origin, budget_variables
-from atlas.store.record_format import TILES, record_nodes
+from atlas.store.record_format import RECORDS, TILES, record_node
 from atlas.store.tiling import Tiling, part_side
 from workers import SOLVER_VERSION
 from workers.model.parameter import Parameter
@@ -47,6 +47,8 @@ CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stabi
 """Names of the groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors;
 stability measures of cells. All but the first are tables.
 """
+PARTS = "searches/parts"
+"""Path of the array without values in whose folder the parts of searches in progress lie."""
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
@@ -132,7 +134,9 @@ def layout_nodes(spec: Spec, tile: tuple[int, ...], retried: bool) -> dict[str, 
     nodes |= {v.name: _variable_node(v, spec, tiling) for v in (*spec.variables, *retried * budget_variables(spec))}
     nodes[HOSTS] = group_node({"long_name": "processors and software that solved this atlas"})
     nodes[TILES] = group_node({})
-    return nodes | record_nodes(spec.variables, spec.dims, tiling.grid)
+    nodes[PARTS.partition("/")[0]] = group_node({"long_name": "searches in progress"})
+    nodes[PARTS] = array_node((0,), "uint8", ("byte",), {"long_name": "finished parts, which lie in this folder"})
+    return nodes | {RECORDS: record_node(spec.variables, spec.dims, tiling.grid)}
 
 
 def layout(attributes: Mapping[str, Any], spec: Spec) -> dict[str, bytes]:

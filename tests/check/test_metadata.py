@@ -60,7 +60,7 @@ def flips(data: bytes) -> Iterator[bytes]:
 
 
 SPEC_DECIDES = (
-    "zarr.json", SPEC_KEY, "largest/zarr.json", "omega/zarr.json", "tiles/zarr.json", "tiles/record/zarr.json",
+    "zarr.json", SPEC_KEY, "largest/zarr.json", "omega/zarr.json", "tiles/zarr.json", "tiles/records/zarr.json",
     "hosts/zarr.json",
 )  # fmt: skip
 DERIVED = (

@@ -20,7 +20,7 @@ from atlas.robustness.table import LINEAR, StoredMeasures, empty, of_family, wri
 from atlas.store.create import create_store
 from atlas.store.schema import SPEC_KEY
 from atlas.store.store import open_store
-from atlas.store.tile_records import TileRecords, compact_records, write_compaction
+from atlas.store.tile_records import TileRecords, complete_records, write_records
 from atlas.store.tiles import read_tile, write_tile
 from tests.planes import plane_of
 from workers import solve_tile
@@ -31,7 +31,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     handle = create_store(tmp_path_factory.mktemp("made") / "whole.zarr", plane_of((5, 7)), (5, 7))
     cells = handle.spec.cell_params((slice(0, 5), slice(0, 7)))
     write_tile(handle, (0, 0), solve_tile("two-mass", cells, handle.spec.settings))
-    compact_records(handle)
+    complete_records(handle)
     assert verify(handle.path, sample=0).is_sound
     return handle.path
 
@@ -157,9 +157,9 @@ def test_an_empty_folder_in_the_place_of_an_object_is_a_missing_object(whole: Pa
 def test_records_are_read_and_written_whatever_their_own_metadata_say(whole: Path, made: Path) -> None:
     shutil.copy(whole / "omega/zarr.json", whole / "tiles/records/zarr.json")
     handle = open_store(whole)
-    rows = TileRecords(handle).rows
-    assert np.array_equal(rows, TileRecords(open_store(made)).rows)
-    write_compaction(handle, rows, TileRecords(handle).done)
+    rows = TileRecords(handle).columns()
+    assert np.array_equal(rows, TileRecords(open_store(made)).columns())
+    write_records(handle, rows)
     key = "tiles/records/c.0.0.0"
     assert (whole / key).read_bytes() == (made / key).read_bytes()
 
