@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.argument_checks import validate_suffix
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Numbers,
     at_option,
@@ -33,7 +31,7 @@ from atlas.formatting import plural
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import BranchTable, orbit_name
-from atlas.query.export import check_writable, replace_on_success, write_rows
+from atlas.query.export import check_writable, replace_on_success, write_table
 from atlas.render import FORMATS, SCALE_OPTION_NAMES, render
 from atlas.render.request import PictureRequest
 from atlas.service.progress import Progress, prepare_kernels
@@ -61,7 +59,6 @@ TABLES = ("csv", "json")
     "--along",
     required=True,
     metavar="NAME",
-    shell_complete=of_names(completion.names_along),
     help="The parameter along which to follow the orbit.",
 )
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Lower end of the parameter range.")
@@ -214,7 +211,7 @@ def _write(branches: BranchTable, out: Path, look: dict[str, Any]) -> None:
     """Write the points as CSV, everything as JSON, or a picture."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
-        write_rows(out, _records(branches.points))
+        write_table(out, branches.points)
     elif suffix == ".json":
         with replace_on_success(out) as unfinished:
             unfinished.write_text(to_json(summary(branches) | {"points": _records(branches.points)}) + "\n")

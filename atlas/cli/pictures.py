@@ -1,16 +1,13 @@
-"""Commands that draw an atlas, and the figures of the paper."""
+"""The command that draws an atlas."""
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
-    STORES,
+    PLACE,
     Bounds,
     Numbers,
     examples,
@@ -18,22 +15,17 @@ from atlas.cli.options import (
     input_errors,
     meanings,
     open_selection,
-    out_option,
     picture_option,
     print_status,
     select_option,
     storage_option,
     window_option,
-    workers_option,
 )
-from atlas.cli.paper_figures import figures as draw_figures
-from atlas.cli.progress import reporter
 from atlas.errors import InputError
-from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
+from atlas.render import CURVES, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.render.request import PictureRequest
-from atlas.service.options import RunOptions
 
 
 @click.command(
@@ -52,21 +44,11 @@ from atlas.service.options import RunOptions
         ]
     )
 )
-@click.argument("stores", nargs=-1, required=True, shell_complete=STORES)
+@click.argument("stores", nargs=-1, required=True, type=PLACE)
 @storage_option
 @picture_option
-@click.option(
-    "--kind",
-    metavar="KIND",
-    shell_complete=of_names(completion.kinds),
-    help="A kind from the list below; default: by the axes.",
-)
-@click.option(
-    "--variable",
-    metavar="NAME",
-    shell_complete=of_names(completion.variables),
-    help="Map this number of each cell, such as max_impact_speed.",
-)
+@click.option("--kind", metavar="KIND", help="A kind from the list below; default: by the axes.")
+@click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--observe",
@@ -79,16 +61,9 @@ from atlas.service.options import RunOptions
     multiple=True,
     help="An overlay over a map or a sweep; repeatable.",
 )
-@click.option(
-    "--curves",
-    metavar="KINDS",
-    shell_complete=of_names(completion.curves),
-    help="Exact curves of these kinds only, such as fold,graze; or all.",
-)
+@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds only, such as fold,graze; or all.")
 @click.option("--names/--no-names", default=True, help="Label motions and codimension-two points on the map.")
-@click.option(
-    "--against", metavar="STORE", shell_complete=STORES, help="A second sweep of the same axis, for hysteresis."
-)
+@click.option("--against", metavar="STORE", type=PLACE, help="A second sweep of the same axis, for hysteresis.")
 @window_option
 @select_option
 @figure_options()
@@ -135,23 +110,3 @@ def plot(
     if reads.chunks:
         print_status(str(reads))
     click.echo(str(out))
-
-
-@click.command(epilog=examples("atlas figures -o paper"))
-@out_option("The folder to write them into.", required=True)
-@click.option(
-    "--format",
-    "formats",
-    type=click.Choice(FORMATS),
-    multiple=True,
-    default=("png",),
-    show_default=True,
-    help="Format of the files; repeatable.",
-)
-@workers_option
-def figures(out: Path, formats: tuple[str, ...], workers: int | None) -> None:
-    """Compute and draw Figs 3, 4, 5 and 6 of Li & Tan (2011)."""
-    with input_errors(), reporter(sys.stderr) as show:
-        written = draw_figures(out, formats, options=RunOptions(workers, dashboard=False, on_progress=show))
-    for path in written:
-        click.echo(str(path))

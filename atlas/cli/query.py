@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.argument_checks import validate_suffix
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Bounds,
     Numbers,
@@ -128,7 +126,7 @@ def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -
     )
 )
 @store_argument
-@click.argument("class_", metavar="CLASS", shell_complete=of_names(completion.classes))
+@click.argument("class_", metavar="CLASS")
 @window_option
 @select_option
 @click.option(
@@ -172,7 +170,7 @@ def regions(
     )
 )
 @store_argument
-@click.argument("variable", shell_complete=of_names(completion.variables))
+@click.argument("variable")
 @click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
 @window_option
 @select_option
@@ -269,9 +267,11 @@ def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
     """Write the rows to the file of -o, or print JSON for --json; return False without either option."""
     if out is not None:
-        from atlas.query.export import write_rows
+        import pandas as pd
 
-        write_rows(out, rows)
+        from atlas.query.export import write_table
+
+        write_table(out, pd.DataFrame(rows))
         message = {"file": str(out), "rows": len(rows)}
         if not as_json:
             _print_values(dict(message))

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import click
 
+from atlas.cell.law_check import CELLS, check_law, finer
 from atlas.cli import progress
 from atlas.cli.options import (
-    SPECS,
+    PLACE,
     examples,
     json_option,
     options_given,
@@ -49,7 +50,10 @@ TILES_KEPT_NOTE = "finished tiles are kept"
 
 
 points_option = click.option(
-    "--points", metavar="FILE", help="A CSV file of parameter sets, one row per cell, in place of SPEC's axes."
+    "--points",
+    type=PLACE,
+    metavar="FILE",
+    help="A CSV file of parameter sets, one row per cell, in place of SPEC's axes.",
 )
 
 
@@ -58,20 +62,40 @@ observe_option = click.option(
 )
 
 
-@click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
+@click.command(
+    epilog=examples(
+        "atlas plan omega-b", "atlas plan plane.toml --workers 16", "atlas plan hertz-ball --no-probe --laws"
+    )
+)
 @spec_argument
-@click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
+@click.option("-o", "--out", type=PLACE, default=".", help="The path or URL that the store is to have.")
 @storage_option
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one per processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
+@click.option(
+    "--laws",
+    type=click.IntRange(2, 200),
+    is_flag=False,
+    flag_value=CELLS,
+    metavar="[N]",
+    help=f"Solve N x N cells, default {CELLS}, also with twice the segments of the laws, and list what changes.",
+)
 @points_option
 @observe_option
 @json_option
 def plan(
-    spec: str, out: str, workers: int | None, probe: bool, points: str | None, observe: str | None, as_json: bool
+    spec: str,
+    out: str,
+    workers: int | None,
+    probe: bool,
+    laws: int | None,
+    points: str | None,
+    observe: str | None,
+    as_json: bool,
 ) -> None:
-    """Estimate the cost of SPEC: cells, tiles, bytes, probed time."""
+    """Estimate the cost of SPEC: cells, tiles, bytes, probed time. With --laws check whether its segments matter."""
     read = _read(spec, points, observe)
+    fine = None if laws is None else finer(read)
     made = make_plan(read, workers)
     place = open_backend(out)
     check_not_packed(place)
@@ -83,7 +107,12 @@ def plan(
     if probe:
         with progress.reporter(sys.stderr) as show:
             made = add_probe(made, show)
-    click.echo(to_json(made.as_dict()) if as_json else str(made))
+    if fine is None or laws is None:
+        click.echo(to_json(made.as_dict()) if as_json else str(made))
+        return
+    with progress.show_solving(read.system_def):
+        check = check_law(read, fine, laws)
+    click.echo(to_json(made.as_dict() | {"laws": check.as_dict()}) if as_json else f"{made}\n{check}")
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
@@ -95,7 +124,7 @@ def _read(spec: str, points: str | None, observe: str | None) -> Spec:
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the option of the store that is created or completed."""
     words = "The store to create or complete, a path or a URL."
-    return click.option("-o", "--out", required=True, help=words)(storage_option(command))
+    return click.option("-o", "--out", type=PLACE, required=True, help=words)(storage_option(command))
 
 
 _submit_option = click.option(
@@ -106,10 +135,13 @@ _submit_option = click.option(
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the options of an encrypted connection to a scheduler."""
     for option in (
-        click.option("--tls-key", metavar="FILE", help="The key of that certificate."),
-        click.option("--tls-cert", metavar="FILE", help="This program's certificate."),
+        click.option("--tls-key", type=PLACE, metavar="FILE", help="The key of that certificate."),
+        click.option("--tls-cert", type=PLACE, metavar="FILE", help="This program's certificate."),
         click.option(
-            "--tls-ca-file", metavar="FILE", help="Authority of a tls:// scheduler; default: Dask's configuration."
+            "--tls-ca-file",
+            type=PLACE,
+            metavar="FILE",
+            help="Authority of a tls:// scheduler; default: Dask's configuration.",
         ),
     ):
         command = option(command)
@@ -129,10 +161,14 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @observe_option
 @worker_options
 @click.option(
-    "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
+    "--performance-report",
+    "report",
+    type=PLACE,
+    metavar="FILE",
+    help="Write Dask's report of how the workers spent their time.",
 )
 @click.option("--tile", metavar="I,J", help="Solve only this tile, in this process, with its traceback.")
-@click.option("--log", metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
+@click.option("--log", type=PLACE, metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
 @_submit_option
 def run(
     ctx: click.Context,
@@ -175,7 +211,7 @@ def run(
 )
 @store_argument
 @click.argument("regimes")
-@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
+@click.option("-o", "--out", type=PLACE, required=True, help="The new store, a path or a URL: made, or completed.")
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than that of the spec.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer survival than that of the spec.")
 @_tls_options
@@ -247,11 +283,11 @@ def cancel(ctx: click.Context, store: str) -> None:
     )
 )
 @store_argument
-@click.argument("spec", required=False, shell_complete=SPECS)
+@click.argument("spec", required=False, type=PLACE)
 @click.option(
     "--refine", metavar="N or NAME=N", multiple=True, help="Refinement factor for all axes, or NAME=N for one."
 )
-@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
+@click.option("-o", "--out", type=PLACE, required=True, help="The new store, a path or a URL: made, or completed.")
 @worker_options
 def extend(
     ctx: click.Context,

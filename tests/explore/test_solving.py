@@ -302,7 +302,7 @@ def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Clie
     atlas.pack(finished, tmp_path / "packed.zip")
     with exploring(tmp_path / "packed.zip", client) as explorer:
         sight = view_of(explorer.subject)
-        assert solved(explorer, sight) and "read only" in explorer.tiles.keeper.trouble
+        assert solved(explorer, sight) and "read-only" in explorer.tiles.keeper.trouble
 
 
 @pytest.mark.slow
@@ -510,9 +510,8 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
 
 def test_workers_need_no_bokeh() -> None:
     imports = """
-from atlas.explore.basins import solve_rows
 from atlas.explore.branches import follow_orbit
-from atlas.explore.cut import follow_branches
+from atlas.explore.cut import cut_computation
 from atlas.explore.grid_patch import solve_patch
 """
     program = f"import sys\n{imports}\nprint('bokeh' in sys.modules)"
