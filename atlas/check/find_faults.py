@@ -153,7 +153,8 @@ def _check_zoom(
         except InputError as error:
             faults.append(StoreFault(None, str(error), part))
             continue
-        faults += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.faults]
+        own = [fault for fault in report.faults if fault.part != (RECORDS,)]  # metatiles have no records
+        faults += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in own]
         doubts += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.doubts]
     return len(known), faults, doubts
 

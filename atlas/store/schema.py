@@ -115,7 +115,7 @@ def root_attributes(spec: Spec, tile: tuple[int, ...], origin: Origin | None, ru
         "digest": spec.digest,
         # As text, since netCDF attributes cannot nest.
         "spec": json.dumps(pack_axes(spec.to_resolved())),
-        "tile": list(map(min, tile, spec.shape)),
+        "tile": json.dumps(list(map(min, tile, spec.shape))),
         "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
         **references,
         **(origin.attributes() if origin else {}),
@@ -144,7 +144,7 @@ def layout(attributes: Mapping[str, Any], spec: Spec) -> dict[str, bytes]:
 
     ``spec`` is the spec in these attributes.
     """
-    nodes = layout_nodes(spec, tuple(attributes["tile"]), "origin_retry" in attributes)
+    nodes = layout_nodes(spec, tuple(json.loads(attributes["tile"])), "origin_retry" in attributes)
     objects = {f"{path}/{ROOT}": encode_node(node) for path, node in nodes.items()}
     chunks = {chunk_of_whole(name, array): encode_whole(array.values) for name, array in coordinates(spec).items()}
     return {ROOT: sealed(attributes, nodes), SPEC_KEY: sealed(attributes), **objects, **chunks}

@@ -250,7 +250,7 @@ def handle_by(place: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
         digest=attributes["digest"],
         run_id=attributes["run_id"],
         solver_version=attributes["solver_version"],
-        tile=tuple(attributes["tile"]),
+        tile=tuple(json.loads(attributes["tile"])),
         origin=Origin.from_attributes(attributes),
     )
 

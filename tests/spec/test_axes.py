@@ -157,7 +157,7 @@ def test_a_parameter_that_was_changed_in_the_attributes_is_found_before_a_value_
     with pytest.raises(InputError, match=r"zarr.json is damaged \(its checksum is wrong\): atlas verify --repair"):
         store.open_store(path)
     assert verify(path, repair=True).restored == ("zarr.json written again",)
-    assert store.open_store(path).spec == plane_of()
+    assert store.open_store(path).spec.digest == plane_of().digest
 
 
 @pytest.mark.parametrize("wrong", [{"num": "7"}, {"start": None}, {"scale": "cubic"}, {"name": "omgea"}])
