@@ -28,7 +28,7 @@ from atlas.store.object_backend import AT_ONCE, LocalBackend, StoreBackend, open
 from atlas.store.origin import Origin, RetryRequest
 from atlas.store.record_format import RECORDS
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
-from atlas.store.store import done_tiles, open_group, open_store
+from atlas.store.store import done_tiles, open_store
 from atlas.store.tile_records import TileRecords, write_records
 from atlas.store.zarr_stores import zarr_store
 from atlas.task import attempt, store_ref
@@ -217,6 +217,10 @@ def test_records_are_not_written_after_the_claim_is_lost(finished: Path) -> None
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 
+def open_group(place: LocalBackend) -> zarr.Group:
+    return zarr.open_group(zarr_store(place, read_only=False), mode="r+", use_consolidated=False)
+
+
 CHANGES: dict[str, Callable[[LocalBackend], object]] = {
     "put": lambda place: place.put("zarr.json", b""),
     "put_all": lambda place: place.put_all({"zarr.json": b""}),
@@ -224,10 +228,10 @@ CHANGES: dict[str, Callable[[LocalBackend], object]] = {
     "remove": lambda place: place.remove("zarr.json"),
     "remove_all": lambda place: place.remove_all(["zarr.json"]),
     "inner": lambda place: place.subfolder("regime").put("zarr.json", b""),
-    "set by Zarr": lambda place: open_group(place, "r+")["regime"].__setitem__(..., 1),
-    "attributes by Zarr": lambda place: open_group(place, "r+").attrs.update({"a": 1}),
-    "deletion by Zarr": lambda place: open_group(place, "r+").__delitem__("largest"),
-    "creation by Zarr": lambda place: open_group(place, "r+").create_group("new"),
+    "set by Zarr": lambda place: open_group(place)["regime"].__setitem__(..., 1),
+    "attributes by Zarr": lambda place: open_group(place).attrs.update({"a": 1}),
+    "deletion by Zarr": lambda place: open_group(place).__delitem__("largest"),
+    "creation by Zarr": lambda place: open_group(place).create_group("new"),
 }
 
 
