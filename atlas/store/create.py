@@ -12,7 +12,14 @@ from atlas.errors import InputError, RunError
 from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 from atlas.store.metadata import ROOT
-from atlas.store.object_backend import Given, LocalBackend, StoreBackend, open_backend, os_errors_as_input_errors
+from atlas.store.object_backend import (
+    Given,
+    LocalBackend,
+    StoreBackend,
+    open_backend,
+    os_errors_as_input_errors,
+    sibling_backend,
+)
 from atlas.store.origin import Origin
 from atlas.store.schema import SPEC_KEY, coordinate_names, layout, remedy, root_attributes
 from atlas.store.store import AtlasStore, open_store
@@ -59,7 +66,9 @@ def check_run(
     if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
-        raise InputError(f"{place}: a store that was not made from {origin.store}; choose another path")
+        raise InputError(
+            f"{place}: a store that was not made from {sibling_backend(place, origin.store)}; choose another path"
+        )
 
 
 def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:
