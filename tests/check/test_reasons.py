@@ -18,9 +18,10 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.query import queries as query
 from atlas.store.store import open_store
-from atlas.store.tiles import put_record, read_tile, record_of
+from atlas.store.tiles import read_tile, record_of
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
+from tests.synthetic import put_record
 from workers import solve_tile
 from workers.cell import cell_batch
 from workers.results import (

@@ -25,12 +25,11 @@ from atlas.robustness.table import MEASURES
 from atlas.spec.points import POINT
 from atlas.spec.system import parse_system
 from atlas.store import create, store
-from atlas.store.groups import CURVES, TABLES
 from atlas.store.host import HOSTS
 from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
 from atlas.store.record_format import TILES
-from atlas.store.schema import OVERVIEWS
+from atlas.store.schema import CURVES, OVERVIEWS, TABLES
 from tests.workers.model.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError
