@@ -2,7 +2,6 @@
 
 import json
 
-from atlas.store.metadata_backup import form_fault
 from atlas.store.store import ROOT, ZOOM, AtlasStore
 from atlas.store.zoom import ABOUT
 
@@ -21,7 +20,7 @@ def plane_faults(handle: AtlasStore) -> dict[str, str]:
             group = json.loads(handle.backend.get(key) or b"")
             own = group["attributes"]
             wrong = {0: own != ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
-            if wrong or form_fault(group):
+            if wrong:
                 damage[key] = "is damaged"
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             damage[key] = "is missing or damaged"

@@ -18,7 +18,7 @@ from atlas.explore.subject import Arrays, PlaneParameters, Subject
 from atlas.explore.viewport import TILE_CELLS, CellRange, TileKey
 from atlas.store.create import create_store, remove_half_made
 from atlas.store.object_backend import StoreBackend
-from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_arrays, open_store
+from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.tiles import is_blank
 from atlas.store.zoom import drop_metatile, make_plane, metatile_backend
 
@@ -293,7 +293,7 @@ class MetatileCatalog:
         """Open a metatile and keep it open. Beyond MAX_OPEN the least recently used metatiles are closed."""
         handle, first = open_store(place), (span[0].start, span[1].start)
         self._open[at] = sheet = Metatile(
-            handle, first, open_arrays(handle), done_tiles(handle), listed_at=time.monotonic()
+            handle, first, dict(handle.arrays), done_tiles(handle), listed_at=time.monotonic()
         )
         self._absent.pop(at, None)
         while len(self._open) > MAX_OPEN:
