@@ -2,6 +2,7 @@
 
 import json
 
+from atlas.store.metadata import encode_node, group_node
 from atlas.store.store import ROOT, ZOOM, AtlasStore
 from atlas.store.zoom import ABOUT
 
@@ -17,10 +18,10 @@ def plane_faults(handle: AtlasStore) -> dict[str, str]:
     for parts in sorted({folder[:n] for folder in whole for n in range(len(folder) + 1)}):
         key = "/".join([ZOOM, *parts, ROOT])
         try:
-            group = json.loads(handle.backend.get(key) or b"")
-            own = group["attributes"]
+            data = handle.backend.get(key) or b""
+            own = json.loads(data)["attributes"]
             wrong = {0: own != ABOUT, 1: "".join(parts[:1]) != own.get("digest", "")[:16]}.get(len(parts), False)
-            if wrong:
+            if wrong or (len(parts) < 2 and encode_node(group_node(own)) != data):
                 damage[key] = "is damaged"
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             damage[key] = "is missing or damaged"
