@@ -132,7 +132,7 @@ def assert_view_is_true(handle: store.AtlasStore) -> None:
         assert np.isnan(shown.largest.values[pending]).all()
     naive = {code: share for code, share in naive_shares(codes).items()}
     names = dict(zip(base.regime.attrs["flag_values"], base.regime.attrs["flag_meanings"].split(), strict=True))
-    found = ds.atlas.fractions()
+    found = ds.atlas.fractions().to_dict()
     assert set(found) == {names[code] for code in naive}
     np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
 

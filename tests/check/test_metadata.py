@@ -196,7 +196,7 @@ def test_a_copy_by_xarray_is_called_one_and_answers_questions_as_a_dataset(store
         assert answer.exit_code == 2
         assert "copy.zarr: a copy made by xarray's to_zarr, which is no store of an atlas" in answer.stderr
     with xr.open_zarr(tmp_path / "copy.zarr") as copy:
-        assert copy.atlas.fractions() == ds.atlas.fractions() == {"pending": 1.0}
+        assert copy.atlas.fractions().to_dict() == ds.atlas.fractions().to_dict() == {"pending": 1.0}
 
 
 def test_what_killed_writes_have_left_is_no_fault_and_a_repair_removes_it(store: Path) -> None:

@@ -147,7 +147,7 @@ def test_query_of_an_atlas_without_such_cells_reports_only_fractions(store: Path
 
 def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
     part = atlas.open(store).isel(omega=slice(1, 6), b=slice(1, 4))
-    assert part.atlas.count_reasons() == query.count_reasons(part.load().copy()) == {BEYOND: 5}
+    assert part.atlas.count_reasons().to_dict() == query.count_reasons(part.load().copy()) == {BEYOND: 5}
 
 
 def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:

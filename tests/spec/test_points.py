@@ -198,7 +198,7 @@ def test_csv_has_parameters_and_results_side_by_side(solved: Path, tmp_path: Pat
 
 def test_shares_of_a_table_count_its_rows(solved: Path) -> None:
     codes, counts = np.unique(atlas.open(solved).regime.values, return_counts=True)
-    assert list(atlas.open(solved).atlas.fractions().values()) == pytest.approx((counts / 5).tolist())
+    assert list(atlas.open(solved).atlas.fractions().to_dict().values()) == pytest.approx((counts / 5).tolist())
     assert len(codes) == len(counts)
 
 

@@ -87,7 +87,7 @@ def test_a_question_to_a_dataset_looks_at_its_store_by_one_object_and_opens_it_n
 
     monkeypatch.setattr(LocalStore, "get", get)
     ds = atlas.open(finished)
-    ds.atlas.fractions()  # the first question opens the overviews
+    ds.atlas.fractions().to_dict()  # the first question opens the overviews
     asked.clear()
     keys.clear()
     QUESTIONS[question](ds.atlas)
