@@ -34,11 +34,11 @@ def verify(
     checksum, and every tile is compared with its record. Every cell is checked by ``rules``, the sum law among them.
     Every chunk of an overview is compared with the cells below it. ``sample`` cells, drawn by ``seed``, are solved
     again. On the kind of host that solved them the results must be the same to the bit, elsewhere within the errors.
-    Tables, curves, records of hosts and zoom levels are checked, too.
+    Tables, curves and records of hosts are checked, too.
 
     ``repair`` holds the store's lease throughout and drops faulty parts, so that the next run computes them again. A
-    tile with a fault becomes unfinished. Faulty overviews, tables, curves, zoom levels and foreign names among the
-    chunks are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written
+    tile with a fault becomes unfinished. Faulty overviews, tables, curves and foreign names among the chunks are
+    removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written
     again. Files that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing
     is written. Raise InputError if there is no store to verify, OSError if it cannot be read or repaired.
 

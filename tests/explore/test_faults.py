@@ -117,7 +117,7 @@ def test_a_scheduler_that_is_killed_is_missed_and_called_again(finished: Path) -
 
 
 def test_a_local_worker_that_is_killed_is_started_anew(finished: Path) -> None:
-    explorer = Explorer(subject_of(str(finished)), partial(local_cluster, 1), keep=False)
+    explorer = Explorer(subject_of(str(finished)), partial(local_cluster, 1))
     try:
         sight = begun(explorer, 150)
         for child in children():
