@@ -54,7 +54,7 @@ def find_curves(
 
     if out is not None:
         check_path(out)
-    with resumable(ctx, options, "finished parts are kept; rerun the same command to resume") as shown:
+    with resumable(ctx, options) as shown:
         summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
     if out is not None:
         export(summary.curves, out)

@@ -53,7 +53,7 @@ def measure_attractors(
 
     if scale and not margin:
         raise InputError("--scale needs --margin, whose unit it sets")
-    with resumable(ctx, options, "finished parts are kept; rerun the same command to resume") as shown:
+    with resumable(ctx, options) as shown:
         summary = measures.measure_attractors(
             store, shocks=shocks, margin=margin, norm=norm, scale=scale or None, options=shown
         )
