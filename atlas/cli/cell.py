@@ -27,7 +27,7 @@ from atlas.cli.options import (
     starts_option,
     system_option,
 )
-from atlas.cli.output import print_cell, print_table, to_json
+from atlas.cli.output import print_table, print_values, to_json
 from atlas.cli.progress import reporter, show_solving
 from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
@@ -70,7 +70,7 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
     if as_json:
         click.echo(to_json(results))
         return
-    print_cell(results, record.name)
+    print_values(results | {"system": record.name}, "coexisting")
     click.echo("".join(f"{line}\n" for line in law_lines(uses_of_cell(record, results))), nl=False)
 
 

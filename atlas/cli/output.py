@@ -49,16 +49,10 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     click.echo("\n".join(line.rstrip() for line in printed.get().splitlines()), color=terminal)
 
 
-def print_cell(results: Mapping[str, Any], name: str) -> None:
-    """Print the results of a cell as a table, and its attractors, if there are several, as another."""
-    shown = {**results, "system": name}
-    several = shown.pop("coexisting", [])
-    print_table("", ["", ""], [(key, text(value)) for key, value in shown.items()])
-    print_attractors(several)
-
-
-def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
-    """Print the attractors of one cell as a table, one column for each."""
+def print_values(values: Mapping[str, Any], listed: str = "") -> None:
+    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
+    print_table("", ["", ""], [(name, text(value)) for name, value in values.items() if name != listed])
+    several: Sequence[Mapping[str, Any]] = values.get(listed, [])
     if several:
         names = dict.fromkeys(name for one in several for name, value in one.items() if not isinstance(value, list))
         rows = [(name, *(text(one.get(name, "")) for one in several)) for name in names]

@@ -23,7 +23,7 @@ from atlas.cli.options import (
     store_argument,
     window_option,
 )
-from atlas.cli.output import print_attractors, print_table, text, to_json
+from atlas.cli.output import print_table, print_values, text, to_json
 from atlas.errors import InputError
 from atlas.formatting import plural
 from atlas.query.attractors import select_dominant
@@ -75,7 +75,7 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
         if point:
             system = stored_system(ds.attrs)
             used = uses_of_cell(system, results) if system else {}
-            _print_values(results, "coexisting")
+            print_values(results, "coexisting")
         else:
             used = questions.laws(select_dominant(ds), bounds)
             shown = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
@@ -103,7 +103,7 @@ def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool
     with _asked(store, select, window) as (ds, bounds):
         print_status("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}
-        click.echo(to_json(message)) if as_json else _print_values(message)
+        click.echo(to_json(message)) if as_json else print_values(message)
 
 
 @click.command("basins", epilog=examples("atlas attractors basins basins.zarr"))
@@ -117,7 +117,7 @@ def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -
         from atlas.query.basins import basins
 
         measures = basins(ds, bounds)
-        click.echo(to_json(measures)) if as_json else _print_values(measures, "attractors")
+        click.echo(to_json(measures)) if as_json else print_values(measures, "attractors")
 
 
 @click.command(
@@ -231,13 +231,6 @@ def _asked(
         print_status(f"{plural(cost.chunks, 'chunk')} read from the store")
 
 
-def _print_values(values: dict[str, Any], listed: str = "") -> None:
-    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
-    several = list(values.pop(listed, []))
-    print_table("", ["", ""], [(name, text(value)) for name, value in values.items()])
-    print_attractors(several)
-
-
 def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
     none = "no such region" if not listed else ""
     rows = [
@@ -274,7 +267,7 @@ def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out
         write_table(out, pd.DataFrame(rows))
         message = {"file": str(out), "rows": len(rows)}
         if not as_json:
-            _print_values(dict(message))
+            print_values(message)
     if as_json:
         click.echo(to_json(message))
     return out is not None or as_json

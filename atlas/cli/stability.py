@@ -15,7 +15,7 @@ from atlas.cli.options import (
     starts_option,
     system_option,
 )
-from atlas.cli.output import print_cell, to_json
+from atlas.cli.output import print_values, to_json
 from atlas.cli.progress import show_solving
 from atlas.robustness.norm import validate_weights
 from atlas.task.compile import ATTRACTORS
@@ -51,4 +51,5 @@ def stability(
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
-    click.echo(to_json(measures)) if as_json else print_cell(measures, record.name)
+    shown = measures | {"system": record.name}
+    click.echo(to_json(measures)) if as_json else print_values(shown, "coexisting")
