@@ -16,7 +16,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from rig import ROOT
+from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
@@ -58,7 +58,7 @@ def commands(picture: str, page: Path) -> list[str]:
         raise SystemExit(f"{page.name}: no command beside {picture}")
     store = next((re.escape(word) for word in shlex.split(own[0]) if word.endswith(".zarr")), None)
     made = [line for line in lines if store and re.search(rf"^atlas .* -o {store}$", line)][:1]
-    keeps = rf"atlas (find curves|attractors label|attractors measure) {store}(?: --margin)?"
+    keeps = rf"atlas (find curves|attractors label|attractors measure) {store}"
     kept = [line for line in lines if store and re.fullmatch(keeps, line)]
     return [*made, *kept, own[0]]
 

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rig import ROOT
+from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
@@ -56,7 +56,9 @@ def print_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]], k
 def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Write a table of this process to its data file, and set it into its page."""
     words = [word for word in sys.argv[1:] if word != "--keep"]
-    command = shlex.join(["python", "-m", f"scripts.{Path(sys.argv[0]).stem}", *words])
+    path = Path(sys.argv[0])
+    script = path.parent.name if path.stem == "__main__" else path.stem
+    command = shlex.join(["python", "-m", f"scripts.{script}", *words])
     kept = {"command": command, "solver_version": SOLVER_VERSION, "head": list(head), "rows": [list(r) for r in rows]}
     (DOCS / "measured" / f"{name}.json").write_text(
         json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
@@ -102,8 +104,9 @@ def faults(docs: Path) -> list[str]:
         places.update(here)
     for name, table in kept.items():
         words = shlex.split(table["command"])
-        script = ROOT / f"{words[2].replace('.', '/')}.py"
-        if not script.exists() or f'"{name}"' not in script.read_text(encoding="utf-8"):
+        path = ROOT / words[2].replace(".", "/")
+        script = next((file for file in (path.with_suffix(".py"), path / "__main__.py") if file.exists()), None)
+        if script is None or f'"{name}"' not in script.read_text(encoding="utf-8"):
             found.append(f"{name}: {words[2]} does not write it")
         if {len(row) for row in table["rows"]} != {len(table["head"])}:
             found.append(f"{name}: rows and head differ in length")

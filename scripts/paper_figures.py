@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 import atlas
-from rig.published.entries.li_tan_2011 import CELLS, SETTINGS
+from scripts.published.entries.li_tan_2011 import CELLS, SETTINGS
 
 
 def main() -> None:

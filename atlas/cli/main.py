@@ -205,9 +205,7 @@ def find() -> None:
     "attractors",
     cls=_Group,
     table=_ATTRACTORS,
-    epilog=examples(
-        "atlas attractors measure plane.zarr --margin", "atlas attractors stability --set omega=4 --set b=0.1"
-    ),
+    epilog=examples("atlas attractors measure plane.zarr", "atlas attractors stability --set omega=4 --set b=0.1"),
 )
 def attractors() -> None:
     """Label and measure the attractors of STORE and their basins, or those of one cell."""

@@ -19,9 +19,9 @@ from distributed import Client
 import atlas
 from atlas.errors import InputError
 from atlas.explore.session import explore
-from rig.browser import opened, started
 from tests.explore.test_solving import waited
 from tests.paths import ROOT
+from tests.support.browser import opened, started
 
 COMMAND = """
 import signal, sys

@@ -20,9 +20,9 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from rig.faults import ATLAS
 from tests.cli_runner import commands
 from tests.project.test_docs import PAGES, ROOT, files, script_calls
+from tests.support.faults import ATLAS
 
 pytestmark = pytest.mark.slow
 

@@ -149,7 +149,7 @@ def test_what_a_page_links_to_exists(page: Path) -> None:
 
 @each_page
 def test_files_of_the_repository_that_a_page_names_exist(page: Path) -> None:
-    named = re.findall(r"(?<![\w./])(?:atlas|workers|scripts|rig|tests|docs)/[\w./*-]+", "\n".join(code(page)))
+    named = re.findall(r"(?<![\w./])(?:atlas|workers|scripts|tests|docs)/[\w./*-]+", "\n".join(code(page)))
     assert not [name for name in named if not list(ROOT.glob(name.rstrip("./")))]
 
 

@@ -86,7 +86,7 @@ def test_rough_numbers_are_not_kept() -> None:
 
 @pytest.mark.slow
 def test_the_rows_of_the_stress_table_are_rows_of_its_report() -> None:
-    from rig.stress.report import table
+    from scripts.stress.report import table
 
     options = ("--cells", "60", "--recheck", "2", "--workers", "0", "--systems", "0.5", "--modes", "0", "--json")
     made = {what for what, _ in table(json.loads(script("stress", *options)))}

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from rig.published.entries.li_tan_2011 import CELLS, SETTINGS
 
 from atlas.cell.trajectory import cell_orbit, describe
-from rig.published.entries.li_tan_2011 import CELLS, SETTINGS
 from tests import naive
 from tests.script import script
 

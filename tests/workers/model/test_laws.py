@@ -20,13 +20,13 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import Spec
-from rig.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.oracle.segmented_mass import SegmentedMass
-from rig.oracle.segmented_mass import simulate as simulate_segments
-from rig.oracle.smooth import SmoothMass
-from rig.oracle.smooth import orbit as smooth_orbit
-from rig.solver_bridge import Array, SolverMotion, follow, machines_of
+from tests.support.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.oracle.segmented_mass import SegmentedMass
+from tests.support.oracle.segmented_mass import simulate as simulate_segments
+from tests.support.oracle.smooth import SmoothMass
+from tests.support.oracle.smooth import orbit as smooth_orbit
+from tests.support.solver_bridge import Array, SolverMotion, follow, machines_of
 from workers import Settings, solve_tile
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING, SIMULTANEOUS
 from workers.model import laws
