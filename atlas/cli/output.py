@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import click
 import numpy as np
@@ -29,6 +29,18 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
     return value
+
+
+class Result(Protocol):
+    """A result of a command: its text for people, and a dict for JSON."""
+
+    def as_dict(self) -> Mapping[str, Any]:
+        """Return the result as plain values."""
+
+
+def emit(result: Result, as_json: bool) -> None:
+    """Print a result as one JSON object, or as its text."""
+    click.echo(to_json(result.as_dict()) if as_json else str(result))
 
 
 def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]]) -> None:

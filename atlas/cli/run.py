@@ -26,7 +26,7 @@ from atlas.cli.options import (
     timing_of,
     worker_options,
 )
-from atlas.cli.output import to_json
+from atlas.cli.output import emit, to_json
 from atlas.errors import InputError
 from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
@@ -107,7 +107,7 @@ def plan(
         with progress.reporter(sys.stderr) as show:
             made = add_probe(made, show)
     if fine is None or laws is None:
-        click.echo(to_json(made.as_dict()) if as_json else str(made))
+        emit(made, as_json)
         return
     with progress.show_solving(read.system_def):
         check = check_law(read, fine, laws)

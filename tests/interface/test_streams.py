@@ -57,7 +57,7 @@ def test_a_broken_pipe_that_is_not_its_output_is_an_error(monkeypatch: pytest.Mo
     def broken(name: str) -> str:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr("atlas.cli.cell.example_text", broken)
+    monkeypatch.setattr("atlas.cli.begin.example_text", broken)
     monkeypatch.setattr("atlas.platform.is_unread", lambda stream: False)
     done = CliRunner().invoke(main, ["example", "tiny"])
     assert (done.exit_code, done.stderr) == (1, "Error: Broken pipe\n")
