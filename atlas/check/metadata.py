@@ -15,7 +15,7 @@ from atlas.store.host import HOSTS
 from atlas.store.metadata_backup import form_fault, without_consolidated
 from atlas.store.record_format import RECORD, TILES
 from atlas.store.schema import OVERVIEWS
-from atlas.store.store import ROOT, ZOOM, AtlasStore, arrays_by, open_arrays, read_array_nodes
+from atlas.store.store import ROOT, AtlasStore, arrays_by, open_arrays, read_array_nodes
 from atlas.store.tiles import covered_variables, object_shape
 
 
@@ -48,7 +48,7 @@ def metadata_faults(handle: AtlasStore) -> list[str]:
             faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
         elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
             faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
-    groups = (TILES, HOSTS, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped groups may remain
+    groups = (TILES, HOSTS, OVERVIEWS, CURVES, *TABLES)  # copies of dropped groups may remain
     tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
     lost = sorted(top for top in tops if not handle.backend.exists(f"{top}/{ROOT}"))
     faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
@@ -94,7 +94,7 @@ def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
             continue
         for name, copy in copies.items():
             top = f"{where}{name}".partition("/")[0]
-            if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
+            if not where and "/" not in name and copy.get("node_type") == "array":
                 continue
             if not handle.backend.exists(f"{top}/{ROOT}") and top not in (TILES, HOSTS):
                 continue

@@ -13,7 +13,7 @@ from typing import Any
 from atlas.errors import REPACK_HINT, brief_repr, message_of
 from atlas.store.axes import ROOT, matches_coordinates
 from atlas.store.backend import StoreBackend
-from atlas.store.schema import COMPONENT, ZOOM
+from atlas.store.schema import COMPONENT
 from atlas.store.zip_backend import ZipBackend
 
 SPARE = f"{COMPONENT}/spare"
@@ -88,10 +88,10 @@ def restore_from_backup(place: StoreBackend, spare: Json, keys: Mapping[str, str
 def copy_metadata(place: StoreBackend, root: Json) -> None:
     """Write the metadata of a root, with copies of the present metadata of its arrays and groups.
 
-    Copied are the metadata consolidated in ``root``, and all others except the zoom levels: a backup lacks groups that
-    a search or a run has added since.
+    Copied are the metadata consolidated in ``root``, and all others: a backup lacks groups that a search or a run has
+    added since.
     """
-    present = {key for key in place.list_keys() if key.endswith(f"/{ROOT}") and not key.startswith(f"{ZOOM}/")}
+    present = {key for key in place.list_keys() if key.endswith(f"/{ROOT}")}
     keys = sorted({*nodes_of(root), *(key for key in present if _parents(key) <= present)})
     copies = {}
     for key, data in sorted(place.get_all(keys).items()):

@@ -20,7 +20,6 @@ from atlas.store.object_backend import Given, StoreBackend, open_backend, os_err
 from atlas.store.origin import BudgetVariable, Origin, budget_variables
 from atlas.store.record_format import RECORD
 from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
-from atlas.store.schema import ZOOM as ZOOM
 from atlas.store.tiling import Tiling, chunk_index
 from atlas.store.zip_backend import ZipBackend
 from workers.results import ATTRACTOR, REGIME, Variable, leading
