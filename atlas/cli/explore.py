@@ -122,8 +122,9 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
         if option.name not in ("subject", "storage_option", "select", "window", "out"):
             name = "/".join([option.opts[-1], *option.secondary_opts])
             raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
-    from atlas.explore.static.page import check_path, write_page
+    from atlas.explore.static.page import FORMATS, write_page
     from atlas.formatting import byte_size
+    from atlas.query.export import check_target
     from atlas.query.window import select_window
     from atlas.spec.examples import example_names
 
@@ -131,7 +132,7 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
         run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
-        check_path(out)
+        check_target(out, FORMATS)
         ds = select_window(open_selection(subject, chosen), window)
         print_status("reading and drawing")
         written = write_page(ds, out)

@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from atlas.argument_checks import validate_suffix
 from atlas.cli.options import (
     Bounds,
     Numbers,
@@ -25,10 +24,11 @@ from atlas.cli.progress import resumable
 from atlas.cli.query import open_question
 from atlas.errors import InputError
 from atlas.formatting import plural
-from atlas.orbits.curves.export import check_path, export
+from atlas.orbits.curves.export import FORMATS, export
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.query.attractors import select_dominant
 from atlas.query.classes import parse_class
+from atlas.query.export import check_target, write_table
 from atlas.service.options import RunOptions
 
 MAX_ROWS = 40
@@ -77,7 +77,7 @@ def regions(
     meant: object = read_whole("period", value) if equals and by == "period" else value if equals else None
     by, meant = parse_class(by, meant)
     if out is not None:
-        _check_list(out)
+        check_target(out, [".csv"])
     with open_question(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query import connected_regions
 
@@ -110,7 +110,7 @@ def extremes(
 ) -> None:
     """Where a VARIABLE of STORE, such as largest, has its smallest and largest values, in each class of cells."""
     if out is not None:
-        _check_list(out)
+        check_target(out, [".csv"])
     with open_question(store, select, window, counted=out is None and not as_json) as (ds, bounds):
         from atlas.query.extremes import extremes as find
 
@@ -150,20 +150,12 @@ def find_curves(
     from atlas.service import curves  # imports Numba
 
     if out is not None:
-        check_path(out)
+        check_target(out, FORMATS)
     with resumable(ctx, options) as shown:
         summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
     if out is not None:
         export(summary.curves, out)
     emit(summary, as_json)
-
-
-def _check_list(out: Path) -> None:
-    """Raise InputError unless a list can be written to ``out``."""
-    from atlas.query.export import check_writable
-
-    validate_suffix(out, [".csv"])
-    check_writable(out)
 
 
 def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
@@ -196,8 +188,6 @@ def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out
     """Write the rows to the file of -o, or print JSON for --json; return False without either option."""
     if out is not None:
         import pandas as pd
-
-        from atlas.query.export import write_table
 
         write_table(out, pd.DataFrame(rows))
         message = {"file": str(out), "rows": len(rows)}

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.argument_checks import validate_suffix
 from atlas.cli.options import (
     Bounds,
     Numbers,
@@ -88,11 +87,10 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
 @json_option
 def export(store: str, window: Bounds, select: Numbers, out: Path, as_json: bool) -> None:
     """Write the cells of STORE, or of a window of it, to a CSV or netCDF file."""
-    from atlas.query.export import FORMATS, check_writable
+    from atlas.query.export import FORMATS, check_target
     from atlas.query.export import export as write
 
-    validate_suffix(out, FORMATS)
-    check_writable(out)
+    check_target(out, FORMATS)
     with open_question(store, select, window) as (ds, bounds):
         print_status("reading and writing")
         message = {"file": str(out), "cells": write(ds, out, bounds)}
