@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: "Given | AtlasStore",
+    store: Given,
     into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,

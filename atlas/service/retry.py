@@ -32,7 +32,7 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: "Given | AtlasStore",
+    store: Given,
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
