@@ -10,9 +10,7 @@ from atlas.store.tiling import Index
 MAX_FAULTS_SHOWN = 50
 """Maximum number of faults that a terminal shows; ``--json`` lists all."""
 
-METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
-    "metadata", "coordinates", "chunk", "group", "copy", "copies", "part", "foreign", "machine",
-)  # fmt: skip
+METADATA, CHUNK, GROUP, PART, FOREIGN, MACHINE = "metadata", "chunk", "group", "part", "foreign", "machine"
 """Kinds of faulty parts other than tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 
 

@@ -6,17 +6,16 @@ from contextlib import ExitStack
 from typing import Any
 
 from atlas.argument_checks import is_integer, validate_flag, validate_type
-from atlas.check.find_faults import VerifyFindings, find_faults
+from atlas.check.find_faults import find_faults
+from atlas.check.metadata import open_damaged_store
 from atlas.check.repair import repair as drop_faulty
 from atlas.check.report import VerifyReport
 from atlas.errors import InputError, brief_repr
 from atlas.service.lease import hold_lease
 from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
-from atlas.store.metadata_backup import read_backup
 from atlas.store.object_backend import Given, open_backend, os_errors_as_input_errors
 from atlas.store.sidecar import sidecar_of
-from atlas.store.store import open_store
 from atlas.store.zip_backend import check_not_packed
 
 SAMPLE = 32
@@ -59,14 +58,10 @@ def verify(
     if repair:
         check_not_packed(place)
     with os_errors_as_input_errors(place, "read"):
-        if read_backup(place) is None:
-            open_store(place)  # raises without a store, before its lease is taken
+        open_damaged_store(place)  # raises without a store, before its lease is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with progress_reporter(on_progress) as report, ExitStack() as stack:
         if repair:
             place = stack.enter_context(hold_lease(sidecar_of(place), str(place))).fence_backend(place)
-
-        def read() -> VerifyFindings:
-            return find_faults(place, sample, drawn, report or (lambda _: None))
-
-        return drop_faulty(read(), read) if repair else read().report
+        findings = find_faults(place, sample, drawn, report or (lambda _: None))
+        return drop_faulty(findings) if repair else findings.report

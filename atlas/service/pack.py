@@ -13,8 +13,9 @@ from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
-from atlas.store.groups import groups_of, read_group
+from atlas.store.groups import read_group
 from atlas.store.object_backend import Given, open_backend
+from atlas.store.schema import groups_of
 from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
 from atlas.store.zip_backend import SUFFIX, write_zip
@@ -135,7 +136,7 @@ def _refuse_lost(handle: AtlasStore, tiles: set[tuple[int, ...]], keys: set[str]
     lost = [key for index in sorted(tiles) for variable in needed if (key := chunk_key(variable, index)) not in keys]
     if lost:
         raise ChunkError(handle.backend, dict.fromkeys(lost[:SHOWN], "is missing"))
-    for group in groups_of(handle):
+    for group in groups_of(handle.spec):
         read_group(handle, group)
 
 

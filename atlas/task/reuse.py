@@ -84,7 +84,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
             first = False
             for machine in read_hosts(origin):
                 record_host(handle, machine)
-        known = read_tile(origin, index, arrays=origin.readable)
+        known = read_tile(origin, index)
         if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
         if not handle.allowances:  # a cell with a higher budget than the spec's has other results here
@@ -123,7 +123,7 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     else:
         if origin.run_id == handle.origin.run_id:
             return origin
-        trouble = f"{handle.origin.store}: another store than the one that was {done}"
+        trouble = f"{origin.backend}: another store than the one that was {done}"
     raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 

@@ -17,7 +17,7 @@ import workers
 from atlas.cli.main import attractors, find, main
 from atlas.errors import InputError, RunError
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves.queries import frame
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
@@ -110,7 +110,7 @@ def test_the_columns_of_branches_and_curves_are_the_promised_ones() -> None:
     assert list(empty.branches.columns) == NAMES["branches"]
     assert list(empty.points.columns) == NAMES["points"]
     assert list(empty.events.columns) == NAMES["events"]
-    assert list(frame(Curves(("omega", "b"), ())).columns) == NAMES["curves"]
+    assert list(to_frames(Curves(("omega", "b"), ())).points.columns) == NAMES["curves"]
 
 
 def test_the_methods_of_a_dataset_and_the_columns_of_its_tables_are_the_promised_ones(solved_plane: Path) -> None:
