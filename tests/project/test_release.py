@@ -35,7 +35,7 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 # The promise. A name may be added here; one that goes needs a major version.
 
 PROMISED = """
-atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch errors extend find_curves
+atlas       CurveSettings RunOptions Settings Spec System __version__ attractors branch errors extend find_curves
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace

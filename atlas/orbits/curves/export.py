@@ -24,7 +24,7 @@ def export(curves: Curves, path: str | Path) -> None:
         import pandas as pd
 
         points, corners = to_frames(curves)
-        write_table(target, pd.concat([points, corners.drop(columns="after")]) if len(corners) else points)
+        write_table(target, pd.concat([points, corners.drop(columns="point")]) if len(corners) else points)
         return
     with replace_on_success(target) as unfinished:
         unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
