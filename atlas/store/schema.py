@@ -52,8 +52,6 @@ PARTS = "searches/parts"
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
-ZOOM = "zoom"
-"""Name of the group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""
