@@ -1,8 +1,8 @@
 """The schema of a store: the attributes and arrays that the spec of an atlas decides, and ``layout``, their objects.
 
 ``layout`` gives all metadata and coordinates of a store as bytes. Creation writes them, a verification compares them,
-and a repair writes the different ones. The attributes from which they follow, the spec among them, are those of the root
-and once more those of the group ``spec``: either makes the other again.
+and a repair writes the different ones. The attributes from which they follow, the spec among them, are those of the
+root and once more those of the group ``spec``: either makes the other again.
 """
 
 import json
