@@ -1,8 +1,8 @@
 """The schema of a store: the attributes and arrays that the spec of an atlas decides, and ``layout``, their objects.
 
 ``layout`` gives all metadata and coordinates of a store as bytes. Creation writes them, a verification compares them,
-and a repair writes those that differ. The attributes from which they follow, the spec among them, are those of the root
-and once more those of the group ``spec``: either makes the other again.
+and a repair writes the different ones. The attributes from which they follow, the spec among them, are those of the
+root and once more those of the group ``spec``: either makes the other again.
 """
 
 import json
@@ -52,8 +52,6 @@ PARTS = "searches/parts"
 TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
-ZOOM = "zoom"
-"""Name of the group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""

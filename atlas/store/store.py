@@ -31,7 +31,6 @@ from atlas.store.schema import (
     root_with_groups,
 )
 from atlas.store.schema import OVERVIEWS as OVERVIEWS
-from atlas.store.schema import ZOOM as ZOOM
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import REGIME, Variable, leading
 
