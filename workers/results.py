@@ -278,30 +278,31 @@ def in_words(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def result_variables(
-    settings: Settings, attractors: bool = False, basins: bool = False, own: tuple[Variable, ...] = ()
+    settings: Settings, attractors: bool = False, basins: bool = False, own_variables: tuple[Variable, ...] = ()
 ) -> tuple[Variable, ...]:
     """Return the variables of a solution with these settings; ``regime`` comes last, since it is written last.
 
-    settings    see Settings
-    attractors  True if each cell lists all its attractors: every result except the cost has the dimension ``attractor``
-    basins      True if each initial state has the label of the attractor that it reaches
-    own         the machine's own variables, see ``model.measures``
+    settings       see Settings
+    attractors     True if each cell lists all its attractors: every result except the cost has the dimension
+                   ``attractor``
+    basins         True if each initial state has the label of the attractor that it reaches
+    own_variables  the machine's own variables, see ``model.measures``
     """
-    chosen = [LABEL, SETTLED] if basins else []
+    variables = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
-        chosen += [LARGEST, ERROR]
+        variables += [LARGEST, ERROR]
         if settings.method == "fixed":
-            chosen.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
+            variables.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
     if settings.exponents == "spectrum":
-        chosen += [SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE]
-    chosen += _ALWAYS
+        variables += [SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE]
+    variables += _ALWAYS
     if settings.section_samples:
-        chosen.append(SECTION)
-    chosen += own
-    chosen += [REASON, REGIME]
+        variables.append(SECTION)
+    variables += own_variables
+    variables += [REASON, REGIME]
     if basins or not attractors:
-        return tuple(chosen)
-    of_each = [v if v.name == "periods_used" else replace(v, extra_dims=(ATTRACTOR, *v.extra_dims)) for v in chosen]
+        return tuple(variables)
+    of_each = [v if v.name == "periods_used" else replace(v, extra_dims=(ATTRACTOR, *v.extra_dims)) for v in variables]
     return (*_COEXISTENCE, *of_each)
 
 

@@ -124,9 +124,11 @@ def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attrac
         largest = float(orbits.exponents[r, 0])
     new.orbit = states_of_turn(oscillator, new)
     if largest < 0.0 and new.period <= LONGEST_KNOWN:
-        none, whole = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
+        none, steps_and_half = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
         osc, frame = take_one(oscillator, 0), axes(len(new.h))
-        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *whole), FIRST)
+        turn = oscillator.with_modes(
+            lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *steps_and_half), FIRST
+        )
         jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
         norm = shrinking_norm(osc.gap.blocks, jacobian, contraction)
         if np.isfinite(norm).all():

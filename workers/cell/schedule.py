@@ -195,7 +195,7 @@ class AdaptiveSchedule:
         rows = self.end_on_long_orbits(rows)
         if cells.vectors:
             averages.lose_all(cells, rows)
-        survived = np.maximum(cells.survived_periods(rows) - cells.batch.done[rows], 0)
+        survived = np.maximum(cells.survived_periods(rows) - cells.batch.completed[rows], 0)
         outcome.put_averaged(cells, rows)
         outcome.write_results(cells, rows, regime=LOCKING, reason=RESTED, survived=survived)
 
@@ -244,8 +244,8 @@ class AdaptiveSchedule:
         averages.begin(cells, rows)
         self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
         earlier = cells.previous_average.periods[rows]
-        wanted = periods_for(earlier, cells.previous_average.error[rows], self.half)
-        self.interval[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
+        needed = periods_for(earlier, cells.previous_average.error[rows], self.half)
+        self.interval[rows] = np.maximum(np.minimum(needed, 2.0 * earlier), FIRST_AVERAGE)
 
     # Averaging
 
@@ -276,15 +276,15 @@ class AdaptiveSchedule:
         Both averages together must reach the requested accuracy unless they differ, and chaos must have survived. A
         positive exponent must be clearly positive.
         """
-        (whole, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
-        least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
+        (combined, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
+        least = np.where(combined.mean > 0.0, combined.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
         changed = averages.has_changed(self.cells, rows)
-        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
+        precise = (changed | (combined.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
-        wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
-        self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
+        missing = periods_for(combined.periods, combined.error, accuracy) - combined.periods
+        self._average_on(rows[~enough], np.maximum(missing, watch)[~enough])
         self._end(rows[enough & ~changed])
         self._restart_changed(rows[enough & changed])
 
@@ -347,7 +347,7 @@ class AdaptiveSchedule:
         Equal averages are combined. Otherwise the motion has changed, and the later average replaces the earlier one.
         Without exponents the cell is aperiodic at the end.
         """
-        self.watched[rows] += self.cells.batch.done[rows]
+        self.watched[rows] += self.cells.batch.completed[rows]
         missing = self._missing(rows)
         self._watch(rows[missing > 0], missing[missing > 0])
         if self.cells.vectors:

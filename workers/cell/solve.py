@@ -41,8 +41,8 @@ def _solve_fixed(cells: CellBatch) -> None:
     ready = _through(cells, ready, settings.periods)
     recurrence.update(cells, ready, np.full(len(ready), settings.transient_periods > 0))
     put_averaged(cells, ready)
-    kept = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
-    averaged = {name: cells.results[name].copy() for name in kept}
+    names = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
+    averaged = {name: cells.results[name].copy() for name in names}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(
         cells,

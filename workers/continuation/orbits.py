@@ -48,9 +48,9 @@ def group_indices(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
     Keys of None are left out.
     """
     places_of: dict[Hashable, list[int]] = {}
-    for place, key in enumerate(keys):
+    for index, key in enumerate(keys):
         if key is not None:
-            places_of.setdefault(key, []).append(place)
+            places_of.setdefault(key, []).append(index)
     return [np.array(places, dtype=np.int64) for places in places_of.values()]
 
 
@@ -71,26 +71,26 @@ def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatc
     if not itinerary.sides or not may_be.any():
         return orbits._replace(values=values, converged=may_be)
     known = np.flatnonzero(may_be)
-    own, here = lin.at_rows(known), orbits.orbits.at_rows(known)
+    machines, known_orbits = lin.at_rows(known), orbits.orbits.at_rows(known)
     if not itinerary.is_cycle:
-        phases = here.times * family.model(orbits.values[known]).omega[:, None]
-        here = here._replace(times=phases / own.omega[:, None])
-    start = motion_of(own, here)
-    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / start.lin.omega[:, None]], axis=1)
+        phases = known_orbits.times * family.model(orbits.values[known]).omega[:, None]
+        known_orbits = known_orbits._replace(times=phases / machines.omega[:, None])
+    start = motion_of(machines, known_orbits)
+    scale = np.concatenate([start.scale()[0], np.ones(known_orbits.times.shape) / start.lin.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> OrbitMotion:
-        return motion_of_unknowns(own.at_rows(rows), itinerary, X)
+        return motion_of_unknowns(machines.at_rows(rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
-        there = motion(X, rows)
-        return there.turn.residuals, there.linearised()
+        trial = motion(X, rows)
+        return trial.turn.residuals, trial.linearised()
 
     solved = newton(
         lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST,
         sizes=start.forced_sizes,
     )  # fmt: skip
     after, converged = orbits.orbits.at_rows(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
-    fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
+    fields = motion_of_unknowns(machines, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields
     converged[known] = solved.converged
     return OrbitBatch(after, values, converged)

@@ -58,8 +58,8 @@ def with_estimate(ends, end):
 
 
 @inlined
-def chatter_end(ends, left, R):
-    """Return the end of a chatter with ``left`` to go, to fourth order, from estimates at its last three impacts.
+def chatter_end(ends, remaining, R):
+    """Return the end of a chatter with ``remaining`` time, to fourth order, from estimates at its last three impacts.
 
     The error of ``chatter_left`` is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
     Richardson's extrapolation removes both terms, or the first if there are only two estimates.
@@ -67,8 +67,8 @@ def chatter_end(ends, left, R):
     cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
     before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
     best = after + fourth * (after - before)
-    best = best if abs(best - ends[2]) <= AGREES * left else after  # false for NaN
-    return best if abs(best - ends[2]) <= AGREES * left else ends[2]
+    best = best if abs(best - ends[2]) <= AGREES * remaining else after  # false for NaN
+    return best if abs(best - ends[2]) <= AGREES * remaining else ends[2]
 
 
 @inlined

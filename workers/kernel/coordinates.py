@@ -20,7 +20,7 @@ from workers.kernel.hybrid.state import (
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import BEYOND, FLIGHT, OSCILLATOR, Motion, has_modes, motion_at
-from workers.kernel.sticking import load_on_stop, to_held
+from workers.kernel.sticking import load_on_stop, to_sticking
 from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
@@ -85,7 +85,7 @@ def mode_at_rest(oscillator, side, h, turn):
     """Return the mode of a state on a stop with v = 0: sticking if the load presses, else about to leave."""
     n = h.shape[0]
     u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
-    to_held(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
+    to_sticking(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
     return FLIGHT + side * (ON if load_on_stop(oscillator, u, turn, side) > 0.0 else DETACHED)
 
 

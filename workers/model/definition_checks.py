@@ -56,8 +56,8 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     _check_starts(machine.starts)
     for where, row in rows.items():
         if not row.any():
-            made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
-            raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
+            quantity = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
+            raise DefinitionError(f"{where}: found zeros only; give the row that makes {quantity}")
     _check_independent(list(rows), held_rows(many))
     _check_independent(list(rows)[len(machine.row) :], many.friction_rows)
     _check_yields(rows, many)
@@ -71,8 +71,8 @@ def _contact(definition: Definition, c: int) -> str:
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
     """Return the entry that counts in phase p: the phase's own, or that of the whole machine."""
-    own = definition.phases and getattr(definition.phases[p], key) is not None
-    return f"system.phases[{p}].{key}" if own else f"system.{key}"
+    overridden = definition.phases and getattr(definition.phases[p], key) is not None
+    return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
 
 def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
@@ -101,9 +101,9 @@ def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tupl
         yield f"system.friction[{f}].belt", belt
 
 
-def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, whole: str) -> str:
+def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, entry: str) -> str:
     changed = key in dict(dict(changes).get(name, ()))
-    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{whole}.{key}"
+    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{entry}.{key}"
 
 
 def _check_constant(where: str, number: float) -> None:
@@ -127,9 +127,10 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
 def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
     """Raise DefinitionError unless the vertices ``table`` (V, 2) of an element's law are valid."""
     if not np.isfinite(table).all():
-        given = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
+        description = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
         raise DefinitionError(
-            f"{where}: found {given} at the defaults, must be finite numbers" + OF_EXPRESSION * (given[0] == "n")
+            f"{where}: found {description} at the defaults, must be finite numbers"
+            + OF_EXPRESSION * (description[0] == "n")
         )
     if (n := segments_of(element, table)) > SEGMENTS:
         assert element.within is not None
@@ -199,16 +200,16 @@ def _check_starts(starts: Array) -> None:
             )
 
 
-def _check_independent(named: list[str], held: Array) -> None:
+def _check_independent(named: list[str], rows: Array) -> None:
     """Raise DefinitionError if rows that can stick together depend on each other.
 
     named  entries of the rows
-    held   (1, R, n) rows of rigid contacts and friction, zeros for other elements
+    rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements
     """
     for k, where in enumerate(named):
-        if dependent(held[:, : k + 1])[0]:
+        if dependent(rows[:, : k + 1])[0]:
             raise DefinitionError(
-                f"{where}: found {_shown(held[0, k])} at the defaults, depends on rows of rigid contacts and friction "
+                f"{where}: found {_shown(rows[0, k])} at the defaults, depends on rows of rigid contacts and friction "
                 "before it; must be independent, or friction on the row of a contact or a multiple of it"
             )
 

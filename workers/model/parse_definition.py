@@ -78,10 +78,10 @@ def read_parameters(
                 where = f"system.parameters.{name}.{key}"
                 raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
-    own = [name for name in entries if name not in known]
+    added = [name for name in entries if name not in known]
     parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
     first = [] if unforced else [OMEGA]
-    return tuple(parameters[name] for name in (*first, *own, *list(known)[len(first) :]))
+    return tuple(parameters[name] for name in (*first, *added, *list(known)[len(first) :]))
 
 
 def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:

@@ -105,11 +105,11 @@ def escapes_in_modes(oscillator, h, mode):
     if k < 0 or table.elements.starts.shape[0] > 2:
         return False
     enter_from_section(oscillator, k, h, at)
-    left, met = False, False
+    departs, met = False, False
     for g in range(pieces.ends.shape[1]):
         blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if low > -np.inf or high < np.inf:
             future = future_of(blocks, numbers, at, offset, low, high)
-            left, met = left or future == BEHIND, met or future == REACHED
-    return left and not met
+            departs, met = departs or future == BEHIND, met or future == REACHED
+    return departs and not met

@@ -104,9 +104,9 @@ def floquet(oscillator, point, steps, half, limit):
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(oscillator.gap.blocks, motion)
-        kept = np.flatnonzero(motion.growth > -np.inf)
-        before, frame = frame, motion.V[kept]
-        if turn == 1 or len(kept) < m:
+        rows = np.flatnonzero(motion.growth > -np.inf)
+        before, frame = frame, motion.V[rows]
+        if turn == 1 or len(rows) < m:
             continue
         rotation = overlaps(oscillator.gap.blocks, before, frame, m)
         ends = block_ends(rotation)

@@ -48,19 +48,19 @@ def quiet_section(oscillator, h, mode):
     """
     if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
-    shift, there, at, tries = 0.0, h.copy(), mode, 0
+    shift, state, at, tries = 0.0, h.copy(), mode, 0
     for tries in range(1, MAX_ATTEMPTS + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
         motion = motion_after(oscillator, h, mode, shift - MARGIN)
         before = motion.mode[0]
         motion.tally[MAX_SPEED] = 0.0
         propagate(seen_later(oscillator, shift - MARGIN), motion, MARGIN * oscillator.head[HEAD.period])
-        there, at = motion.h.copy(), motion.mode[0]
+        state, at = motion.h.copy(), motion.mode[0]
         propagate(seen_later(oscillator, shift), motion, MARGIN * oscillator.head[HEAD.period])
         same = before == at and at == motion.mode[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
-    return shift, there, at, tries
+    return shift, state, at, tries
 
 
 @inline_always
