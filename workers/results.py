@@ -18,29 +18,15 @@ class CodeMeaning:
     text: str
 
 
-@dataclass(frozen=True)
-class Regime(CodeMeaning):
-    """A class of motion, with its colour in pictures."""
-
-    color: str
-
-
 (
     PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING,
 ) = range(-1, 9)  # fmt: skip
 
-REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name, color in (
-    (PENDING, "pending", "#ffffff"),
-    (NO_IMPACT, "no_impact", "#dddddd"),
-    (PERIODIC, "periodic", "#4477aa"),
-    (QUASIPERIODIC, "quasiperiodic", "#228833"),
-    (CHAOTIC, "chaotic", "#cc3311"),
-    (UNDETERMINED, "undetermined", "#b2aa62"),
-    (INVALID, "invalid", "#777777"),
-    (FAILED, "failed", "#000000"),
-    (APERIODIC, "aperiodic", "#f8f0d0"),
-    (LOCKING, "locking", "#72829a"),
-))  # fmt: skip
+REGIMES = tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name in enumerate((
+    "pending", "no_impact", "periodic", "quasiperiodic", "chaotic", "undetermined", "invalid", "failed", "aperiodic",
+    "locking",
+), PENDING))  # fmt: skip
+"""Classes of motion."""
 
 
 @dataclass(frozen=True)

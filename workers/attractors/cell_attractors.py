@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.attractors.attractor import STABLE, Attractor
-from workers.attractors.matching import is_same_orbit, nearest, states_along, states_of_turn
+from workers.attractors.matching import is_same_attractor, nearest, states_along, states_of_turn
 from workers.attractors.search import MotionSearch
 from workers.cell.exponents import free_exponents
 from workers.kernel.motion import axes
@@ -73,7 +73,7 @@ class CellAttractors:
             return next(iter(self.of_same_regime(new)), None), np.nan
         if new.reference is None:
             return next(
-                (known for known in self.attractors if is_same_orbit(self.oscillator, known, new)), None
+                (known for known in self.attractors if is_same_attractor(self.oscillator, known, new)), None
             ), np.nan
         return nearest(self.of_same_regime(new), new.reference)
 
@@ -92,7 +92,7 @@ class CellAttractors:
     def _add(self, new: Attractor) -> None:
         """Add an attractor, and pair it with a known orbit if that orbit is its mirror image."""
         for known in self.attractors if self.symmetric and new.reference is None else []:
-            if is_same_orbit(self.oscillator, known, new, half=True):
+            if is_same_attractor(self.oscillator, known, new, half=True):
                 known.mirror, new.mirror = new, known
         self.attractors.append(new)
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.attractor import Attractor
-from workers.cell.cell_batch import CellCycle
+from workers.cell.cell_batch import CellCycle, energy_norms
 from workers.cell.interval import batch_of, begin, run
 from workers.kernel.cell_loops import physical_states, scale_of
 from workers.kernel.jit import kernel
@@ -35,7 +35,7 @@ NEAR_ORBIT = 1e-2
 """Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for the orbit."""
 ALONG = 256
 """Number of states along a cycle without a force, for pictures and for the distance of a motion from the cycle."""
-SAME_ORBIT = 1e-6
+SAME_ATTRACTOR = 1e-6
 """Largest distance of section states of equal orbits, relative to the motion's scale."""
 BATCH = 64
 """Number of section states of a batch."""
@@ -112,11 +112,6 @@ def orbits_reached(blocks, sections, counts, rows, owner, known):
     return numbers
 
 
-def norms(blocks: Array, h: Array) -> Array:
-    """Return the energy norms (K,) of block states h (K, n, 2)."""
-    return np.asarray(np.sqrt((blocks[:, COLUMN.metric] * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
-
-
 def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
     """Return the number of periods after which a motion stays within NEAR_ORBIT of the section state a turn later.
 
@@ -124,7 +119,7 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
     flown     periods simulated
     period    period of the orbit
     """
-    away = norms(blocks, sections[period:] - sections[:-period])
+    away = energy_norms(blocks[:, COLUMN.metric], sections[period:] - sections[:-period])
     far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
@@ -199,7 +194,7 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
     return (image if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), other
 
 
-def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
+def is_same_attractor(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
     Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
@@ -218,7 +213,7 @@ def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: 
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
-    return bool(norms(osc.gap.blocks, old.orbit - h).min() <= SAME_ORBIT * scale_of(osc.gap.blocks, h))
+    return bool(energy_norms(osc.gap.metric, old.orbit - h).min() <= SAME_ATTRACTOR * scale_of(osc.gap.blocks, h))
 
 
 def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:

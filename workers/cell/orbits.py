@@ -13,7 +13,7 @@ from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Ro
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
-NEAR_ORBIT = 1e-2
+NEAR_RETURN = 1e-2
 """Maximum distance of a return, relative to the motion's scale, that may lead to a stable orbit."""
 
 LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
@@ -77,7 +77,7 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
     flown = batch.completed + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, counts)
     through = every[counts > 0]
     proved[through] = _settled(
-        through, batch.oscillators, batch.motions, batch.sections, counts, np.full(len(rows), NEAR_ORBIT), LONG_PERIOD,
+        through, batch.oscillators, batch.motions, batch.sections, counts, np.full(len(rows), NEAR_RETURN), LONG_PERIOD,
         budget - flown, orbits, spent,
     )  # fmt: skip
     cells.periods_used[rows] += flown + spent

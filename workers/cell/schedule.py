@@ -17,7 +17,7 @@ from workers.cell import averages, outcome
 from workers.cell.averages import clearly_positive, current_average, periods_for, shears
 from workers.cell.cell_batch import RETURNS, CellBatch
 from workers.cell.exponents import impact_count
-from workers.cell.orbits import LONG_PERIOD, NEAR_ORBIT, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
+from workers.cell.orbits import LONG_PERIOD, NEAR_RETURN, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
 from workers.cell.recurrence import Recurrence
 from workers.kernel.motion import CONTRACTION
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
@@ -33,8 +33,8 @@ MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
 """The transient: minimum number of periods, number of relaxation times, and maximum share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR_ORBIT after the first interval. The motion has had time to come nearer, and chaos often returns within
-NEAR_ORBIT itself, at the cost of a trial each time."""
+"""NEAR_RETURN after the first interval. The motion has had time to come nearer, and chaos often returns within
+NEAR_RETURN itself, at the cost of a trial each time."""
 
 WARM_UP = 64
 """Periods in which the tangent frame aligns before its growth counts."""
@@ -152,7 +152,7 @@ class AdaptiveSchedule:
         """Decide each cell in ``through``, which has reached the end of its interval."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
-        stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
+        stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_RETURN, NEAR_LATER)
         self.warming(rows[stage == WARMING])
         rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
         if not len(rows):

@@ -31,7 +31,7 @@ VERTEX, SAME_RAY = 1e-12, 1e-6
 """Rounding of rates and signals in an equilibrium, as a share of their terms; and maximum change of the direction from
 an equilibrium in a turn round it, as a share of the distance."""
 
-BESIDE, FEW_TURNS = 1e-4, 8
+PUSH_DISTANCE, FEW_TURNS = 1e-4, 8
 """Distance from an equilibrium, relative to its displacement, at which a motion is started; number of natural periods
 for which it is followed."""
 
@@ -73,7 +73,7 @@ def rest_beside(cells: CellBatch, r: int) -> Rest | None:
     if cells.directions > 2:
         return None
     state = physical_states(cells.oscillators, cells.batch.motions, np.array([r]))[0]
-    push = BESIDE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
+    push = PUSH_DISTANCE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
     rest = _rest_from(cells, r, state + np.array([0.0, push]), FEW_TURNS)
     return rest if rest is not None and abs(rest.state[0] - state[0]) <= CLOSING_DISTANCE * abs(state[0]) else None
 

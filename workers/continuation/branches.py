@@ -139,7 +139,7 @@ def branch(
     return follow_both_ways(equations, solved.X, bounds, resolution, budget, until)
 
 
-def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
+def switch_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
     """Return the doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
     family     machines over one free parameter

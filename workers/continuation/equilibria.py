@@ -20,7 +20,7 @@ from workers.continuation.extended_system import Condition
 from workers.continuation.families import Family, machine_of
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.model.family import NoOscillatorError
-from workers.model.hybrid_modes import ON, OPEN, ROUNDING, SIGNALS, ModeCode, null_space
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS, ZERO_SHARE, ModeCode, null_space
 from workers.model.oscillator import Array
 from workers.model.system import System
 from workers.orbit.recorded_legs import mode_code_of_state
@@ -59,7 +59,7 @@ class Equilibrium(NamedTuple):
     @property
     def unstable(self) -> int:
         """Number of exponents that grow."""
-        return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
+        return int(np.sum(self.exponents.real > ZERO_SHARE * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
         """Return the equilibrium as a solution point.

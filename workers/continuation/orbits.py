@@ -19,7 +19,7 @@ from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines, machines_over
 from workers.model.oscillator import Array, Mask, Rows
 from workers.model.system import System
-from workers.orbit.section import AT_SECTION
+from workers.orbit.section import PAST_SECTION
 
 FARTHEST = 0.5
 """Maximum length of Newton's first step, in radians of the force and relative to the motion and its fastest impact."""
@@ -170,7 +170,7 @@ def section_states(
     known   True for the states of cycles after all events, see ``comparison_states``
 
     In a symmetric machine, the negative states at a shift of 1/2 are the section states of the mirror images. An event
-    at a section counts as past, also if rounding delays it by up to AT_SECTION T.
+    at a section counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
     machines, _ = machines_over(system, {}, tuple(values))(rows)
@@ -188,7 +188,7 @@ def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0)
         return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
     period = 2.0 * np.pi / machines.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
-    many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
+    many = many._replace(times=np.where(since <= PAST_SECTION, many.times - PAST_SECTION * period, many.times))
     states, _ = motion_of(machines, many).states_at((np.arange(many.itinerary.periods) + shift) * period)
     return np.asarray(states + machines.rest[:, None])
 

@@ -21,7 +21,7 @@ MIN_STEP = 1e-6
 """Shortest step, in units of the longest."""
 
 
-BESIDE, SAME = 0.1, 1e-6
+OVERSHOOT, SAME_SOLUTION = 0.1, 1e-6
 """Distance from a step, in step lengths, at which its curve may pass the start; and maximum difference of equal
 solutions, in units of the scale."""
 
@@ -89,9 +89,9 @@ class PseudoArclength:
         chord = (self.X - previous) / eq.scale
         for candidate in _as_unknowns(of, start, eq, previous):
             share = float((candidate - previous) / eq.scale @ chord) / float(chord @ chord)
-            if -BESIDE < share < 1.0 + BESIDE:
+            if -OVERSHOOT < share < 1.0 + OVERSHOOT:
                 passed = step.solution(share)
-                if passed.converged and np.max(np.abs(passed.X - candidate) / eq.scale) < SAME:
+                if passed.converged and np.max(np.abs(passed.X - candidate) / eq.scale) < SAME_SOLUTION:
                     return candidate
         return None
 

@@ -17,7 +17,7 @@ ORDER = 17
 SHORT = 1.0
 """Maximum phase, in radians of the fastest oscillation, for which the series is exact to rounding: SHORT^17 / 18!."""
 
-NEWTON_STEPS, NEAR = 4, 1e-2
+NEWTON_STEPS, HOP_DIFFERENCE = 4, 1e-2
 """Number of Newton steps for the end of a hop, and tolerated difference to the end that the search found, as a share of
 the hop. The search sees only y."""
 
@@ -122,7 +122,7 @@ def hop(blocks, waves, omega, h, phase, side, w, s, rate):
         height, slope = series(u, w, t)
         t -= height / slope
     _, slope = series(u, w, t)
-    if abs(t - s) <= NEAR * s and slope < 0.0:
+    if abs(t - s) <= HOP_DIFFERENCE * s and slope < 0.0:
         return t, -t * slope
     return s, 0.0
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from workers.kernel.by_reference import by_value
 from workers.kernel.external import FLOATS, external
 from workers.kernel.hybrid.state import (
-    ROUNDING,
+    ROW_ROUNDING,
     enter_frame,
     harmonics_at,
     leave_frame,
@@ -68,16 +68,16 @@ def start_at(oscillator, state, h):
                 full += oscillator.to_blocks[2 * j + k, i] * state[i]
             h[j, k] = full - wave(oscillator.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
-        if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
+        if coasts and abs(h[j, 1]) <= ROW_ROUNDING * blocks[j, COLUMN.swing1]:
             h[j, 1] = 0.0  # otherwise rounding of h would drift for ever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
-    side = side_of(y, ROUNDING * y_sum, oscillator.head[HEAD.upper], oscillator.head[HEAD.lower])
+    side = side_of(y, ROW_ROUNDING * y_sum, oscillator.head[HEAD.upper], oscillator.head[HEAD.lower])
     if side == 0:
         return BEYOND if y > oscillator.head[HEAD.upper] or y < oscillator.head[HEAD.lower] else FLIGHT
-    return mode_at_rest(oscillator, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
+    return mode_at_rest(oscillator, side, h, turn) if abs(v) <= ROW_ROUNDING * v_sum else FLIGHT
 
 
 @inline_always
@@ -103,8 +103,8 @@ def put_on_stop(row, stop, x):
     row  (n,)          gap row g
     x    (n or more,)  a state, of which only the first n numbers count
 
-    g . x then equals the stop to rounding, see ROUNDING. It equals the stop exactly if it is one coordinate with weight
-    +-1.
+    g . x then equals the stop to rounding, see ROW_ROUNDING. It equals the stop exactly if it is one coordinate with
+    weight +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):

@@ -23,12 +23,12 @@ from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
 from workers.model.oscillator import NUMBER, Array, Rows
 
-AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
+SECTION_STATE, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
     KINDS.index(kind) for kind in (SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS)
 )
 """Kinds of observables as numbers."""
 
-ROUNDING = 1e-12
+LEAST_RISE = 1e-12
 """Share of an output's terms by which the output must rise or fall between two turning points for them to count."""
 
 
@@ -104,7 +104,7 @@ def head(seen, m, highest, direction, y, counts):
     """Continue an output in this direction from y. A turning point of rounding size does not count."""
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
-        near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
+        near = abs(y - course[COURSE.at]) <= LEAST_RISE * course[COURSE.size]
         if course[COURSE.turn] * course[COURSE.heading] < 0.0 and near:
             course[COURSE.turn] = 0.0
         else:
@@ -131,7 +131,7 @@ def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begin
     before, rate = course[COURSE.value], abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
     reach = min(rate, abs(v) + abs(a) * s) * s  # a load alone has no bound
     course[COURSE.size] = max(course[COURSE.size], size + reach)
-    if abs(y - before) > ROUNDING * course[COURSE.size]:  # an impact makes velocities jump
+    if abs(y - before) > LEAST_RISE * course[COURSE.size]:  # an impact makes velocities jump
         head(seen, m, highest, np.sign(y - before), before, start > begins)
     if rate * s > LEVEL * size:
         block_state, scratch, t, begun = h.copy(), np.empty(h.shape), 0.0, 0
@@ -169,7 +169,7 @@ def see_outputs(table, meter, selection, seen, leg, since, begins, flies, tally)
     enter(pieces, k, leg[LEG_STATE : LEG_STATE + size], flat, harmonics_at(phase, harmonics), h, nothing)
     for m in range(len(selection.kinds)):
         kind, row, order = selection.kinds[m], meter.rows[m], meter.orders[m]
-        if kind == AT_SECTION and t == 0.0 and flies and leg[LEG.signal] < 0.0:
+        if kind == SECTION_STATE and t == 0.0 and flies and leg[LEG.signal] < 0.0:
             full, direct = output_row(pieces, k, row, order)
             mode, offset = mode_with(pieces, k, full, direct)
             put(seen, m, evaluate(mode.blocks, mode.waves, table.omega, h, 0.0, phase, offset)[0])

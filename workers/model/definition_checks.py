@@ -13,14 +13,12 @@ from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
 from workers.model.free_flight import UNSEEN
 from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
+from workers.model.hybrid_modes import ZERO_SHARE
 from workers.model.laws import SEGMENTS, segments_of
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
 
 OF_EXPRESSION = ", within above 0 and the range around 0"
-
-ROUNDING = 1e-12
-"""Relative size of an eigenvalue up to which it counts as zero."""
 
 
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
@@ -217,7 +215,7 @@ def _check_independent(named: list[str], rows: Array) -> None:
 def _check_mass(mass: Array) -> None:
     size = np.abs(mass).max(axis=1, keepdims=True)
     values = np.linalg.svd(mass / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    if not values[-1] > ROUNDING * values[0]:
+    if not values[-1] > ZERO_SHARE * values[0]:
         raise DefinitionError(f"system.mass: found {_shown(mass)} at the defaults, is singular; must have an inverse")
 
 
@@ -275,12 +273,12 @@ def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
     squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
     if even and np.isfinite(modes).all():
-        return modes[:, np.abs(squares) <= ROUNDING * max(float(np.max(np.abs(squares))), 1e-300)], modes
+        return modes[:, np.abs(squares) <= ZERO_SHARE * max(float(np.max(np.abs(squares))), 1e-300)], modes
     over_mass: Array = np.asarray(np.linalg.solve(mass, stiffness), np.float64)
     if not np.isfinite(over_mass).all():
         return over_mass, over_mass
     _, values, turned = np.linalg.svd(over_mass)
-    return np.asarray(turned[values <= ROUNDING * max(float(values[0]), 1e-300)].T, np.float64), over_mass
+    return np.asarray(turned[values <= ZERO_SHARE * max(float(values[0]), 1e-300)].T, np.float64), over_mass
 
 
 def _shown(entries: Array) -> str:

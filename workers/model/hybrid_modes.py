@@ -31,7 +31,7 @@ OPEN is open. ON is sticking on a rigid stop, or engaged with a soft one. DETACH
 push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 2 j; odd numbers push.
 """
 
-ROUNDING = 1e-12
+ZERO_SHARE = 1e-12
 """Rounding of zero, as a share of the terms of a sum or of the largest eigenvalue."""
 
 NO_FORM, RESONANT = 1, 2
@@ -422,7 +422,7 @@ def _reduced(
         a = -_solved(k, rigid, across @ stiffness @ D)
         drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
         b = -_solved(k, rigid, drags)
-        undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
+        undone = np.abs(k @ b + drags) > ZERO_SHARE * (np.abs(k) @ np.abs(b) + np.abs(drags))
         undriven = rigid & np.any(undone, axis=(1, 2))  # a belt drags at a motion without restoring force
     gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
     down = np.zeros((N, 2 * n, 2 * n))
@@ -457,9 +457,9 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     X = np.asarray(apply_stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
         some, even = matrix[singular], symmetric(matrix[singular])
-        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)
+        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ZERO_SHARE, hermitian=True)
         if not np.all(even):
-            inverse[~even] = np.linalg.pinv(some[~even], rcond=ROUNDING)
+            inverse[~even] = np.linalg.pinv(some[~even], rcond=ZERO_SHARE)
         X[singular] = inverse @ right[singular]
     return X
 

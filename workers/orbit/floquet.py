@@ -10,7 +10,7 @@ from workers.kernel.motion import RUNNING, STATUS, cosine_vectors
 from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
-SETTLED = 1e-13
+SPLIT_COUPLING = 1e-13
 """Maximum coupling of the blocks of a Floquet frame that has split into invariant subspaces."""
 
 NARROW = 2.0
@@ -41,7 +41,7 @@ def block_ends(rotation):
         for i in range(end, size):
             for k in range(end):
                 coupling = max(coupling, abs(rotation[i, k]))
-        if coupling < SETTLED:
+        if coupling < SPLIT_COUPLING:
             ends[count] = end
             count += 1
     return ends[:count]

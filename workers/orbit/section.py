@@ -22,7 +22,7 @@ MARGIN = 1.0 / 1024.0
 MAX_ATTEMPTS = 4
 """Maximum number of sections tried; the last one is taken in any case."""
 
-AT_SECTION = 1e-12
+PAST_SECTION = 1e-12
 """Share of a period after the section t = k T within which an impact counts as past."""
 
 
@@ -67,8 +67,8 @@ def quiet_section(oscillator, h, mode):
 def back_at_section(oscillator, shift, h, mode):
     """Return the motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
-    An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
+    An impact at that section counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
-    after = motion_after(oscillator, motion.h, motion.mode[0], AT_SECTION)
+    after = motion_after(oscillator, motion.h, motion.mode[0], PAST_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

@@ -68,7 +68,7 @@ from workers.kernel.tangent import (
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
 
-AT_SECTION = 1e-13
+SECTION_WIDTH = 1e-13
 """Share of a period around a section within which an event counts as at the section and passed. Otherwise rounding
 would decide, from turn to turn, the mode of an orbit that changes its mode there."""
 
@@ -298,7 +298,7 @@ def begin_leg(table, traj, duration):
     if t == 0.0:
         remove_held_motion(table.elements, traj.states, lost, traj.V)
     record_slips(traj.slips, tally)
-    return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
+    return until - t + (SECTION_WIDTH * period if until >= min(duration, period) else 0.0)
 
 
 @kernel
