@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.argument_checks import validate_suffix
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Numbers,
     at_option,
@@ -61,7 +59,6 @@ TABLES = ("csv", "json")
     "--along",
     required=True,
     metavar="NAME",
-    shell_complete=of_names(completion.names_along),
     help="The parameter along which to follow the orbit.",
 )
 @click.option("--from", "low", type=float, required=True, metavar="VALUE", help="Lower end of the parameter range.")

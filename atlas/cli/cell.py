@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
+    PLACE,
     Numbers,
     at_option,
     check_cell_options,
@@ -123,7 +122,7 @@ def portrait(
 
 
 @click.command(epilog=examples("atlas systems", "atlas systems two-mass", "atlas systems my-machine.toml"))
-@click.argument("name", required=False, shell_complete=of_names(completion.systems, files=True))
+@click.argument("name", required=False, type=PLACE)
 @json_option
 def systems(name: str | None, as_json: bool) -> None:
     """List the systems that can be solved, or describe one: its NAME, or the path of a .toml file."""
@@ -142,7 +141,7 @@ def systems(name: str | None, as_json: bool) -> None:
 
 
 @click.command(epilog=examples("atlas example omega-b > plane.toml"))
-@click.argument("name", required=False, shell_complete=of_names(completion.examples))
+@click.argument("name", required=False)
 def example(name: str | None) -> None:
     """Print the packaged example NAME, a spec to start from, as a TOML file; without NAME list all examples."""
     if name is not None:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from atlas.cli.options import (
-    STORES,
+    PLACE,
     Bounds,
     examples,
     figure_options,
@@ -27,7 +27,7 @@ from atlas.render.request import PictureRequest
 
 @click.command(epilog=examples("atlas compare plane.zarr other.zarr -o difference.png"))
 @store_argument
-@click.argument("other", shell_complete=STORES)
+@click.argument("other", type=PLACE)
 @window_option
 @out_option("Draw both maps of the comparison; the suffix chooses the format.")
 @json_option

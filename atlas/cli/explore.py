@@ -10,7 +10,7 @@ import click
 
 from atlas.cli.options import (
     INTERRUPTED,
-    SPECS,
+    PLACE,
     Bounds,
     Numbers,
     check_workers,
@@ -46,7 +46,7 @@ GB = 10**9
         "atlas explore plane.zarr -o plane.html",
     )
 )
-@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, shell_complete=SPECS)
+@click.argument("subject", metavar="[STORE|SPEC]", default=PACKAGED, type=PLACE)
 @storage_option
 @select_option
 @out_option("Write the cells of STORE as one .html file that opens without a server, and end.")

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import click
 from click.core import ParameterSource
 
-from atlas.cli import completion
-from atlas.cli.completion import Names, of_names
 from atlas.errors import ChunkError, InputError, NetworkError, brief_repr
 from atlas.service.options import MAX_WORKERS, RunOptions
 from atlas.service.timing import TIMING, Timing
@@ -30,7 +28,8 @@ from workers.settings import VALID_WORDS
 if TYPE_CHECKING:
     import xarray as xr
 
-STORES, SPECS = of_names(completion.nothing, files=True), of_names(completion.examples, files=True)
+PLACE = click.Path(readable=False)
+"""A path or a URL as it was typed, or the name of an example; the shell completes it as a path."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 _T = TypeVar("_T")
@@ -50,12 +49,13 @@ dashboard_option = click.option(
 Numbers: TypeAlias = dict[str, float]
 Bounds: TypeAlias = dict[str, tuple[float, float]]
 """The values of an option given as NAME=VALUE, and as NAME=LOW:HIGH."""
-spec_argument = click.argument("spec", shell_complete=SPECS)
+spec_argument = click.argument("spec", type=PLACE)
 system_option = click.option(
     "--system",
     default=DEFAULT,
     show_default=True,
-    shell_complete=of_names(completion.systems, files=True),
+    type=PLACE,
+    metavar="SYSTEM",
     help="A name, see: atlas systems; the path of a .toml file; or an example that describes its own system.",
 )
 starts_option = click.option(
@@ -76,7 +76,7 @@ picture_option = out_option("The picture; the suffix chooses the format.", requi
 
 
 def pairs_option(
-    name: str, metavar: str, words: str, read: Callable[[str, str], Any], *dest: str, names: Names | None = None
+    name: str, metavar: str, words: str, read: Callable[[str, str], Any], *dest: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a repeatable option given as NAME=VALUE, which the command receives as a dict.
 
@@ -85,16 +85,12 @@ def pairs_option(
     words    help text
     read     function that converts a value, called with its place and text
     dest     parameter of the command, by default from the name
-    names    names for completion
     """
 
     def callback(ctx: click.Context, parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
         return read_pairs(name, given, read)
 
-    complete = None if names is None else of_names(names)
-    return click.option(
-        name, *dest, metavar=metavar, multiple=True, callback=callback, shell_complete=complete, help=words
-    )
+    return click.option(name, *dest, metavar=metavar, multiple=True, callback=callback, help=words)
 
 
 _STORAGE = "atlas.storage_options"
@@ -148,12 +144,12 @@ def storage_option(command: Callable[..., None]) -> Callable[..., None]:
 
 def store_argument(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the argument STORE, a path or a URL."""
-    return click.argument("store", shell_complete=STORES)(storage_option(command))
+    return click.argument("store", type=PLACE)(storage_option(command))
 
 
 def maybe_store_argument(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the optional argument STORE."""
-    return click.argument("store", required=False, shell_complete=STORES)(storage_option(command))
+    return click.argument("store", required=False, type=PLACE)(storage_option(command))
 
 
 def figure_options(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -389,31 +385,13 @@ def read_bounds(where: str, value: str) -> tuple[float, float]:
 
 
 at_option = pairs_option(
-    "--at",
-    "NAME=VALUE",
-    "With STORE: its cell nearest to a point; one value for each axis.",
-    read_number,
-    "point",
-    names=completion.axes,
+    "--at", "NAME=VALUE", "With STORE: its cell nearest to a point; one value for each axis.", read_number, "point"
 )
-set_option = pairs_option(
-    "--set",
-    "NAME=VALUE",
-    "A parameter that differs from its default.",
-    read_number,
-    "given",
-    names=completion.parameters,
-)
+set_option = pairs_option("--set", "NAME=VALUE", "A parameter that differs from its default.", read_number, "given")
 select_option = pairs_option(
-    "--select",
-    "NAME=VALUE",
-    "The plane of a stack, or the line of cells, nearest to VALUE.",
-    read_number,
-    names=completion.axes,
+    "--select", "NAME=VALUE", "The plane of a stack, or the line of cells, nearest to VALUE.", read_number
 )
-window_option = pairs_option(
-    "--window", "NAME=LOW:HIGH", "Only this window of an axis; repeatable.", read_bounds, names=completion.axes
-)
+window_option = pairs_option("--window", "NAME=LOW:HIGH", "Only this window of an axis; repeatable.", read_bounds)
 norm_option = pairs_option(
     "--norm",
     "NAME=WEIGHT",

@@ -7,10 +7,8 @@ from typing import Any
 
 import click
 
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
-    STORES,
+    PLACE,
     Bounds,
     Numbers,
     examples,
@@ -52,21 +50,11 @@ from atlas.service.options import RunOptions
         ]
     )
 )
-@click.argument("stores", nargs=-1, required=True, shell_complete=STORES)
+@click.argument("stores", nargs=-1, required=True, type=PLACE)
 @storage_option
 @picture_option
-@click.option(
-    "--kind",
-    metavar="KIND",
-    shell_complete=of_names(completion.kinds),
-    help="A kind from the list below; default: by the axes.",
-)
-@click.option(
-    "--variable",
-    metavar="NAME",
-    shell_complete=of_names(completion.variables),
-    help="Map this number of each cell, such as max_impact_speed.",
-)
+@click.option("--kind", metavar="KIND", help="A kind from the list below; default: by the axes.")
+@click.option("--variable", metavar="NAME", help="Map this number of each cell, such as max_impact_speed.")
 @click.option("--log", is_flag=True, help="On a logarithmic scale, with --variable.")
 @click.option(
     "--observe",
@@ -79,16 +67,9 @@ from atlas.service.options import RunOptions
     multiple=True,
     help="An overlay over a map or a sweep; repeatable.",
 )
-@click.option(
-    "--curves",
-    metavar="KINDS",
-    shell_complete=of_names(completion.curves),
-    help="Exact curves of these kinds only, such as fold,graze; or all.",
-)
+@click.option("--curves", metavar="KINDS", help="Exact curves of these kinds only, such as fold,graze; or all.")
 @click.option("--names/--no-names", default=True, help="Label motions and codimension-two points on the map.")
-@click.option(
-    "--against", metavar="STORE", shell_complete=STORES, help="A second sweep of the same axis, for hysteresis."
-)
+@click.option("--against", metavar="STORE", type=PLACE, help="A second sweep of the same axis, for hysteresis.")
 @window_option
 @select_option
 @figure_options()

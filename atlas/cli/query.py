@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from atlas.argument_checks import validate_suffix
-from atlas.cli import completion
-from atlas.cli.completion import of_names
 from atlas.cli.options import (
     Bounds,
     Numbers,
@@ -128,7 +126,7 @@ def basin_measures(store: str, window: Bounds, select: Numbers, as_json: bool) -
     )
 )
 @store_argument
-@click.argument("class_", metavar="CLASS", shell_complete=of_names(completion.classes))
+@click.argument("class_", metavar="CLASS")
 @window_option
 @select_option
 @click.option(
@@ -172,7 +170,7 @@ def regions(
     )
 )
 @store_argument
-@click.argument("variable", shell_complete=of_names(completion.variables))
+@click.argument("variable")
 @click.option("--by", metavar="CLASS", default="regime", show_default=True, help="regime, period or impacts; or all.")
 @window_option
 @select_option

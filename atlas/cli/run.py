@@ -11,7 +11,7 @@ import click
 
 from atlas.cli import progress
 from atlas.cli.options import (
-    SPECS,
+    PLACE,
     examples,
     json_option,
     options_given,
@@ -49,7 +49,10 @@ TILES_KEPT_NOTE = "finished tiles are kept"
 
 
 points_option = click.option(
-    "--points", metavar="FILE", help="A CSV file of parameter sets, one row per cell, in place of SPEC's axes."
+    "--points",
+    type=PLACE,
+    metavar="FILE",
+    help="A CSV file of parameter sets, one row per cell, in place of SPEC's axes.",
 )
 
 
@@ -60,7 +63,7 @@ observe_option = click.option(
 
 @click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
 @spec_argument
-@click.option("-o", "--out", default=".", help="The path or URL that the store is to have.")
+@click.option("-o", "--out", type=PLACE, default=".", help="The path or URL that the store is to have.")
 @storage_option
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one per processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
@@ -95,7 +98,7 @@ def _read(spec: str, points: str | None, observe: str | None) -> Spec:
 def _out_option(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the option of the store that is created or completed."""
     words = "The store to create or complete, a path or a URL."
-    return click.option("-o", "--out", required=True, help=words)(storage_option(command))
+    return click.option("-o", "--out", type=PLACE, required=True, help=words)(storage_option(command))
 
 
 _submit_option = click.option(
@@ -106,10 +109,13 @@ _submit_option = click.option(
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the options of an encrypted connection to a scheduler."""
     for option in (
-        click.option("--tls-key", metavar="FILE", help="The key of that certificate."),
-        click.option("--tls-cert", metavar="FILE", help="This program's certificate."),
+        click.option("--tls-key", type=PLACE, metavar="FILE", help="The key of that certificate."),
+        click.option("--tls-cert", type=PLACE, metavar="FILE", help="This program's certificate."),
         click.option(
-            "--tls-ca-file", metavar="FILE", help="Authority of a tls:// scheduler; default: Dask's configuration."
+            "--tls-ca-file",
+            type=PLACE,
+            metavar="FILE",
+            help="Authority of a tls:// scheduler; default: Dask's configuration.",
         ),
     ):
         command = option(command)
@@ -129,10 +135,14 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @observe_option
 @worker_options
 @click.option(
-    "--performance-report", "report", metavar="FILE", help="Write Dask's report of how the workers spent their time."
+    "--performance-report",
+    "report",
+    type=PLACE,
+    metavar="FILE",
+    help="Write Dask's report of how the workers spent their time.",
 )
 @click.option("--tile", metavar="I,J", help="Solve only this tile, in this process, with its traceback.")
-@click.option("--log", metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
+@click.option("--log", type=PLACE, metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
 @_submit_option
 def run(
     ctx: click.Context,
@@ -175,7 +185,7 @@ def run(
 )
 @store_argument
 @click.argument("regimes")
-@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
+@click.option("-o", "--out", type=PLACE, required=True, help="The new store, a path or a URL: made, or completed.")
 @click.option("--max-periods", type=int, help="For undetermined cells: a larger budget than that of the spec.")
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer survival than that of the spec.")
 @_tls_options
@@ -247,11 +257,11 @@ def cancel(ctx: click.Context, store: str) -> None:
     )
 )
 @store_argument
-@click.argument("spec", required=False, shell_complete=SPECS)
+@click.argument("spec", required=False, type=PLACE)
 @click.option(
     "--refine", metavar="N or NAME=N", multiple=True, help="Refinement factor for all axes, or NAME=N for one."
 )
-@click.option("-o", "--out", required=True, help="The new store, a path or a URL: made, or completed.")
+@click.option("-o", "--out", type=PLACE, required=True, help="The new store, a path or a URL: made, or completed.")
 @worker_options
 def extend(
     ctx: click.Context,

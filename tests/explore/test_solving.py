@@ -302,7 +302,7 @@ def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Clie
     atlas.pack(finished, tmp_path / "packed.zip")
     with exploring(tmp_path / "packed.zip", client) as explorer:
         sight = view_of(explorer.subject)
-        assert solved(explorer, sight) and "read only" in explorer.tiles.keeper.trouble
+        assert solved(explorer, sight) and "read-only" in explorer.tiles.keeper.trouble
 
 
 @pytest.mark.slow

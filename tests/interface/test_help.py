@@ -18,9 +18,7 @@ from atlas.render import KINDS, OVERLAYS, SCALAR
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.spec.examples import example_names
 from atlas.spec.spec import Spec
-from atlas.store.create import create_store
 from tests.project.test_docs import parse
-from tests.synthetic import spec_of
 from workers import Settings
 
 
@@ -134,35 +132,24 @@ def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
     assert (functions | methods) - IN_PYTHON_ALONE <= commands
 
 
-@pytest.fixture(scope="module")
-def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return create_store(tmp_path_factory.mktemp("completed") / "a.zarr", spec_of(), (19, 45)).path
-
-
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
     [
-        ((), "fi", {"find", "figures"}),
-        (("point", "--system"), "soft", {"soft-impact", "soft-suspension"}),
-        (("point", "--system", "bouncing-ball", "--set"), "", {"omega=", "R=", "A=", "g=", "tau=", "y=", "v="}),
-        (("point", "--set"), "om", {"omega="}),
-        (("systems",), "two", {"two-mass", "two-stops"}),
-        (("run",), "omega-b", {"omega-b", "omega-b-fine"}),
-        (("plot", "PLANE", "--kind"), "per", {"period"}),
-        (("plot", "PLANE", "--variable"), "lar", {"largest"}),
-        (("plot", "PLANE", "--curves"), "fo", {"fold"}),
-        (("plot", "PLANE", "--window"), "", {"omega=", "b="}),
-        (("query", "PLANE", "--at"), "b", {"b="}),
-        (("find", "extremes", "PLANE"), "lar", {"largest"}),
-        (("find", "regions", "PLANE"), "cha", {"chaotic"}),
-        (("branch", "PLANE", "--along"), "z", {"zeta"}),
-        (("query", "nowhere.zarr", "--at"), "", set()),
+        ((), "ex", {"example", "explore", "export", "extend"}),
+        (("find",), "", {"regions", "extremes", "curves"}),
+        (("plot", "a.zarr"), "--over", {"--overlay"}),
+        (("plot", "a.zarr", "--overlay"), "gra", {"grazing"}),
     ],
 )
-def test_the_tab_key_completes(plane: Path, typed: tuple[str, ...], word: str, offered: set[str]) -> None:
-    words = [str(plane) if typed_word == "PLANE" else typed_word for typed_word in typed]
-    found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(words, word)
+def test_the_tab_key_completes_commands_options_and_words(typed: tuple[str, ...], word: str, offered: set[str]) -> None:
+    found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(list(typed), word)
     assert {choice.value for choice in found if choice.type == "plain"} == offered
+
+
+@pytest.mark.parametrize("typed", [("run",), ("query",), ("plot",), ("run", "a.toml", "-o"), ("point", "--system")])
+def test_the_tab_key_completes_files(typed: tuple[str, ...]) -> None:
+    found = ShellComplete(main, {}, "atlas", "_ATLAS_COMPLETE").get_completions(list(typed), "pl")
+    assert [(choice.type, choice.value) for choice in found] == [("file", "pl")]
 
 
 def test_the_help_of_a_run_in_python_shows_its_options_and_no_record_of_defaults() -> None:

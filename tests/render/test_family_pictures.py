@@ -284,11 +284,11 @@ def test_a_gap_coordinate_that_depends_on_parameters_is_that_of_each_cell() -> N
 
 
 @pytest.mark.parametrize(
-    ("row", "text"),
+    ("row", "spelled"),
     [((-1.0, 1.0), "b - a"), ((1.0, 0.0), "a"), ((2.0, -0.5), r"2\,a - 0.5\,b"), ((-1.0, 0.0), "-a")],
 )
-def test_a_combination_is_spelled_as_it_would_be_by_hand(row: tuple[float, ...], text: str) -> None:
-    assert text.combination(row, ("a", "b")) == text
+def test_a_combination_is_spelled_as_it_would_be_by_hand(row: tuple[float, ...], spelled: str) -> None:
+    assert text.combination(row, ("a", "b")) == spelled
 
 
 # Portraits

@@ -56,7 +56,7 @@ def draw(kind: str, **look: Any) -> Figure:
         return render.figure(branches(), kind, **look)
     if kind in (render.BASINS, "labels"):
         page = page_of(**look)
-        where = "query.basins.table" if kind == render.BASINS else "render.classes.branches"
+        where = "query.basins.table" if kind == render.BASINS else "render.class_maps.branches"
         ds, table = basin() if kind == render.BASINS else labelled()
         with patch(f"atlas.{where}", return_value=table):
             figure = painters.draw(KIND_TABLE[kind], ds, PictureRequest(page))

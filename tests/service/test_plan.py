@@ -152,7 +152,7 @@ def compiled():
         (name, str(signature))
         for module in modules
         for name, kernel in vars(module).items()
-        for signature in getattr(getattr(kernel, "alone", kernel), "signatures", ())
+        for signature in getattr(getattr(kernel, "python_kernel", kernel), "signatures", ())
     }
 """
 """What each kernel of workers has been compiled for, as a part of the scripts below."""
