@@ -24,7 +24,7 @@ author = "impact-atlas contributors"
 copyright = author
 version = release = installed("impact-atlas")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "cells", "docstrings", "formulas", "modules"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_click", "cells", "docstrings", "formulas", "modules", "tables"]
 exclude_patterns = ["_ext"]
 templates_path = ["_templates"]
 highlight_language = "text"

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from rig import ROOT
 from scripts.measured import parsed, print_table
+from tests.support import ROOT
 from workers.results import NO_IMPACT, PERIODIC, UNDETERMINED
 
 _FIG = {"tau": math.pi, "R": 0.8}

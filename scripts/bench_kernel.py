@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
-from rig.heyoka_reference import INSTALLED, SoftTaylor, Taylor
+from scripts.general_integrator import FIGURES, GeneralIntegrator, numpy_rates
+from scripts.heyoka_reference import INSTALLED, SoftTaylor, Taylor
 from scripts.measured import parsed, print_table
 from workers import Settings, solve_tile
 from workers.cell.interval import run_periods

@@ -42,9 +42,9 @@ from atlas.store.object_backend import open_backend
 from atlas.store.record_format import record_key
 from atlas.store.store import AtlasStore, chunk_key, open_store
 from atlas.store.tiles import write_tile
-from rig import ROOT
-from rig.fake_object_store import FakeObjectStore, object_store
 from scripts.measured import parsed, print_table
+from tests.support import ROOT
+from tests.support.fake_object_store import FakeObjectStore, object_store
 from workers.results import PERIODIC, REGIME, empty_results
 
 TILE = 512

@@ -34,12 +34,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import ROOT
-from rig.general_integrator import FIGURES, GeneralIntegrator
-from rig.heyoka_reference import INSTALLED, Taylor
 from scripts.bench_kernel import one_core
+from scripts.general_integrator import FIGURES, GeneralIntegrator
+from scripts.heyoka_reference import INSTALLED, Taylor
 from scripts.measured import parsed, print_table
 from scripts.work_precision_report import KINDS, TARGET, Cell, Point, draw_picture, merits, report
+from tests.support import ROOT
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, PERIODIC
 

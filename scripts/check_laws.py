@@ -2,8 +2,8 @@
 
 Three machines of one mass, forced by A cos omega t, with laws of chords at multiples of h: a hardening spring with a
 rigid stop, a Hertz contact, and a belt whose friction falls. The truth is DOP853 of the smooth law and Newton's method
-(rig/oracle/smooth.py). States converge as h^2; multipliers stay within an envelope of h^1.5, in which their error
-changes its sign. Of each, the last two columns are such errors over such powers.
+(tests/support/oracle/smooth.py). States converge as h^2; multipliers stay within an envelope of h^1.5, in which their
+error changes its sign. Of each, the last two columns are such errors over such powers.
 
 The cost is that of the Hertz contact with n segments as deep as it goes, against one segment of the same largest depth
 and force, in microseconds of processor time a period, all in one run.
@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from rig.oracle.smooth import SmoothMass, orbit
-from rig.solver_bridge import follow
 from scripts.bench_kernel import CELLS, Array, in_turn, one_core, processor_seconds
 from scripts.measured import parsed, print_table
+from tests.support.oracle.smooth import SmoothMass, orbit
+from tests.support.solver_bridge import follow
 from workers import Settings, System, solve_tile
 from workers.model.mode_table import build_hybrid
 

@@ -2,7 +2,7 @@
 
 Usage: python -m scripts.explore_soak STORE [--minutes 20] [--tabs 1] [--seed 1] [--size 1280x800] [--workers 2]
 
-A visitor zooms, drags, draws cuts and their branches, asks for basins, follows orbits, and opens the link of a view
+A visitor zooms, drags, draws cuts, follows orbits, and opens the link of a view
 that some tab has shown.
 Needs chromium, Playwright and Linux. Scheduler and workers are processes of their own; the store is explored in place.
 Ends with exit code 1 where a tile of the atlas's plane failed, or was solved twice though its sheet was not dropped for
@@ -31,7 +31,7 @@ from atlas.explore.metatiles import MetatileKey
 from atlas.explore.session import ExplorerSession, explore
 from atlas.explore.viewport import TileKey
 from atlas.store.zoom import drop_metatile
-from rig.browser import Tab, opened, started
+from tests.support.browser import Tab, opened, started
 
 STAY = 0.5, 6.0
 """Seconds between two moves, at least and at most."""
@@ -44,11 +44,8 @@ PATIENCE = 300.0
 """Seconds for a page to show its plane, on a machine with much else to do."""
 LINKS = 10
 """Views, the latest, whose links a visitor opens."""
-BUTTONS = (
-    "cut across", "cut up", "branches, stable and unstable", "close the cut", "follow",
-    "basins of this cell",
-)  # fmt: skip
-"""What a visitor presses where it is there: cuts, followed orbits and basins."""
+BUTTONS = "cut across", "cut up", "close the cut", "follow"
+"""What a visitor presses where it is there: cuts and followed orbits."""
 
 
 def resident(*processes: int) -> float:

@@ -16,7 +16,7 @@ from atlas.explore.picture_renderer import PictureRenderer
 from atlas.explore.session import explore
 from atlas.query.open import open_atlas
 from atlas.render.provenance import metadata, provenance_of
-from rig.browser import opened, started
+from tests.support.browser import opened, started
 
 WINDOW = "omega=1.55:2.6&b=0.12:0.34&overlay=curves"
 SIZE = 1440, 900
@@ -42,7 +42,7 @@ def main() -> None:
             left, top, width, height = tab.plot()
             x, y = left + CELL[0] * width, top + CELL[1] * height
             tab.page.mouse.click(x, y)
-            tab.page.locator("img.portrait").wait_for(timeout=120_000)
+            tab.page.get_by_role("button", name="move the machine").wait_for(timeout=120_000)
             tab.until(lambda: "n-p-q" in tab.text(), 120.0)
             tab.page.mouse.move(x + 40, y - 30)
             tab.page.wait_for_timeout(2e3)

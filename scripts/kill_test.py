@@ -26,7 +26,7 @@ import numpy as np
 
 from atlas.store.store import open_store
 from atlas.store.tiles import read_tile
-from rig.faults import attempts, environment
+from tests.support.faults import attempts, environment
 
 WORKERS = 2
 IN_FLIGHT = {"worker": 1, "scheduler": WORKERS, "coordinator": WORKERS}

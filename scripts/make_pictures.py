@@ -1,4 +1,4 @@
-"""Make the pictures of docs/ anew, each by the command that stands beside it on its page.
+"""Make the pictures of docs/ anew, each by its command on its page, or by those that the page gives for every NAME.
 
 Usage: python -m scripts.make_pictures [PICTURE...] [--list]
 
@@ -16,7 +16,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from rig import ROOT
+from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
@@ -53,12 +53,16 @@ def commands(picture: str, page: Path) -> list[str]:
     text = page.read_text().replace("\\\n", " ")
     lines = [line.split("  #")[0].strip() for line in re.findall(r"^(?:atlas|python -m) .*", text, re.MULTILINE)]
     lines += re.findall(r"`(python -m scripts\.[^`]*)`", text)
+    lines += [
+        line.replace("NAME", Path(picture).stem)
+        for line in re.findall(r"^    (atlas .*\bNAME\b.*)", text, re.MULTILINE)
+    ]
     own = [line for line in lines if re.search(rf"(?:^|[ /]){re.escape(picture)}(?: |$)", line)]
     if not own:
         raise SystemExit(f"{page.name}: no command beside {picture}")
     store = next((re.escape(word) for word in shlex.split(own[0]) if word.endswith(".zarr")), None)
     made = [line for line in lines if store and re.search(rf"^atlas .* -o {store}$", line)][:1]
-    keeps = rf"atlas (find curves|attractors label|attractors measure) {store}(?: --margin)?"
+    keeps = rf"atlas (find curves|attractors label|attractors measure) {store}"
     kept = [line for line in lines if store and re.fullmatch(keeps, line)]
     return [*made, *kept, own[0]]
 

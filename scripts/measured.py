@@ -1,14 +1,16 @@
-"""The tables of measurements on the pages: each is a data file, which the script that measured it writes.
+"""The tables of measurements on the pages: each is a file, which the script that measured it writes.
 
 Usage: python -m scripts.measured [--check] [--docs FOLDER]
 
 Every script that measures takes ``--keep``. It then writes its table to docs/measured/NAME.json, with its command and
-the solver version, and sets it into the page that shows it, between the comments ``<!-- measured: NAME -->`` and
-``<!-- end -->``. This command sets all kept tables into their pages anew. With ``--check`` it changes nothing,
-prints the faults of tables and pages, and exits with 1 if there are any.
+the solver version. The page that shows it has the link ``[Table](measured/NAME.csv)``, which the site replaces by the
+table; below stands the command. This program writes these files and lines anew from all kept tables. With ``--check``
+it changes nothing, prints the faults of tables and pages, and exits with 1 if there are any.
 """
 
 import argparse
+import csv
+import io
 import json
 import re
 import shlex
@@ -18,18 +20,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rig import ROOT
+from tests.support import ROOT
 from workers import SOLVER_VERSION
 
 DOCS = ROOT / "docs"
-PLACE = re.compile(r"(?<=<!-- measured: )([\w-]+)( -->\n).*?(?=<!-- end -->)", re.DOTALL)
-"""The place of a table on a page: its name, and all up to its end."""
+LINK = re.compile(r"(?<=\[Table\]\(measured/)([\w-]+)(\.csv\)\n\n)\*`.*?\*$", re.MULTILINE)
+"""The name of a table that a page links to, and all up to the end of the line of its command."""
+
+
+def shown(cells: Iterable[object]) -> list[str]:
+    """The texts of a row; whole numbers from 10,000 on have their thousands apart."""
+    return [re.sub(r"^\d{5,}$", lambda number: f"{int(number[0]):,}", str(cell)) for cell in cells]
 
 
 def line(cells: Iterable[object]) -> str:
-    """One row of a Markdown table; whole numbers from 10,000 on have their thousands apart."""
-    shown = [re.sub(r"^\d{5,}$", lambda number: f"{int(number[0]):,}", str(cell)) for cell in cells]
-    return f"| {' | '.join(shown)} |"
+    """One row of a Markdown table."""
+    return f"| {' | '.join(shown(cells))} |"
 
 
 def header(head: Sequence[str]) -> str:
@@ -54,9 +60,11 @@ def print_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]], k
 
 
 def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Write a table of this process to its data file, and set it into its page."""
+    """Write a table of this process to its data file, and for its page."""
     words = [word for word in sys.argv[1:] if word != "--keep"]
-    command = shlex.join(["python", "-m", f"scripts.{Path(sys.argv[0]).stem}", *words])
+    path = Path(sys.argv[0])
+    script = path.parent.name if path.stem == "__main__" else path.stem
+    command = shlex.join(["python", "-m", f"scripts.{script}", *words])
     kept = {"command": command, "solver_version": SOLVER_VERSION, "head": list(head), "rows": [list(r) for r in rows]}
     (DOCS / "measured" / f"{name}.json").write_text(
         json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
@@ -64,10 +72,16 @@ def keep_table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) ->
     fill_pages(DOCS)
 
 
-def as_text(kept: dict[str, Any]) -> str:
-    """A kept table as its page shows it: the table, its command and the solver version."""
-    source = f"*`{kept['command']}`, solver version {kept['solver_version']}*"
-    return "\n".join([header(kept["head"]), *map(line, kept["rows"]), "", source])
+def source(kept: dict[str, Any]) -> str:
+    """The line below a kept table: its command and the solver version."""
+    return f"*`{kept['command']}`, solver version {kept['solver_version']}*"
+
+
+def as_csv(kept: dict[str, Any]) -> str:
+    """A kept table as the file that its page links to."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([kept["head"], *map(shown, kept["rows"])])
+    return text.getvalue()
 
 
 def tables(docs: Path) -> dict[str, dict[str, Any]]:
@@ -78,16 +92,20 @@ def tables(docs: Path) -> dict[str, dict[str, Any]]:
 
 
 def filled(page: str, kept: Mapping[str, dict[str, Any]]) -> str:
-    """The text of a page with the kept tables in their places; a place without a table stays as it is."""
-    return PLACE.sub(
-        lambda match: f"{match[1]}{match[2]}\n{as_text(kept[match[1]])}\n\n" if match[1] in kept else match[0], page
+    """The text of a page with the line of its command below each kept table; other links stay as they are."""
+    return LINK.sub(
+        lambda match: f"{match[1]}{match[2]}{source(kept[match[1]])}" if match[1] in kept else match[0], page
     )
 
 
 def fill_pages(docs: Path) -> None:
-    """Set all kept tables into their pages."""
+    """Write the files that pages link to, and the lines of their commands."""
+    kept = tables(docs)
     for page in docs.glob("*.md"):
-        page.write_text(filled(page.read_text(encoding="utf-8"), tables(docs)), encoding="utf-8")
+        text = filled(page.read_text(encoding="utf-8"), kept)
+        page.write_text(text, encoding="utf-8")
+        for name in (match[1] for match in LINK.finditer(text) if match[1] in kept):
+            (docs / "measured" / f"{name}.csv").write_text(as_csv(kept[name]), encoding="utf-8")
 
 
 def faults(docs: Path) -> list[str]:
@@ -95,15 +113,18 @@ def faults(docs: Path) -> list[str]:
     kept, places, found = tables(docs), Counter[str](), []
     for page in sorted(docs.glob("*.md")):
         text = page.read_text(encoding="utf-8")
-        here = [match[1] for match in PLACE.finditer(text)]
-        found += [f"{page.name}: no table {name}" for name in here if name not in kept]
-        if text != filled(text, kept):
+        linked = [match[1] for match in LINK.finditer(text)]
+        found += [f"{page.name}: no table {name}" for name in linked if name not in kept]
+        files = {docs / "measured" / f"{name}.csv": as_csv(kept[name]) for name in linked if name in kept}
+        differ = [file for file, table in files.items() if not file.exists() or file.read_text("utf-8") != table]
+        if differ or text != filled(text, kept):
             found.append(f"{page.name}: tables differ from those measured; run python -m scripts.measured")
-        places.update(here)
+        places.update(linked)
     for name, table in kept.items():
         words = shlex.split(table["command"])
-        script = ROOT / f"{words[2].replace('.', '/')}.py"
-        if not script.exists() or f'"{name}"' not in script.read_text(encoding="utf-8"):
+        path = ROOT / words[2].replace(".", "/")
+        script = next((file for file in (path.with_suffix(".py"), path / "__main__.py") if file.exists()), None)
+        if script is None or f'"{name}"' not in script.read_text(encoding="utf-8"):
             found.append(f"{name}: {words[2]} does not write it")
         if {len(row) for row in table["rows"]} != {len(table["head"])}:
             found.append(f"{name}: rows and head differ in length")
@@ -113,7 +134,7 @@ def faults(docs: Path) -> list[str]:
 
 
 def main() -> int:
-    """Set all kept tables into their pages, or check them; 1 if something is wrong."""
+    """Write all kept tables for their pages, or check them; 1 if something is wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--check", action="store_true", help="change nothing, print faults")
     parser.add_argument("--docs", type=Path, default=DOCS, metavar="FOLDER", help="the pages; default: docs/")

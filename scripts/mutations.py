@@ -22,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from rig import ROOT
+from tests.support import ROOT
 
 CAUGHT, MISSED, STOPPED, STALE, UNTRIED = "caught", "missed", "stopped", "stale", "not tried"
 NONE_SELECTED = 5

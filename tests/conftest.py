@@ -16,8 +16,8 @@ from distributed import Client, LocalCluster
 import atlas
 from atlas.service import cluster
 from atlas.task.compile import YOUNG_OBJECTS
-from rig.browser import started
 from tests.planes import plane_of
+from tests.support.browser import started
 
 dask.config.set({"distributed.worker.profile.enabled": False})  # as local_cluster does, for clusters in this process
 gc.set_threshold(YOUNG_OBJECTS)

@@ -4,8 +4,8 @@ from typing import Any
 
 from mpmath import mp
 
-from rig.oracle.linear import Number
-from rig.oracle.model import OracleMachine
+from tests.support.oracle.linear import Number
+from tests.support.oracle.model import OracleMachine
 
 
 def rates(machine: OracleMachine, held: bool) -> Any:

@@ -1,6 +1,6 @@
 """Where the tests find the project's files and their own data."""
 
-from rig import ROOT
+from tests.support import ROOT
 
 DATA = ROOT / "tests" / "data"
 

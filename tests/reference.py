@@ -16,13 +16,17 @@ from tests.pictures import basin, branches, curves, keeping, labelled, line, orb
 FOLDER = Path(__file__).parent / "reference"
 DPI = 50
 
-LINES = ("grazing", "boundaries", "isolines")
+LINES = ("grazing", "boundaries")
 """The overlays that need no store."""
 
 
-def regions() -> Figure:
+NUMBERS = ("error", "periods_used", "stuck_fraction", "share", "return_time", "reactivity", "fatal_shock")
+"""Variables that have colours of their own."""
+
+
+def motions() -> Figure:
     with keeping(curves()):
-        drawn: Figure = render.figure(plane(), "regions")
+        drawn: Figure = render.figure(plane(), "impacts", overlay="curves")
     return drawn
 
 
@@ -44,7 +48,11 @@ PICTURES: dict[str, Callable[[], Figure]] = {
         for kind in render.MAPS
     },
     "exponent": lambda: render.figure(plane(), "exponent", overlay=LINES),
-    "regions": regions,
+    **{
+        name: (lambda name=name: render.figure(plane(), variable=name))  # type: ignore[misc]
+        for name in NUMBERS
+    },
+    "impacts": motions,
     "sweep": lambda: render.figure(line()),
     "spectrum": lambda: render.figure(line(), "spectrum"),
     "hysteresis": lambda: render.figure(line("forward", 5), against=line("backward", 3)),

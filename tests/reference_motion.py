@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from rig.oracle.free_mass import bouncing_ball_orbits
+from tests.support.oracle.free_mass import bouncing_ball_orbits
 from tests.workers.model.test_systems import machine_of
 from workers import Settings, solve_tile
 from workers.history import trace

@@ -21,6 +21,9 @@ CELLS = 12
 FINER = 4.0
 """Factor by which the bound becomes smaller; the number of segments grows as its root."""
 
+MAX_ROWS = 20
+"""Maximum number of cells that are listed as text."""
+
 CLASS = ("regime", "period", "impacts_upper", "impacts_lower")
 """Results that define the class of a cell."""
 
@@ -57,6 +60,25 @@ class LawCheck:
     changed: list[tuple[dict[str, float], str, str]]
     state: tuple[float, float, dict[str, float]] | None
 
+    def __str__(self) -> str:
+        lines = [
+            f"{where}: {here} segments at the defaults, compared with {there}"
+            for where, (here, there) in self.segments.items()
+        ]
+        invalid = f", {self.beyond} of them invalid" if self.beyond else ""
+        lines.append(f"{len(self.changed)} of {self.cells} cells change their class{invalid}")
+        if self.state is not None:
+            size, share, at = self.state
+            lines.append(
+                f"states of periodic cells change by {size:.2g} at most, {share:.2g} of their size, at {_point(at)}"
+            )
+        lines += [
+            f"{_point(at)}: {here}, with twice the segments {there}" for at, here, there in self.changed[:MAX_ROWS]
+        ]
+        if len(self.changed) > MAX_ROWS:
+            lines.append(f"... and {len(self.changed) - MAX_ROWS} more; --json lists all")
+        return "\n".join(lines)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON."""
         change = dict(
@@ -72,7 +94,7 @@ def finer(spec: Spec) -> FinerLaws:
     Raise InputError if no law is an expression, if the finer laws have too many segments, or if the spec is no plane.
     """
     if spec.points:
-        raise InputError("points: found a table of parameter sets; check-law takes a plane, [axes.NAME]")
+        raise InputError("points: found a table of parameter sets; --laws takes a plane, [axes.NAME]")
     record = replace(spec.system_def, definition=_finer(spec.system_def.definition))
     segments = _segments(spec.system_def, record)
     if not segments:
@@ -142,6 +164,10 @@ def _segments(here: System, there: System) -> dict[str, tuple[int, int]]:
         for (where, element, (table,)), (_, _, (finer,)) in pairs
         if element.within is not None
     }
+
+
+def _point(at: dict[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in at.items())
 
 
 def _named(arrays: dict[str, Any], k: int) -> str:

@@ -31,7 +31,7 @@ from atlas.formatting import plural
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import BranchTable, orbit_name
-from atlas.query.export import check_writable, replace_on_success, write_rows
+from atlas.query.export import check_writable, replace_on_success, write_table
 from atlas.render import FORMATS, SCALE_OPTION_NAMES, render
 from atlas.render.request import PictureRequest
 from atlas.service.progress import Progress, prepare_kernels
@@ -211,7 +211,7 @@ def _write(branches: BranchTable, out: Path, look: dict[str, Any]) -> None:
     """Write the points as CSV, everything as JSON, or a picture."""
     suffix = out.suffix.lower()
     if suffix == ".csv":
-        write_rows(out, _records(branches.points))
+        write_table(out, branches.points)
     elif suffix == ".json":
         with replace_on_success(out) as unfinished:
             unfinished.write_text(to_json(summary(branches) | {"points": _records(branches.points)}) + "\n")

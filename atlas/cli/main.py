@@ -27,7 +27,6 @@ _COMMANDS: _Table = {
     },
     "Compute": {
         "plan": ("run.plan", "Estimate the cost of SPEC: cells, bytes, time."),
-        "check-law": ("law.check", "Check whether the segments of a law matter."),
         "run": ("run.run", "Compute SPEC into a store, or resume an interrupted run."),
         "extend": ("run.extend", "Make a larger or finer atlas of STORE."),
         "retry": ("run.retry", "Solve cells of STORE again, with more periods."),
@@ -37,7 +36,6 @@ _COMMANDS: _Table = {
     "Look": {
         "plot": ("pictures.plot", "Draw STORES: maps, sweeps, stacks."),
         "explore": ("explore.explore", "Look anywhere in a plane, in the browser."),
-        "figures": ("pictures.figures", "Compute and draw the figures of the paper."),
     },
     "Ask": {
         "query": ("query.query", "Print the share of each regime, or one cell."),
@@ -207,9 +205,7 @@ def find() -> None:
     "attractors",
     cls=_Group,
     table=_ATTRACTORS,
-    epilog=examples(
-        "atlas attractors measure plane.zarr --margin", "atlas attractors stability --set omega=4 --set b=0.1"
-    ),
+    epilog=examples("atlas attractors measure plane.zarr", "atlas attractors stability --set omega=4 --set b=0.1"),
 )
 def attractors() -> None:
     """Label and measure the attractors of STORE and their basins, or those of one cell."""

@@ -7,30 +7,24 @@ from atlas.cli.options import (
     examples,
     json_option,
     norm_option,
-    pairs_option,
-    read_number,
     store_argument,
     worker_options,
 )
 from atlas.cli.output import to_json
 from atlas.cli.progress import resumable
-from atlas.errors import InputError
 from atlas.service.options import RunOptions
 
 
 @click.command(
     "measure",
     epilog=examples(
-        "atlas attractors measure plane.zarr --margin",
-        "atlas attractors measure plane.zarr --margin --scale omega=0.05 --scale b=0.01",
+        "atlas attractors measure plane.zarr",
         "atlas attractors measure coexistence.zarr --norm v1=0.5 --norm v2=0.5",
     ),
 )
 @store_argument
 @norm_option
 @click.option("--shocks", is_flag=True, help="Also the smallest shock found that leads from each attractor to another.")
-@click.option("--margin", is_flag=True, help="Also the distance of each cell to the nearest curve of STORE.")
-@pairs_option("--scale", "AXIS=UNIT", "Unit of the margin along an axis; default: the plane's width.", read_number)
 @worker_options
 @json_option
 def measure_attractors(
@@ -39,8 +33,6 @@ def measure_attractors(
     store: str,
     norm: Numbers,
     shocks: bool,
-    margin: bool,
-    scale: Numbers,
     options: RunOptions,
     as_json: bool,
 ) -> None:
@@ -51,10 +43,6 @@ def measure_attractors(
     """
     from atlas.service import measures  # imports Numba
 
-    if scale and not margin:
-        raise InputError("--scale needs --margin, whose unit it sets")
     with resumable(ctx, options, "finished parts are kept; rerun the same command to resume") as shown:
-        summary = measures.measure_attractors(
-            store, shocks=shocks, margin=margin, norm=norm, scale=scale or None, options=shown
-        )
+        summary = measures.measure_attractors(store, shocks=shocks, norm=norm, options=shown)
     click.echo(to_json(summary.as_dict()) if as_json else str(summary))

@@ -1,7 +1,6 @@
-"""Commands that draw an atlas, and the figures of the paper."""
+"""The command that draws an atlas."""
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +15,17 @@ from atlas.cli.options import (
     input_errors,
     meanings,
     open_selection,
-    out_option,
     picture_option,
     print_status,
     select_option,
     storage_option,
     window_option,
-    workers_option,
 )
-from atlas.cli.paper_figures import figures as draw_figures
-from atlas.cli.progress import reporter
 from atlas.errors import InputError
-from atlas.render import CURVES, FORMATS, OVERLAYS, check_path
+from atlas.render import CURVES, OVERLAYS, check_path
 from atlas.render import render as draw
 from atlas.render.kinds import KIND_MEANINGS, OVERLAY_MEANINGS
 from atlas.render.request import PictureRequest
-from atlas.service.options import RunOptions
 
 
 @click.command(
@@ -116,23 +110,3 @@ def plot(
     if reads.chunks:
         print_status(str(reads))
     click.echo(str(out))
-
-
-@click.command(epilog=examples("atlas figures -o paper"))
-@out_option("The folder to write them into.", required=True)
-@click.option(
-    "--format",
-    "formats",
-    type=click.Choice(FORMATS),
-    multiple=True,
-    default=("png",),
-    show_default=True,
-    help="Format of the files; repeatable.",
-)
-@workers_option
-def figures(out: Path, formats: tuple[str, ...], workers: int | None) -> None:
-    """Compute and draw Figs 3, 4, 5 and 6 of Li & Tan (2011)."""
-    with input_errors(), reporter(sys.stderr) as show:
-        written = draw_figures(out, formats, options=RunOptions(workers, dashboard=False, on_progress=show))
-    for path in written:
-        click.echo(str(path))

@@ -267,9 +267,11 @@ def _print_regions(listed: Sequence[Mapping[str, Any]], by: str) -> None:
 def _answered(message: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], out: Path | None, as_json: bool) -> bool:
     """Write the rows to the file of -o, or print JSON for --json; return False without either option."""
     if out is not None:
-        from atlas.query.export import write_rows
+        import pandas as pd
 
-        write_rows(out, rows)
+        from atlas.query.export import write_table
+
+        write_table(out, pd.DataFrame(rows))
         message = {"file": str(out), "rows": len(rows)}
         if not as_json:
             _print_values(dict(message))

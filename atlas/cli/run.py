@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import click
 
+from atlas.cell.law_check import CELLS, check_law, finer
 from atlas.cli import progress
 from atlas.cli.options import (
     PLACE,
@@ -61,20 +62,40 @@ observe_option = click.option(
 )
 
 
-@click.command(epilog=examples("atlas plan omega-b", "atlas plan plane.toml --workers 16"))
+@click.command(
+    epilog=examples(
+        "atlas plan omega-b", "atlas plan plane.toml --workers 16", "atlas plan hertz-ball --no-probe --laws"
+    )
+)
 @spec_argument
 @click.option("-o", "--out", type=PLACE, default=".", help="The path or URL that the store is to have.")
 @storage_option
 @click.option("--workers", type=click.IntRange(min=1), help="Workers of the run; default: one per processor.")
 @click.option("--probe/--no-probe", default=True, help="Solve a few cells to measure the time.")
+@click.option(
+    "--laws",
+    type=click.IntRange(2, 200),
+    is_flag=False,
+    flag_value=CELLS,
+    metavar="[N]",
+    help=f"Solve N x N cells, default {CELLS}, also with twice the segments of the laws, and list what changes.",
+)
 @points_option
 @observe_option
 @json_option
 def plan(
-    spec: str, out: str, workers: int | None, probe: bool, points: str | None, observe: str | None, as_json: bool
+    spec: str,
+    out: str,
+    workers: int | None,
+    probe: bool,
+    laws: int | None,
+    points: str | None,
+    observe: str | None,
+    as_json: bool,
 ) -> None:
-    """Estimate the cost of SPEC: cells, tiles, bytes, probed time."""
+    """Estimate the cost of SPEC: cells, tiles, bytes, probed time. With --laws check whether its segments matter."""
     read = _read(spec, points, observe)
+    fine = None if laws is None else finer(read)
     made = make_plan(read, workers)
     place = open_backend(out)
     check_not_packed(place)
@@ -86,7 +107,12 @@ def plan(
     if probe:
         with progress.reporter(sys.stderr) as show:
             made = add_probe(made, show)
-    click.echo(to_json(made.as_dict()) if as_json else str(made))
+    if fine is None or laws is None:
+        click.echo(to_json(made.as_dict()) if as_json else str(made))
+        return
+    with progress.show_solving(read.system_def):
+        check = check_law(read, fine, laws)
+    click.echo(to_json(made.as_dict() | {"laws": check.as_dict()}) if as_json else f"{made}\n{check}")
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:

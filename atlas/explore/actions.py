@@ -1,11 +1,9 @@
-"""Actions of a page: a picture of the viewport as a file, the portrait of a cell, the spec of a new atlas."""
+"""Actions of a page: a picture of the viewport as a file, the motion of a cell, the spec of a new atlas."""
 
 import tempfile
 from dataclasses import dataclass, replace
-from io import BytesIO
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from atlas.cell.trajectory import CellTrajectory, cell_orbit
 from atlas.explore.cell_lookup import CellResult
@@ -14,16 +12,12 @@ from atlas.explore.subject import Subject
 from atlas.explore.text import data_address
 from atlas.explore.view_state import Ends, Range, ViewState
 from atlas.explore.viewport import Viewport
-from atlas.render import portrait_figure as portrait
 from atlas.render import render
-from atlas.render.layout import page
 from atlas.service.plan import make_plan
 from atlas.service.probe import probe
 from atlas.spec.spec import Spec
 from atlas.spec.toml_text import spec_toml
 
-PORTRAIT: Any = {"width": "90mm", "dpi": 220}
-"""Size of a portrait. The width is that of the panel, and the resolution suits screens finer than CSS pixels."""
 MEDIA = {"png": "image/png", "svg": "image/svg+xml", "pdf": "application/pdf"}
 
 
@@ -49,17 +43,6 @@ def orbit_of(subject: Subject, cell: CellResult) -> CellTrajectory:
     """Return the motion of a cell, solved as the cell was. Raise InputError if the cell has no motion to show."""
     settings = subject.spec.settings if cell.of_atlas else subject.settings
     return cell_orbit(cell.parameters, subject.system, settings)
-
-
-def portrait_image(orbit: CellTrajectory) -> str:
-    """Return the portrait of a motion as a data URL, without the phase plane of the gap coordinate, which the page
-    draws.
-    """
-    sheet, data = page(**PORTRAIT), BytesIO()
-    drawn = portrait.figure(orbit, sheet, gap_plane=False)
-    sheet.wrap_texts(drawn)
-    drawn.savefig(data, format="png", dpi=sheet.dpi)
-    return data_address("image/png", data.getvalue())
 
 
 @dataclass(frozen=True)

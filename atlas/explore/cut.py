@@ -1,25 +1,19 @@
-"""A cut: the cells along a line over a plane, coarse first, with their section states and the branches through them."""
+"""A cut: the cells along a line over a plane, coarse first, with their section states."""
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
-from atlas.explore.branches import BranchDiagram
 from atlas.explore.grid_patch import packed, solve_patch
 from atlas.explore.jobs import Computation
 from atlas.explore.subject import PlaneParameters, Subject
 from atlas.explore.view_state import Cut
 from atlas.query.machine import gap_rows
 from workers.model.observables import ENERGY_LOSS, GAP, MAXIMUM, MINIMUM, OF_IMPACTS, Observable
-from workers.results import ERROR, LARGEST, PERIODIC, REGIME, SECTION
-
-if TYPE_CHECKING:
-    import xarray as xr
+from workers.results import ERROR, LARGEST, SECTION
 
 STEPS = 256
 """Number of steps between the ends of a fully solved line."""
@@ -31,10 +25,6 @@ SAMPLES = 48
 """Number of section states of a cell that is not periodic."""
 SECTION_WORDS = "gap at t = kT"
 """The first choice of what a cut shows."""
-MAX_IMPACTS = 36
-"""Maximum number of impacts of orbits whose branches are followed. It exceeds that of a sweep, since cuts can zoom in.
-"""
-
 Array = NDArray[np.float64]
 
 
@@ -133,46 +123,6 @@ def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCell
         return CutCells(index, results | {"shown": gap})
 
     return Computation(solve_patch, patch, read, len(part))
-
-
-def follow_branches(sweep: "xr.Dataset") -> BranchDiagram:
-    """Return the branches through the periodic cells of a sweep, and the branches that start from them."""
-    from atlas.orbits.branches.from_sweep import tree_through
-    from atlas.orbits.branches.table import BranchTable
-
-    return BranchDiagram.from_table(BranchTable.from_tree(tree_through([sweep], MAX_IMPACTS)))
-
-
-def sweep_of(line: CutLine, cells: CutCells) -> "xr.Dataset":
-    """Return the cells of a line along one axis as a sweep of that axis's parameter.
-
-    Raise InputError if both parameters change along the line.
-    """
-    import xarray
-
-    if not line.level:
-        x, y = line.subject.axes
-        raise InputError(f"branches follow one parameter: cut along {x} or {y} alone")
-    values = line.points(cells.index)
-    other = 1 - line.axis
-    fixed = dict(line.plane.parameters) | {line.subject.axes[other]: float(values[other][0])}
-    extra = {"state": (line.name, "component")}
-    arrays = {
-        name: (extra.get(name, (line.name,)), array)
-        for name, array in cells.results.items()
-        if array.ndim == 1 or name in extra
-    }
-    coords: dict[str, Any] = {line.name: values[line.axis]} | {name: ((), value) for name, value in fixed.items()}
-    sweep = xarray.Dataset(arrays, coords, {"spec": json.dumps(line.subject.spec.to_resolved())})
-    return sweep.sortby(line.name)
-
-
-def too_long(cells: CutCells) -> int:
-    """Return the number of periodic cells whose orbits have more than MAX_IMPACTS impacts; their branches are not
-    followed.
-    """
-    impacts = cells.results["impacts_upper"] + cells.results["impacts_lower"]
-    return int(np.count_nonzero((cells.results[REGIME.name] == PERIODIC) & (impacts > MAX_IMPACTS)))
 
 
 def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:

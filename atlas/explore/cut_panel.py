@@ -1,6 +1,5 @@
 """The panel of a cut: the line over the plane, and below it the diagrams along the line, which share the pointer."""
 
-import html
 from functools import partial
 from typing import Any
 
@@ -12,8 +11,6 @@ from bokeh.models import (
     ColumnDataSource,
     Div,
     FreehandDrawTool,
-    Legend,
-    LegendItem,
     PanTool,
     Range1d,
     Select,
@@ -21,51 +18,36 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from atlas.errors import InputError
 from atlas.explore.accessibility import accessible_name
 from atlas.explore.background import BackgroundTasks
-from atlas.explore.branches import BranchDiagram
 from atlas.explore.cut import (
-    MAX_IMPACTS,
     SAMPLES,
     SECTION_WORDS,
     CutCells,
     CutLine,
     cut_computation,
     exponents,
-    follow_branches,
     shown_points,
-    sweep_of,
     to_observe,
-    too_long,
 )
 from atlas.explore.explorer import Explorer
 from atlas.explore.front.script import call
-from atlas.explore.jobs import Computation
 from atlas.explore.page_state import PageModel, PageState
 from atlas.explore.panel import Panel
-from atlas.explore.plot import BranchLines, style_plain
+from atlas.explore.plot import style_plain
 from atlas.explore.style import CUT, CUT_HEAD, DIAGRAM, TEXT
 from atlas.explore.text import symbol_of, ticks
 from atlas.explore.view_state import Cut
 from atlas.formatting import plural
 
-ENTRIES = "cells", "stable", "unstable", "events"
-SWITCHES: dict[str, Any] = {
-    "click_policy": "hide", "orientation": "horizontal", "border_line_color": None, "label_text_font_size": "11px",
-    "margin": 0, "padding": 0, "location": "left",
-}  # fmt: skip
-"""Options of a legend above a diagram, whose entries show and hide the parts that they name."""
-
 
 class CutPanel(Panel[CutLine]):
-    """The panel with the diagrams along the chosen line; it requests the cells and branches to show."""
+    """The panel with the diagrams along the chosen line; it requests the cells to show."""
 
     def __init__(self, explorer: Explorer, background: BackgroundTasks, store: PageModel, plane: figure) -> None:
         super().__init__(explorer, background)
         self._store, self._plane = store, plane
         self._cells: CutCells | None = None
-        self._note = ""
         self._drawn = ColumnDataSource({"xs": [], "ys": []})
         self._sources = {
             "shown": ColumnDataSource({"x": [], "y": []}),
@@ -83,14 +65,12 @@ class CutPanel(Panel[CutLine]):
         self._section.toolbar.logo = None
         self._draw()
         self._says = Div(stylesheets=[TEXT], sizing_mode="stretch_width")
-        self._follow = Button(label="branches, stable and unstable", width=210)
-        self._follow.on_click(self._find_branches)
         self._possible = to_observe(subject)
         self._shows = Select(options=[*self._possible], value=SECTION_WORDS, width=230)
         self._shows.on_change("value", lambda attr, old, new: self.show(store.now))
         close = Button(label="close the cut", width=100)
         close.on_click(lambda: store.choose(cut=None))
-        head = row(self._says, self._shows, self._follow, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
+        head = row(self._says, self._shows, close, sizing_mode="stretch_width", stylesheets=[CUT_HEAD])
         self.panel = column(
             head, self._section, self._exponents, sizing_mode="stretch_width", visible=False, stylesheets=[CUT],
         )  # fmt: skip
@@ -116,14 +96,12 @@ class CutPanel(Panel[CutLine]):
         self._cells = None
         for source in self._sources.values():
             source.data = {name: [] for name in source.data}
-        self._show_branches(None)
         low, high = sorted((line.ends[line.axis], line.ends[2 + line.axis]))
         self._along.data = {"along": [line.axis]}
         self._section.x_range.update(start=low, end=high)
         self._label(line, low, high)
         self._section.yaxis[0].axis_label = str(self._shows.value)
-        self._ended("solving the cells along the cut")
-        self._follow.disabled, self._note = line.observe is not None, ""
+        self._says.text = "solving the cells along the cut"
         self.panel.visible = True
         self._plane.toolbar.active_drag = self._plane.select_one(PanTool)
         self.submit([cut_computation(line, part) for part in line.batches()], partial(self._take, line))
@@ -137,38 +115,9 @@ class CutPanel(Panel[CutLine]):
         self._cells = known = cells.merged_with(self._cells)
         self._sources["shown"].data = dict(shown_points(line, known))
         self._sources["exponents"].data = dict(exponents(line, known))
-        self._say()
-
-    def _say(self) -> None:
-        """Show the number of known cells, and the note about their branches."""
-        count = "" if self._cells is None else f"{plural(self._cells.index.size, 'cell')} along the cut"
-        more = 0 if self._cells is None else int(np.count_nonzero(self._cells.results.get("more", 0)))
-        long = f"{plural(more, 'orbit')} with more than {SAMPLES} values: the first of them" if more else ""
-        self._says.text = "; ".join(filter(None, (count, long, html.escape(self._note))))
-
-    def _find_branches(self) -> None:
-        if self.topic is None or self._cells is None:
-            return
-        try:
-            sweep = sweep_of(self.topic, self._cells)
-        except InputError as error:
-            self._ended(str(error))
-            return
-        self._ended("following branches")
-        self._follow.disabled = True  # a running job cannot be cancelled, so each click would occupy another worker
-        self.submit([Computation(follow_branches, sweep)], self._take_branches, self._ended)
-
-    def _ended(self, says: str) -> None:
-        """Show a note about the branches, and enable the button that follows them."""
-        self._note, self._follow.disabled = says, False
-        self._say()
-
-    def _take_branches(self, drawn: BranchDiagram) -> None:
-        self._show_branches(drawn)
-        counts = f"{plural(len(drawn.stretches), 'segment', 'segments')}, {plural(len(drawn.events), 'event')}"
-        long = 0 if self._cells is None else too_long(self._cells)
-        omitted = f"; without {plural(long, 'cell')} whose orbits have more than {MAX_IMPACTS} impacts" if long else ""
-        self._ended(f"branches: {counts}{omitted}; point at an event to read it")
+        more = int(np.count_nonzero(known.results.get("more", 0)))
+        long = f"; {plural(more, 'orbit')} with more than {SAMPLES} values: the first of them" if more else ""
+        self._says.text = f"{plural(known.index.size, 'cell')} along the cut{long}"
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the clicked cell or the middle of the window."""
@@ -201,7 +150,6 @@ class CutPanel(Panel[CutLine]):
         """Create the parts of the diagrams."""
         of, sources = self._section, self._sources
         of.scatter(x="x", y="y", source=sources["shown"], size=1.8, color="#1a2433", line_color=None)
-        self._branches = BranchLines(of)
         below = self._exponents
         below.add_layout(Span(location=0.0, dimension="width", line_color="#9aa4b0"))
         below.varea(x="x", y1="low", y2="high", source=sources["exponents"], fill_alpha=0.25, fill_color="#004488")
@@ -211,20 +159,10 @@ class CutPanel(Panel[CutLine]):
             plot.add_layout(span)
             style_plain(plot)
         of.xaxis[0].visible = False
-        entries = zip(ENTRIES, of.renderers, strict=True)
-        self._items = [LegendItem(label=label, renderers=[lines]) for label, lines in entries]
-        of.add_layout(Legend(items=self._items, **SWITCHES), "above")
-        self._show_branches(None)
         of.html_attributes, below.html_attributes = (
             accessible_name("section states along the cut"),
             accessible_name("exponent along the cut"),
         )
-
-    def _show_branches(self, drawn: BranchDiagram | None) -> None:
-        """Show branches and their entries in the legend; None hides both."""
-        self._branches.show(drawn)
-        for item in self._items[1:]:
-            item.visible = drawn is not None
 
     def _link(self) -> None:
         """Have the pointer on one plot mark the same point on the others."""

@@ -1,4 +1,4 @@
-"""The column about cells: the cell under the pointer, and the clicked cell with its portrait and all its attractors."""
+"""The column about cells: the cell under the pointer, and the clicked cell with its motion and all its attractors."""
 
 import html
 from collections.abc import Callable
@@ -11,10 +11,9 @@ from bokeh.models import Button, ColumnDataSource, Div, TextInput
 from bokeh.plotting import figure
 
 from atlas.errors import InputError
-from atlas.explore.actions import orbit_of, portrait_image
+from atlas.explore.actions import orbit_of
 from atlas.explore.attractors import AttractorsPanel
 from atlas.explore.background import BackgroundTasks, Show
-from atlas.explore.basins_panel import BasinsPanel
 from atlas.explore.cell_lookup import CellResult
 from atlas.explore.explorer import Explorer
 from atlas.explore.follow_panel import FollowPanel
@@ -29,8 +28,6 @@ from atlas.explore.view_state import Point, ViewState
 from atlas.explore.viewport import Viewport
 
 CLICKED = "<h4>cell clicked</h4>"
-PORTRAIT = """<img class="portrait" tabindex="0" alt="portrait of the motion" title="click to enlarge" src="{}"
- onclick="this.classList.toggle('large')">"""
 ROW = 15.6
 """Height, in pixels, of a row of a table."""
 
@@ -63,9 +60,8 @@ class DetailsPanel(Panel[Point]):
         self._pointed = Div(text=f"<h4>cell under the pointer</h4>{html_part('pointer')}", **style | look)
         read_out: Any = {"html_attributes": {"aria-live": "polite"}}
         self._clicked = Div(text="<h4>click a cell: its motion and all its attractors</h4>", **read_out, **style)
-        self._portrait, self._numbers, self._motion = Div(**style), Div(**style), MotionPanel(self._subject)
+        self._reason, self._numbers, self._motion = Div(**style), Div(**style), MotionPanel(self._subject)
         self._attractors = AttractorsPanel(explorer, background, self._motion)
-        self._basins = BasinsPanel(explorer, background)
         self._follow = FollowPanel(explorer, background, store, plane)
         self._copy_all = Button(label="copy all numbers, in full", visible=False, sizing_mode="stretch_width")
         self._point = TextInput(title="this cell by itself", visible=False, sizing_mode="stretch_width")
@@ -77,12 +73,12 @@ class DetailsPanel(Panel[Point]):
     def panels(self) -> list[Any]:
         """The parts of the column, from the top."""
         line = row(self._point, self._copy, sizing_mode="stretch_width")
-        below = [self._attractors.panel, self._motion.panel, self._basins.panel, self._portrait]
+        below = [self._attractors.panel, self._motion.panel, self._reason]
         return [self._pointed, self._clicked, line, self._follow.panel, *below, self._numbers, self._copy_all]
 
     def close(self) -> None:
         """Cancel all computations of the panels."""
-        for panel in (self._attractors, self._basins, self._follow):
+        for panel in (self._attractors, self._follow):
             panel.close()
 
     def click(self, event: Tap) -> None:
@@ -107,10 +103,9 @@ class DetailsPanel(Panel[Point]):
 
     def start(self, cell: Point) -> None:
         """Show that a cell is being solved."""
-        self._clicked.text = f"{CLICKED}solving it"
+        self._clicked.text, self._reason.text = f"{CLICKED}solving it", ""
         self._motion.clear()
         self._attractors.set_topic(None)
-        self._basins.set_topic(None)
         self._follow.offer_cell(None)
         self.run_in_background(partial(self._detail, cell, self.progress_callback()))
 
@@ -125,22 +120,17 @@ class DetailsPanel(Panel[Point]):
         cell = None if sight is None else self._explorer.known.cell(plane, sight, *point)
         if cell is None or point != tuple(cell.parameters[name] for name in self._subject.axes):
             cell = self._explorer.known.solve_cell(plane, *point)
-        soon(partial(self._show, cell, "drawing its portrait"))
+        soon(partial(self._show, cell))
         try:
-            orbit = orbit_of(self._subject, cell)
-            soon(partial(self._motion.show, motion_of(orbit)))
-            drawn = PORTRAIT.format(portrait_image(orbit))
+            return partial(self._motion.show, motion_of(orbit_of(self._subject, cell)))
         except InputError as error:
-            drawn = html.escape(str(error))
-        return partial(self._show, cell, drawn)
+            return partial(self._reason.update, text=html.escape(str(error)))
 
-    def _show(self, cell: CellResult, drawn: str) -> None:
+    def _show(self, cell: CellResult) -> None:
         self._clicked.text = f"{CLICKED}{cell_line(cell, self._subject)}"
         self._numbers.text = html_part("cell", cell_given(cell, self._subject))
         self._point.update(value=point_line(cell, self._subject), visible=True)
         self._copy.visible = self._copy_all.visible = True
         self._copy_all.tags = [cell_text(cell)]
-        self._portrait.text = drawn
         self._attractors.set_topic(cell)
-        self._basins.set_topic(cell)
         self._follow.offer_cell(cell)

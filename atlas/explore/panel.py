@@ -52,21 +52,13 @@ class Panel(Generic[A]):
         """Cancel all computations of the panel."""
         self._explorer.patches.request(self, ())
 
-    def submit(
-        self,
-        questions: Iterable[Computation[Any]],
-        on_result: Callable[[Any], None],
-        on_error: Callable[[str], None] | None = None,
-    ) -> None:
+    def submit(self, questions: Iterable[Computation[Any]], on_result: Callable[[Any], None]) -> None:
         """Submit computations to the workers, before the earlier ones of this panel.
 
-        questions   the computations
-        on_result   called in the document's thread with each post-processed result
-        on_error    called in the document's thread with the error message; by default ``show_error``
+        ``on_result`` is called in the document's thread with each post-processed result, ``show_error`` with each error
+        message.
         """
-        answers = [
-            self._background.deferred_call(self._current(act)) for act in (on_result, on_error or self.show_error)
-        ]
+        answers = [self._background.deferred_call(self._current(act)) for act in (on_result, self.show_error)]
         self._explorer.patches.request(
             self, [ComputationJob(question, *answers) for question in questions], keep_earlier=True
         )

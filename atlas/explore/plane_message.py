@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from atlas.render.kinds import KIND_TABLE, LOGARITHM, NUMBER, OverlayError
 from atlas.render.layers import MapView
 from atlas.render.layout import STANDARD
 from atlas.render.request import PictureRequest
-from workers.results import LARGEST, REGIME
+from workers.results import REGIME
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,9 +52,9 @@ def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
 
 
 def ends_of(made: CodedMap) -> Range | None:
-    """Return the colour limits of a map whose limits can be chosen; None for any other map."""
-    ends = [tuple(bar["ends"]) for bar in made.described["bars"] if bar["main"]]
-    return ends[0] if ends else None
+    """Return the colour limits of a map; None if it has none."""
+    bar = made.layers.bar
+    return None if bar is None else bar.ends
 
 
 def message(
@@ -77,7 +77,7 @@ def message(
     The message begins with the length of its first part, in four bytes. The first part is deflated JSON, and the packed
     arrays that it names follow.
     """
-    plane, (lines, arrays, lacking) = _plane(visible, subject, ()), _lines(visible, subject, view, size)
+    plane, (lines, arrays, lacking) = _plane(visible, subject), _lines(visible, subject, view, size)
     packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(visible.stages)}
     described, names = [], dict[str, Any]()
     for made in maps:
@@ -85,8 +85,9 @@ def message(
         for name in made.needs:
             if name not in packed:
                 packed[name] = pack(visible.ds[name].values, BITS)
-        bars = [bar | {"fit": bar["ends"], "ends": _held(bar, scales.get(made.name))} for bar in made.described["bars"]]
-        described.append(made.described | {"codes": place, "bars": bars})
+        bar = made.described["bar"]
+        own = bar and bar | {"fit": bar["ends"], "ends": list(scales.get(made.name) or bar["ends"])}
+        described.append(made.described | {"codes": place, "bar": own})
         names[made.name] = names_on(made.layers, plane, size)
     packed.setdefault(REGIME.name, pack(visible.ds[REGIME.name].values))
     about = {
@@ -101,17 +102,10 @@ def message(
     return _joined(about, packed), "; ".join(lacking)
 
 
-def _plane(visible: VisibleCells, subject: Subject, names: Sequence[str]) -> Plane:
+def _plane(visible: VisibleCells, subject: Subject) -> Plane:
     """Return the visible cells on the scales of the page, which are logarithmic in windows of any width."""
-    plane = Plane.from_dataset(visible.ds, names)
+    plane = Plane.from_dataset(visible.ds, ())
     return replace(plane, x=replace(plane.x, log=subject.x.log), y=replace(plane.y, log=subject.y.log))
-
-
-def _held(bar: Mapping[str, Any], limits: Range | None) -> list[float]:
-    """Return the limits of a colorbar: the fixed limits of its scale if there are any."""
-    if limits is None or not bar["main"]:
-        return list(bar["ends"])
-    return list(limits)
 
 
 def _lines(
@@ -120,8 +114,7 @@ def _lines(
     """Return the chosen overlays, the arrays that they need, and why some are missing."""
     why = chosen.without_curves(subject)
     drawn, arrays, lacking = dict[str, Any](), dict[str, NDArray[np.uint8]](), [why] if why else []
-    names = [LARGEST.name] if LARGEST.name in visible.ds else []
-    view = MapView(KIND_TABLE["period"], visible.ds, _plane(visible, subject, names), PictureRequest(STANDARD))
+    view = MapView(KIND_TABLE["period"], visible.ds, _plane(visible, subject), PictureRequest(STANDARD))
     for name in chosen.overlays:
         drawn[name] = {"looks": {}, "lines": [], "marks": {}, "corners": [], "ends": []}
         if name not in chosen.visible_overlays(subject):

@@ -85,9 +85,7 @@ pre { white-space: pre-wrap; word-break: break-all; background: #f3f5f8; padding
 pre { font-size: 11.5px; }
 table.list td:first-child { width: 12px; } table.list td { white-space: nowrap; }
 th { text-align: left; font-weight: 400; color: #5a6675; } .waiting { color: #5a6675; }
-img.portrait { cursor: zoom-in; } img.portrait.large { position: fixed; inset: 2vh 2vw; width: 96vw; height: 96vh;
-  object-fit: contain; background: #fff; z-index: 99; cursor: zoom-out; box-shadow: 0 0 0 100vmax #0008; }
-@media (prefers-color-scheme: dark) { img:not(.portrait) { filter: invert(1); } }
+@media (prefers-color-scheme: dark) { img { filter: invert(1); } }
 .trouble { color: #b3261e; font-weight: 600; } img { max-width: 100%; }
 """
     + FOCUS

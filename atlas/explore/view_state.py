@@ -14,7 +14,7 @@ from atlas.render import MAP_OVERLAYS, MAPS, SCALAR, has_scale, required_variabl
 from atlas.render.kinds import CURVES as CURVE_KINDS
 from atlas.render.kinds import LOGARITHM, NUMBER
 from atlas.render.options import AtlasFigureOptions
-from workers.results import LARGEST, REGIME
+from workers.results import REGIME
 
 Range = tuple[float, float]
 Ends = tuple[float | None, float | None]
@@ -24,8 +24,6 @@ FARTHEST = 1e100
 """Maximum absolute value of an axis on a page; its inverse is the minimum value of a logarithmic axis."""
 CURVES = "curves"
 """The overlay that draws the curves of a store."""
-CHART = "regions"
-"""The kind of picture that is drawn from curves only, which no page has."""
 
 Point = tuple[PlaneParameters, float, float]
 Cut = tuple[float, float, float, float]
@@ -108,7 +106,7 @@ class ViewState:
     def names(self) -> list[str]:
         """The names of the variables that the map and its overlays need."""
         own = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
-        return list(dict.fromkeys([*own, *([LARGEST.name] if "isolines" in self.overlays else []), REGIME.name]))
+        return list(dict.fromkeys([*own, REGIME.name]))
 
     def visible_overlays(self, subject: Subject) -> tuple[str, ...]:
         """Return the overlays that the view's plane has."""
@@ -148,15 +146,12 @@ STYLE_FIELDS = "kind", "variable", "log", "overlays", "hidden", "vmin", "vmax"
 
 def kinds(subject: Subject) -> list[str]:
     """Return the kinds of maps for which the subject has the variables."""
-    return [kind for kind in MAPS if kind != CHART and subject.variables.keys() >= set(required_variables(kind))] + [
-        SCALAR
-    ]
+    return [kind for kind in MAPS if subject.variables.keys() >= set(required_variables(kind))] + [SCALAR]
 
 
 def overlays(subject: Subject) -> list[str]:
     """Return the overlays that may be drawn on the subject's maps."""
-    without = {CURVES: subject.store is None, "isolines": LARGEST.name not in subject.variables}
-    return [name for name in MAP_OVERLAYS if not without.get(name, False)]
+    return [name for name in MAP_OVERLAYS if name != CURVES or subject.store is not None]
 
 
 def followable(subject: Subject) -> list[str]:

@@ -244,3 +244,20 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
         rates = [rate_of(ds[LARGEST.name]) for ds in (one, other)]
         if rates[0] != rates[1]:
             raise InputError(f"the exponents differ in their unit: {rates[0]} here, {rates[1]} there")
+
+
+def check_same_axis(ds: "xr.Dataset", against: "xr.Dataset") -> None:
+    """Raise InputError unless two sweeps have the same points on one axis and equal fixed parameters."""
+    (name,), others = axis_names(ds), axis_names(against)
+    if others != (name,):
+        raise InputError(f"the atlases have different axes: {name} and {', '.join(others)}")
+    one, two = np.sort(ds[name].values), np.sort(against[name].values)
+    if one.shape != two.shape or np.any(one != two):
+        raise InputError(
+            f"the atlases have different points on {name}: {one.size} from {one[0]:g} to {one[-1]:g}, "
+            f"and {two.size} from {two[0]:g} to {two[-1]:g}"
+        )
+    for key in ds.coords:
+        fixed = ds[key].ndim == 0 and ds[key].dtype.kind == "f" and key in against.coords
+        if fixed and float(ds[key]) != float(against[key]):
+            raise InputError(f"the atlases differ in {key}: {float(ds[key]):g} and {float(against[key]):g}")

@@ -1,12 +1,11 @@
 """Export of cells to a file for other programs: CSV or netCDF, selected by the suffix."""
 
-import csv
 import os
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 FORMATS = (".csv", ".nc")
@@ -61,15 +61,15 @@ def export(
     return count
 
 
-def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write dicts with equal keys as CSV, one row each. The file is written completely or not at all.
-
-    Raise InputError for a path that cannot be written.
-    """
+def write_table(path: Path, table: "pd.DataFrame") -> None:
+    """Write a table as CSV, completely or not at all. Raise InputError for a path that cannot be written."""
     with replace_on_success(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        _append(file, table)
+
+
+def _append(file: TextIO, table: "pd.DataFrame", header: bool = True) -> None:
+    """Append a table to an open file; NaN and infinities are written as such."""
+    table.to_csv(file, index=False, header=header, na_rep="nan", lineterminator="\n")
 
 
 def check_writable(path: Path) -> None:
@@ -105,23 +105,25 @@ def replace_on_success(target: Path) -> Iterator[Path]:
 def _write_csv(ds: "xr.Dataset", path: Path, cells_at_a_time: int) -> None:
     names = axis_names(ds)
     dims = tuple(reversed(names))
-    ordered = [name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]
-    columns = {str(name): _components(ds, str(name), dims) for name in ordered}
-    words = {name: code_names(ds[name]) for name in columns}
+    cells = ds[[name for name in ds.data_vars if set(dims) <= set(ds[name].dims)]]
     rows = max(1, cells_at_a_time // (ds.sizes[names[0]] if len(names) > 1 else 1))
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*names, *columns_of(ds), *(column for several in columns.values() for column in several)])
-        for block in _blocks(ds[ordered], dims, rows):
-            at = np.meshgrid(*(block[dim].values for dim in dims), indexing="ij")
-            fields: list[list[Any]] = [grid.ravel().tolist() for grid in reversed(at)]
-            fields += [block[name].values.tolist() for name in columns_of(block)]
-            for name, several in columns.items():
-                table = block[name].transpose(*dims, ...).values.reshape(at[0].size, len(several))
-                for i in range(len(several)):
-                    values = table[:, i].tolist()
-                    fields.append([words[name].get(code, code) for code in values] if words[name] else values)
-            writer.writerows(zip(*fields, strict=True))
+        for number, block in enumerate(_blocks(cells, dims, rows)):
+            _append(file, _table(block.load(), names), header=number == 0)
+
+
+def _table(block: "xr.Dataset", names: tuple[str, ...]) -> "pd.DataFrame":
+    """Return the cells of a block as a table, one row per cell, with the first axis varying fastest."""
+    dims = tuple(reversed(names))
+    columns: dict[str, xr.DataArray] = {}
+    for name, variable in block.data_vars.items():
+        columns |= _components(str(name), variable, dims)
+    table = block[[]].assign(columns).to_dataframe(dim_order=dims).reset_index()
+    table = table[[*names, *columns_of(block), *columns]]
+    for column, variable in columns.items():
+        if words := code_names(variable):
+            table[column] = [words.get(code, code) for code in table[column].tolist()]
+    return table
 
 
 def code_names(variable: "xr.DataArray") -> dict[int, str]:
@@ -139,16 +141,16 @@ def _blocks(ds: "xr.Dataset", dims: tuple[str, ...], rows: int) -> Iterator["xr.
             yield part.isel({along: slice(first, first + rows)})
 
 
-def _components(ds: "xr.Dataset", name: str, dims: tuple[str, ...]) -> list[str]:
-    """Return the columns of a variable: its name, or one per component, by label or else by number from 1."""
-    columns = [name]
-    for dim in ds[name].dims:
-        if dim not in dims:
-            size = ds.sizes[dim]
-            labels = map(str, ds[dim].values) if dim in ds.coords else map(str, range(1, size + 1))
-            ends = list(labels)
-            columns = [f"{column}_{end}" for column in columns for end in ends]
-    return columns
+def _components(name: str, variable: "xr.DataArray", dims: tuple[str, ...]) -> dict[str, "xr.DataArray"]:
+    """Return a variable by its name, or each component by its own: with its label, or else its number from 1."""
+    inner = next((dim for dim in variable.dims if dim not in dims), None)
+    if inner is None:
+        return {name: variable}
+    labels = variable[inner].values if inner in variable.coords else range(1, variable.sizes[inner] + 1)
+    components: dict[str, xr.DataArray] = {}
+    for k, label in enumerate(labels):
+        components |= _components(f"{name}_{label}", variable.isel({inner: k}, drop=True), dims)
+    return components
 
 
 def _write_netcdf(ds: "xr.Dataset", path: Path, limit: int) -> None:

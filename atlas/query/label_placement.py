@@ -1,6 +1,6 @@
 """Placement of labels in regions of cells, and detection of lines that run side by side. Lengths are in points."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,10 +12,8 @@ from scipy.spatial import KDTree
 Array = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
-_LEAST_AREA = 120.0
-"""Minimum area, in square points, of a region that a label beside it may point to."""
-_FARTHEST = 100.0
-"""Maximum distance of a label from the region it points to."""
+_REGIONS = 2
+"""Maximum number of regions with the same label."""
 _STEP = 2.0
 """Maximum distance between the points at which a line is examined."""
 _SHORTEST = 21
@@ -30,83 +28,30 @@ class LabelPlacement(NamedTuple):
 
     number  index of the label among the given ones
     cell    (row, column) of the cell under its centre
-    size    type size
     angle   angle in degrees
-    region  cell of the region that a label beside its region points to; None for a label inside
     """
 
     number: int
     cell: tuple[int, int]
-    size: float
-    angle: float = 0.0
-    region: tuple[int, int] | None = None
+    angle: float
 
 
-def places(
-    named: Sequence[tuple[Cells, str]],
-    step: Array,
-    type_sizes: Sequence[float],
-    limit: int = 2,
-    free: Cells | None = None,
-) -> Iterator[LabelPlacement]:
-    """Yield the positions of labels in the largest connected regions of sets of cells, where the labels fit.
+def places(named: Sequence[tuple[Cells, str]], step: Array, type_size: float) -> Iterator[LabelPlacement]:
+    """Yield the positions of labels in the two largest connected regions of sets of cells, where the labels fit.
 
-    named       cells (y, x) and label of each set
-    step        height and width of a cell
-    type_sizes  type sizes in order of preference; the first that fits is used
-    limit       maximum number of regions labelled in each set
-    free        mask of the cells that a label may cover
-
-    A label that fits in none of its regions is placed on the nearest free cell, if ``free`` is given. Its ``region``
-    then is its largest region.
+    named      cells (y, x) and label of each set
+    step       height and width of a cell
+    type_size  type size of the labels
     """
-    narrow: list[tuple[int, tuple[int, int]]] = []
     for k, (cells, name) in enumerate(named):
         regions, _ = ndimage.label(cells)
         areas = np.bincount(regions.ravel())[1:] * step.prod()
-        boxes, placed = ndimage.find_objects(regions), False
-        largest = np.argsort(-areas, kind="stable")[:limit]
-        for number in largest:
+        boxes, half = ndimage.find_objects(regions), (0.29 * type_size * len(name), 0.62 * type_size)
+        for number in np.argsort(-areas, kind="stable")[:_REGIONS]:
             region = regions[boxes[number]] == number + 1
-            if free is not None:
-                region &= free[boxes[number]]
-            for size in type_sizes:
-                half = 0.29 * size * len(name), 0.62 * size
-                spot = label_spot(region, step, half) if areas[number] >= 4.0 * half[0] * half[1] else None
-                if spot is None:
-                    continue
-                cell = spot[0] + boxes[number][0].start, spot[1] + boxes[number][1].start
-                yield LabelPlacement(k, cell, size, spot[2])
-                if free is not None:
-                    free = free & (_distance(free.shape, cell, step) > np.hypot(*half))
-                placed = True
-                break
-        if not placed and areas.size and areas[largest[0]] >= _LEAST_AREA:
-            inside = ndimage.distance_transform_edt(np.pad(regions == largest[0] + 1, 1))[1:-1, 1:-1]
-            narrow.append((k, _unravelled(np.argmax(inside), inside.shape)))
-    if free is None:
-        return
-    size = type_sizes[min(1, len(type_sizes) - 1)]
-    for k, region in narrow:
-        tall, wide = 0.75 * size, 0.3 * size * (len(named[k][1]) + 1)
-        room = ndimage.minimum_filter(free, 1 + 2 * (np.array([tall, wide]) / step).astype(int), mode="constant")
-        far = _distance(free.shape, region, step)
-        far = np.where(room & (far > wide), far, np.inf)
-        cell = _unravelled(np.argmin(far), far.shape)
-        if far[cell] <= _FARTHEST:
-            free = free & (_distance(free.shape, cell, step) > np.hypot(tall, wide))
-            yield LabelPlacement(k, cell, size, region=region)
-
-
-def _distance(shape: tuple[int, ...], cell: tuple[int, int], step: Array) -> Array:
-    """Return the distance of every cell (y, x) of a plane from ``cell``."""
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    return np.asarray(np.hypot((rows - cell[0]) * step[0], (columns - cell[1]) * step[1]))
-
-
-def _unravelled(index: np.intp, shape: tuple[int, ...]) -> tuple[int, int]:
-    row, column = np.unravel_index(index, shape)
-    return int(row), int(column)
+            spot = label_spot(region, step, half) if areas[number] >= 4.0 * half[0] * half[1] else None
+            if spot is not None:
+                yield LabelPlacement(k, (spot[0] + boxes[number][0].start, spot[1] + boxes[number][1].start), spot[2])
 
 
 def label_spot(
@@ -150,19 +95,6 @@ def densify_line(line: Array) -> tuple[Array, Array]:
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
     at = np.linspace(0.0, along[-1], 2 + int(along[-1] / _STEP))
     return np.column_stack([np.interp(at, along, line[:, i]) for i in range(2)]), at
-
-
-def crossed_cells(places: Iterable[Array], size: tuple[float, float], cells: tuple[int, ...]) -> Cells:
-    """Return the mask of cells (y, x) that contain a point of ``places`` (N, 2), or are next to such a cell.
-
-    ``size`` is the (width, height) of the plane, ``cells`` the shape of the mask.
-    """
-    inside = np.zeros(cells, dtype=bool)
-    for place in places:
-        share = place / np.array(size)
-        columns, rows = (share[np.all((share >= 0.0) & (share < 1.0), axis=1)] * cells[::-1]).astype(int).T
-        inside[rows, columns] = True
-    return np.asarray(ndimage.binary_dilation(inside, np.ones((3, 3))))
 
 
 def crowded_parts(

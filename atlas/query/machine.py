@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from atlas.spec.system import stored_system
 from workers.model.mode_table import is_symmetric
-from workers.model.oscillator import COLUMN, Oscillator
+from workers.model.oscillator import Oscillator
 from workers.model.system import System
 from workers.results import NO_REASON
 
@@ -66,20 +66,6 @@ def corners(axes: Mapping[str, Array]) -> dict[str, Array]:
     """Return the four corners of a plane of two axes, as points (4,) of their parameters."""
     ends = np.meshgrid(*(values[[0, -1]] for values in axes.values()))
     return {name: points.ravel() for name, points in zip(axes, ends, strict=True)}
-
-
-def why_no_twins(system: System, values: Mapping[str, float]) -> str:
-    """Return the reason why motions of the machine with these parameters have no mirror images."""
-    osc = system.build(values)
-    if system.has_modes:
-        return "mirror images are known only for machines with one rigid contact"
-    if not (np.isfinite(osc.upper) and np.isfinite(osc.lower)):
-        return "there is only one stop"
-    if osc.b_upper != osc.b_lower:
-        return f"the stops lie {osc.b_upper:g} above and {osc.b_lower:g} below the rest position"
-    if np.any(osc.gap.blocks[:, COLUMN.load] != 0.0):
-        return "a constant load acts on a mass that no spring holds"
-    return "the force has even harmonics"
 
 
 def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:

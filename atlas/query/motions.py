@@ -1,24 +1,14 @@
-"""Names of motions and of the regions that they fill in a plane: n-p-q, forcing periods and impacts at either stop."""
+"""Names of motions n-p-q: forcing periods, and impacts at the upper and at the lower stop."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import InputError
 from atlas.formatting import motion_name
-from atlas.query import machine
-from atlas.query.plane import Cells, Plane
-from atlas.spec.system import system_of
-from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIME, Variable
-
-if TYPE_CHECKING:
-    import xarray as xr
+from workers.results import PERIODIC
 
 VARIABLES = ("period", "impacts_upper", "impacts_lower")
-OTHERS = {CHAOTIC: "chaos", QUASIPERIODIC: "tori", NO_IMPACT: "", LOCKING: ""}
-"""Names of regions of other motions, if they differ from the names of their regimes."""
 
 
 class MotionName(NamedTuple):
@@ -57,48 +47,3 @@ def motions(
     number = np.full(regime.shape, -1)
     number[counted] = which.ravel()
     return [MotionName(*map(int, kind)) for kind in kinds], number
-
-
-def regions(plane: Plane, twins: bool, regimes: Variable = REGIME) -> Iterator[tuple[str, Cells]]:
-    """Yield the name of every class of motion and the mask of its cells (y, x).
-
-    ``regimes`` has the regime names of the machine. If motions have mirror images, the start decides which of the two a
-    cell has. Both are then one class, named with the larger number of impacts above. With equal numbers of impacts, a
-    motion that is its own mirror image has an s behind its name, others a u.
-    """
-    period, upper, lower = (plane[name] for name in VARIABLES)
-    if twins:
-        upper, lower = np.maximum(upper, lower), np.minimum(upper, lower)
-    names, number = motions(plane.regime, period, upper, lower)
-    for k, motion in enumerate(names):
-        cells = number == k
-        if twins and motion.p == motion.q >= 0 and "symmetric" in plane.values:
-            own = plane["symmetric"].astype(bool)
-            yield from ((f"{motion.label} {side}", cells & part) for side, part in (("s", own), ("u", ~own)))
-        elif motion.p >= 0:
-            yield motion.label, cells
-    for code, name in OTHERS.items():
-        yield name or regimes.meaning(code).text, plane.regime == code
-
-
-def broken_cells(ds: "xr.Dataset", plane: Plane) -> Cells:
-    """Return the mask of periodic cells (y, x) whose motion has a mirror image other than itself, x(t) != -x(t + T/2).
-
-    Raise InputError if there are periodic cells, but the machine of none has motions with mirror images.
-    """
-    system, symmetric = system_of(ds.attrs, "kind 'symmetry'"), plane["symmetric"].astype(bool)
-    same, periodic = machine.fixed(ds, system), plane.regime == PERIODIC
-    rows, columns = np.nonzero(periodic & ~symmetric)
-    broken = np.zeros(periodic.shape, bool)
-    if not rows.size:
-        return broken
-    points = {plane.x.name: plane.x.values[columns], plane.y.name: plane.y.values[rows]}
-    broken[rows, columns] = machine.has_twins(system, same, points)
-    if not broken.any() and not np.any(periodic & symmetric):  # a symmetric motion proves a symmetric machine
-        here = {name: float(values[0]) for name, values in points.items()}
-        raise InputError(
-            f"kind 'symmetry' needs motions with mirror images, and no motion here has one: at "
-            f"{', '.join(f'{name} = {value:g}' for name, value in here.items())} "
-            f"{machine.why_no_twins(system, same | here)}"
-        )
-    return broken

@@ -1,6 +1,4 @@
-"""Preparation of cells for borders and isolines: without clouds of small regions, dust and noise."""
-
-from collections.abc import Callable, Iterator, Sequence
+"""Preparation of cells for borders: without clouds of small regions, and without dust."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,50 +51,6 @@ def without_dust(cells: Cells) -> Cells:
     wide = ndimage.binary_opening(padded, structure=np.ones((3, 3)), iterations=thin)
     wide = ndimage.binary_closing(wide, structure=np.ones((3, 3)), iterations=thin)
     return np.asarray(wide[2 * thin : -2 * thin, 2 * thin : -2 * thin] & cells)
-
-
-def smooth(values: Array, width: float) -> Array:
-    """Return a Gaussian mean over neighbours with a value, so that errors of neighbouring cells do not wrinkle
-    isolines.
-
-    Cells with few such neighbours are left out: fragments have no isolines.
-    """
-    known = np.isfinite(values)
-    weight = ndimage.gaussian_filter(known.astype(float), width, mode="nearest")
-    total = ndimage.gaussian_filter(np.where(known, values, 0.0), width, mode="nearest")
-    return np.where(known & (weight > 0.8), total / np.maximum(weight, 1e-12), np.nan)
-
-
-def isolines(
-    x: Array, y: Array, values: Array, ticks: Callable[[float, float], Sequence[float]]
-) -> Iterator[tuple[float, Array]]:
-    """Yield isolines of values (y, x) in rising order, each as its level and its points (N, 2).
-
-    ``ticks`` returns levels between two limits. The two signs are treated separately: exponents jump between them, and
-    an isoline there would show only the jump.
-    """
-    from contourpy import contour_generator
-
-    if min(values.shape) < 2:
-        return
-    shown, levels = np.full(values.shape, np.nan), set()
-    for sign, width in ((-1.0, 1.5), (1.0, 2.5)):
-        size = np.where(np.isfinite(values) & (sign * values > 0.0), np.abs(values), np.nan)
-        even = smooth(size, width)
-        if np.isfinite(even).sum() >= 4:
-            shown = np.where(np.isfinite(even), sign * even, shown)
-            steps = np.asarray(ticks(0.0, float(np.nanpercentile(size, 98))))
-            levels |= {sign * level for level in steps[(steps > np.nanmin(even)) & (steps < np.nanmax(even))]}
-    lines = contour_generator(x, y, np.ma.masked_invalid(shown))
-    for level in sorted(levels):
-        yield from ((level, np.asarray(line)) for line in lines.lines(level))
-
-
-def fill_holes(cells: Cells, times: int) -> Cells:
-    """Return the cells with holes at most ``2 * times`` cells wide filled: a single different cell is not a region."""
-    wide = 2 * times + 1  # filters: the memory of a binary closing grows with its fourth power
-    grown = ndimage.maximum_filter(np.pad(cells, times, "edge"), wide, mode="constant")
-    return np.asarray(ndimage.minimum_filter(grown, wide, mode="constant")[times:-times, times:-times])
 
 
 def row_rectangles(cells: Cells, x: Array, y: Array) -> Array:

@@ -128,13 +128,3 @@ class Plane:
     def known_values(self, name: str) -> Array:
         """Return the values of a variable where the class of motion is known, NaN elsewhere."""
         return np.where(self.determined_mask, self[name], np.nan)
-
-    def even(self, times: int | None = None) -> "Plane":
-        """Return the plane in steps that are drawn with equal width.
-
-        With ``times`` there are ``times`` steps per cell along each axis; see ``PlaneAxis.even``.
-        """
-        x, columns = self.x.even(times and times * self.x.values.size)
-        y, rows = self.y.even(times and times * self.y.values.size)
-        place = np.ix_(rows, columns)
-        return Plane(x, y, self.regime[place], {name: values[place] for name, values in self.values.items()})

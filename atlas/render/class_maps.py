@@ -1,4 +1,4 @@
-"""Maps of classes, each with a colour and a legend entry: periods, motions, symmetry, attractors, basins."""
+"""Maps of classes, each with a colour and a legend entry: periods, motions, attractors, basins."""
 
 import colorsys
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from atlas.query import basins as reached
 from atlas.query.attractors import branches
-from atlas.query.motions import VARIABLES, MotionName, broken_cells
+from atlas.query.motions import VARIABLES, MotionName
 from atlas.query.motions import motions as motions_of
 from atlas.query.plane import Plane
 from atlas.render import style, text
@@ -67,13 +67,6 @@ _NAMED = 3
 """Maximum number of motions named in the legend for a shared colour."""
 STICKS, STICKS_HATCH = "#d5ece6", "----"
 """Colour and hatch of sticking periodic motions."""
-
-SYMMETRIC, UPPER, LOWER, UNTOLD, ALONE = "#90b8de", "#8a4fd0", "#f0b13c", "#2f3f58", "#4a4ae8"
-"""Colours of periodic motions by symmetry.
-
-In order: symmetric; broken with more impacts at the upper stop; at the lower stop; broken with equal counts; of
-machines with asymmetric stops, load or force, in which no motion has a mirror image.
-"""
 
 COUNTS = {1: "#eff3f5", 2: "#bcd3e8", 3: "#d9a63a", 4: "#c8662a", 5: "#963050", 6: "#40103c"}
 """Colours by number of attractors, ever darker; the last is for all larger numbers."""
@@ -142,26 +135,6 @@ def color_of(motion: MotionName) -> str:
     if group in HUES:
         return HUES[group][motion.p < motion.q]
     return UNLISTED[crc32(repr(group).encode()) % len(UNLISTED)]
-
-
-def symmetry(view: MapView) -> MapLayers:
-    """Return the layers of the symmetry map: periodic motions with x(t) = -x(t + T/2), and broken ones by mirror image.
-
-    A broken motion has a twin, reached from another start. Impact counts distinguish the twins, unless they are equal,
-    or infinite for a mass that comes to rest. Raise InputError if no machine of the periodic cells is symmetric.
-    """
-    plane = view.plane
-    regime, upper, lower = plane.regime, plane["impacts_upper"], plane["impacts_lower"]
-    symmetric = plane["symmetric"].astype(bool)
-    broken = broken_cells(view.ds, plane)
-    classes = [
-        ((regime == PERIODIC) & symmetric, SYMMETRIC, "symmetric"),
-        (broken & (upper > lower), UPPER, "broken, twin A (more impacts above)"),
-        (broken & (upper < lower), LOWER, "broken, twin B (more impacts below)"),
-        (broken & (upper == lower), UNTOLD, "broken, as many impacts above as below"),
-        ((regime == PERIODIC) & ~symmetric & ~broken, ALONE, "periodic, of a machine that is not symmetric"),
-    ]
-    return build_layers(regime, classes)
 
 
 def attractors(view: MapView) -> MapLayers:

@@ -5,18 +5,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query.label_placement import densify_line, places
-from atlas.query.outlines import isolines, simplify_regimes
+from atlas.query.label_placement import places
+from atlas.query.outlines import simplify_regimes
 from atlas.query.plane import Plane
 from atlas.render import overlays, style
 from atlas.render.coded_maps import described_curves, text_of
 from atlas.render.kinds import OverlayError
 from atlas.render.layers import MapLayers, MapView
-from workers.results import LARGEST
 
 Array = NDArray[np.float64]
 Size = tuple[float, float]
@@ -24,8 +22,6 @@ Size = tuple[float, float]
 
 NAME_SIZE = 11.5
 """Type size of labels, in pixels."""
-_NAMED = 150.0
-"""Minimum length, in pixels, of an isoline with a label."""
 _FINE = 1e-7
 """Precision of the points of lines, relative to the width of the plane."""
 
@@ -55,7 +51,7 @@ def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
     names = []
-    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, [NAME_SIZE]):
+    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, NAME_SIZE):
         _, text, under = layers.names[spot.number]
         at = x.values[spot.cell[1]], y.values[spot.cell[0]]
         names.append(_name(text, at, spot.angle, style.ink_on(under)))
@@ -78,23 +74,6 @@ def _boundaries(view: MapView, size: Size) -> OverlayLines:
     label = "regime boundary" + (", clouds of cells left out" if left_out else "")
     look = {"label": label, "color": overlays.BOUNDARY, "dashes": [], "edge": overlays.BOUNDARY, "fixed": True}
     return OverlayLines(_described({"boundaries": look}, []), regions.astype(np.uint8))
-
-
-def _isolines(view: MapView, size: Size) -> OverlayLines:
-    plane, kept, names = view.plane, list[Array](), list[dict[str, Any]]()
-    for level, line in isolines(
-        plane.x.values, plane.y.values, plane.known_values(LARGEST.name), MaxNLocator(5).tick_values
-    ):
-        placed = _placed(plane, line, size)
-        dots, along = densify_line(placed)
-        if along[-1] >= overlays.MIN_LINE_LENGTH:
-            kept.append(line)
-        if along[-1] >= _NAMED:
-            middle = np.argmin(np.hypot(*(placed - dots[dots.shape[0] // 2]).T))
-            names.append(_name(f"{level:g}".replace("-", "−"), line[middle], 0.0, "#000000") | {"halo": True})
-    look = {"label": "λ₁ constant", "color": "#ffffff", "dashes": [], "width": 1.0, "edge": overlays.SHADOW}
-    drawn = _polylines(plane, "isolines", look, kept)
-    return OverlayLines(drawn.described | {"names": names})
 
 
 def _curves(view: MapView, size: Size) -> OverlayLines:
@@ -143,18 +122,8 @@ def _parts(plane: Plane, line: Array) -> list[list[float]]:
     return flat
 
 
-def _placed(plane: Plane, at: Array, size: Size) -> Array:
-    """Return points of a plane in pixels from its lower left corner."""
-    columns = []
-    for k, axis in enumerate((plane.x, plane.y)):
-        low, high, values = (np.log(v) if axis.log else v for v in (axis.edges[0], axis.edges[-1], at[:, k]))
-        columns.append((values - low) / (high - low) * size[k])
-    return np.column_stack(columns)
-
-
 _OVERLAYS: dict[str, Callable[[MapView, Size], OverlayLines]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
-    "isolines": _isolines,
     "curves": _curves,
 }

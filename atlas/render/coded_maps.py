@@ -1,6 +1,6 @@
 """The layers of maps for a page that draws them itself, as codes of cells and JSON.
 
-A code stands for a colour, or for a colorbar by which the page colours the cell's number.
+A code stands for a colour, or for the colorbar by which the page colours the cell's number.
 """
 
 from collections.abc import Iterator, Sequence
@@ -131,7 +131,7 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
         "meaning": meaning,
         "numbers": view.kind.name == SCALAR,
         "entries": entries,
-        "bars": [_bar(bar, view.plane[needs[0]], needs[0], bar is _main(layers)) for bar in layers.bars],
+        "bar": layers.bar and _bar(layers.bar, view.plane[needs[0]], needs[0]),
         "shade": _shade(layers, needs[0]),
         "title": text_of(layers.side_legend_title or ""),
         "legend": [_entry(entry) for entry in layers.entries],
@@ -140,24 +140,14 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
     return CodedMap(name, codes.reshape(view.plane.regime.shape).astype(kind), needs, described, layers)
 
 
-def _main(layers: MapLayers) -> ScalarLayer | None:
-    """Return the layer whose colour limits the user can set, None if there is none.
-
-    It is the only layer with a colorbar; among layers of errors it is that of chaos.
-    """
-    named = [bar for bar in layers.bars if len(layers.bars) == 1 or bar.title == "chaotic"]
-    return named[0] if named else None
-
-
 def _shown(layers: MapLayers, style: CellStyle) -> dict[str, Any]:
-    """Return the entry of a style: the index of a colorbar, or a colour. Shading darkens all colours but those of
-    regimes.
+    """Return the entry of a style: a colour, or a mark that the number of the cell has one. Shading darkens all colours
+    but those of regimes.
     """
-    if style.field is not None:
-        field = layers.fields[style.field]
-        if field.bar:
-            return {"bar": layers.bars.index(field)}
-        return {"color": _hex(field.colors(np.array(-np.inf)))}  # the colour below the lower limit
+    if style.by_number and layers.scalar is not None:
+        if layers.scalar.bar:
+            return {"byNumber": True}
+        return {"color": _hex(layers.scalar.colors(np.array(-np.inf)))}  # the colour below the lower limit
     return {"color": style.color} | ({"shaded": True} if layers.shade is not None and style.regime is None else {})
 
 
@@ -194,17 +184,15 @@ def _textures(layers: MapLayers) -> tuple[NDArray[np.int64], list[dict[str, Any]
     return numbers, patterns
 
 
-def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str, main: bool) -> dict[str, Any]:
-    """Return a colorbar; ``main`` is True for the one whose colour limits the user can set."""
+def _bar(bar: ScalarLayer, stored: NDArray[Any], variable: str) -> dict[str, Any]:
+    """Return a colorbar."""
     above, both = bar.signs or (bar.colormap, None)
     zeros = np.unique(bar.values[(stored == 0) & (bar.values > 0.0)])
     return {
         "variable": variable,
         "label": text_of(bar.label),
-        "title": bar.title,
         "scale": bar.form,
         "ends": list(bar.ends),
-        "main": main,
         "colors": _table(above),
         "both": both and _table(both),
         "zero": float(zeros[0]) if zeros.size else 0.0,  # position of an exact 0 on a log scale

@@ -172,7 +172,7 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
     kind, lines = resolve_kind(ds, request), request.overlays
     if request.observe is not None and kind.axes != 1:
         raise InputError(f"observe: goes with a sweep of one axis, found {AXES[kind.axes]}")
-    if request.curves is not None and "curves" not in lines and kind.name != "regions":
+    if request.curves is not None and "curves" not in lines:
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)

@@ -1,9 +1,9 @@
-"""The table of kinds of pictures and of overlays, with contents and meaning of each.
+"""The tables of kinds of pictures, of the colours of variables, and of overlays, with the meaning of each.
 
 This module imports neither matplotlib nor xarray, since the command's help lists the table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,21 +25,25 @@ pale as cells without data, which are white.
 
 @dataclass(frozen=True)
 class ColorScale:
-    """The colours of the numbers of a kind.
+    """The colours of the numbers of a kind, or of a variable.
 
-    label   label of the colorbar
-    colors  colours from the lower to the upper limit
-    zero    colour and name of cells that are exactly 0
-    log     True if the norm is logarithmic
+    label         label of the colorbar; empty for the meaning and unit of the variable
+    colors        colours from the lower to the upper limit
+    zero          colour and name of cells that are exactly 0
+    log           True if the norm is logarithmic
+    undetermined  True if cells of undetermined class have the number too
+    hint          advice for an atlas without the variable
     """
 
-    label: str
+    label: str = ""
     colors: tuple[str, ...] = ()
     zero: tuple[str, str] | None = None
     log: bool = False
+    undetermined: bool = False
+    hint: str = ""
 
 
-CLASSES = ColorScale("")
+CLASSES = ColorScale()
 """The colours of kinds without numbers."""
 
 
@@ -81,13 +85,30 @@ NUMBER, LOGARITHM = "number-", "-log"
 """Prefix of the name of a map of a variable, and suffix of that name for a logarithmic norm."""
 
 _PER_PERIOD = "[per forcing period]"
-_EXPONENTS = ColorScale(rf"$\lambda_i$ {_PER_PERIOD}")
 _VIOLET = ("#f3eaf5", "#d9bfe0", "#b690c6", "#8d5fa6", "#633382", "#36134f")
 _PALE_BLUE = ("#eef3f0", "#c4dcd9", "#93bfc4", "#5f9cad", "#356f8c", "#173f5f")
 _DARK_FIRST = ("#5a1a26", "#96413c", "#c67a56", "#e3b07f", "#f1dcb4", "#f9f5e3")
 """Colours from safe to unsafe, and from unsafe to safe: values near an edge are dark."""
 _MEASURE = "measure its attractors by atlas attractors measure"
-_MOTIONS = ("impacts_upper", "impacts_lower", "period")
+
+_EXPONENTS = ColorScale(rf"$\lambda_i$ {_PER_PERIOD}")
+NUMBERS = ColorScale(colors=_VIOLET)
+"""The colours of a variable that has no row in SCALES."""
+SCALES: Mapping[str, ColorScale] = {
+    ERROR.name: ColorScale(rf"error of $\lambda_1$ {_PER_PERIOD}",
+        ("#e4eff0", "#b9d7de", "#8bb7cb", "#5f92b5", "#3c6a95", "#1d3d63"), log=True),
+    "periods_used": ColorScale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
+        ("#dddddd", "none needed"), log=True, undetermined=True),
+    "stuck_fraction": ColorScale("share of the time at rest",
+        ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"), ("#f3f1ea", "never at rest")),
+    "share": ColorScale("share of the initial states",
+        ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2", "#f8f1ee")),
+    "return_time": ColorScale("return time [forcing periods]", _PALE_BLUE, log=True, hint=_MEASURE),
+    "reactivity": ColorScale("reactivity, log growth in a period", _VIOLET, hint=_MEASURE),
+    "amplification": ColorScale("amplification of a deviation", _PALE_BLUE, log=True, hint=_MEASURE),
+    "fatal_shock": ColorScale("minimal fatal shock", _DARK_FIRST, log=True, hint=f"{_MEASURE} --shocks"),
+}  # fmt: skip
+"""The colours of variables that have their own."""
 
 # For each number of axes the default is the first kind whose variable the atlas has.
 KIND_TABLE = {
@@ -96,45 +117,19 @@ KIND_TABLE = {
         PictureKind("exponent", 2, (LARGEST.name,), "the largest exponent, with colours around zero",
              ColorScale(rf"largest Lyapunov exponent $\lambda_1$ {_PER_PERIOD}", (*STABLE, *CHAOTIC))),
         PictureKind("period", 2, ("period",), "one colour for each period"),
-        PictureKind("impacts", 2, _MOTIONS, "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
-        PictureKind("symmetry", 2, ("symmetric", "impacts_upper", "impacts_lower"),
-             "periodic motions that are their own mirror image, and those with a twin"),
-        PictureKind("regions", 2, _MOTIONS,
-             "the exact curves of a plane and the motions between them by name, as papers print it"),
+        PictureKind("impacts", 2, ("impacts_upper", "impacts_lower", "period"),
+        "motions by name, n-p-q: periods, impacts at the upper and the lower stop"),
         PictureKind("combined", 2, (LARGEST.name, "period"),
              "the period where motion is periodic, the exponent where it is chaotic",
              ColorScale(rf"chaotic: $\lambda_1$ {_PER_PERIOD}", CHAOTIC)),
-        PictureKind("error", 2, (ERROR.name,), "error of the exponent",
-             ColorScale(rf"error of $\lambda_1$ {_PER_PERIOD}", log=True)),
-        PictureKind("cost", 2, ("periods_used",), "forcing periods simulated",
-             ColorScale("", ("#fdf2e4", "#f8d3a4", "#ecab68", "#cf7f3a", "#9c5320", "#5a2a10"),
-                   ("#dddddd", "none needed"), log=True)),
-        PictureKind("sticking", 2, ("stuck_fraction",), "fraction of the time at rest, on a stop or sticking",
-             ColorScale("share of the time at rest", ("#cfeee9", "#8fd3cb", "#4db0ab", "#1f8588", "#0d5a66", "#06323f"),
-                   ("#f3f1ea", "never at rest"))),
         PictureKind("attractors", 2, ("attractors",), "how many attractors a cell has"),
-        PictureKind("share", 2, ("share",),
-             "the share of initial states that reach the attractor shown, by default the most frequent one",
-             ColorScale("share of the initial states", ("#4a1042", "#7d2f6b", "#ab5d8f", "#cf93b0", "#e8c8d2",
-             "#f8f1ee"))),
         PictureKind(LABELS, 2, (LABEL.name,),
              "the branch of the attractor shown, in lasting colours, from atlas attractors label",
              hint="label its attractors by atlas attractors label"),
         PictureKind(BASINS, 2, (SETTLED.name, LABEL.name),
         "of a plane of initial states: the attractor that each of these reaches",
              hint="both axes must be initial states, and the spec must have [attractors]"),
-        PictureKind("return_time", 2, ("return_time",), "the time in which small deviations fall by a factor e",
-             ColorScale("return time [forcing periods]", _PALE_BLUE, log=True), hint=_MEASURE),
-        PictureKind("reactivity", 2, ("reactivity",),
-        "the largest log growth of a small deviation over one forcing period",
-             ColorScale("reactivity, log growth in a period", _VIOLET), hint=_MEASURE),
-        PictureKind("amplification", 2, ("amplification",), "the largest growth of a small deviation over any time",
-             ColorScale("amplification of a deviation", _PALE_BLUE, log=True), hint=_MEASURE),
-        PictureKind("fatal_shock", 2, ("fatal_shock",), "the smallest shock found that leads to another attractor",
-             ColorScale("minimal fatal shock", _DARK_FIRST, log=True), hint=f"{_MEASURE} --shocks"),
-        PictureKind("margin", 2, ("margin",), "the distance of each cell to the nearest curve of its store",
-             ColorScale("distance to the nearest curve", _DARK_FIRST), hint=f"{_MEASURE} --margin"),
-        PictureKind(SCALAR, 2, (), "a variable with one number per cell, see --variable", ColorScale("", _VIOLET)),
+        PictureKind(SCALAR, 2, (), "a variable with one number per cell, see --variable", NUMBERS),
         PictureKind("coexistence", 1, ("share",),
         "of one axis: bifurcation diagram of all attractors above their shares",
              _EXPONENTS),
@@ -165,15 +160,14 @@ MAX_PANELS = 12
 OVERLAY_MEANINGS = {
     "grazing": "where motion without impact would just touch a stop",
     "boundaries": "borders between regimes",
-    "isolines": "lines of equal exponent",
     "curves": "the exact bifurcations and grazes that atlas find curves has found in the store",
-    "saddles": "on basins of one mass: the unstable orbits between them, with the boundaries as stable manifolds",
+    "saddles": "on basins of one mass: the unstable orbits on the boundaries between them",
     "branches": "on a sweep: its orbits, stable and unstable, with their bifurcations",
 }
 """Meaning of each overlay, in the words of the command's help."""
 
 OVERLAYS = tuple(OVERLAY_MEANINGS)
-MAP_OVERLAYS = OVERLAYS[:4]
+MAP_OVERLAYS = OVERLAYS[:3]
 """All overlays, and the overlays of any map."""
 
 CURVES = (

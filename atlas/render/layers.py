@@ -83,13 +83,13 @@ class LegendEntry:
 
 
 class CellStyle(NamedTuple):
-    """The appearance of a code: a colour, or the index ``field`` of the ``ScalarLayer`` that colours its cells.
+    """The appearance of a code: a colour, or with ``by_number`` the colours of the scalar layer.
 
     ``regime`` is set if the cells look like cells of that regime.
     """
 
     color: str = "#ffffff"
-    field: int | None = None
+    by_number: bool = False
     regime: int | None = None
 
 
@@ -120,7 +120,6 @@ class ScalarLayer:
     norm      placement of the numbers on the colormap
     values    (y, x) the numbers
     label     label of the colorbar
-    title     title of the colorbar if there are several
     signs     colormaps for positive numbers and for both signs, if zero may lie inside the limits; ``colormap`` is the
               first, or a part of the second
     bar       True if the layer has a colorbar
@@ -130,7 +129,6 @@ class ScalarLayer:
     norm: Normalize
     values: Array
     label: str
-    title: str = ""
     signs: tuple[Colormap, Colormap] | None = None
     bar: bool = True
 
@@ -186,7 +184,7 @@ class MapLayers:
     codes              (y, x) indices into ``styles``
     styles             appearance of each code
     legend             entries for the styles
-    fields             scalar layers, their colorbars from below
+    scalar             numbers of cells with their colours, None for none
     textures           hatch layers
     shade              darkening of the colours, None for none
     points             point layers
@@ -198,7 +196,7 @@ class MapLayers:
     codes: NDArray[np.intp]
     styles: Sequence[CellStyle]
     legend: Sequence[LegendEntry]
-    fields: Sequence[ScalarLayer] = ()
+    scalar: ScalarLayer | None = None
     textures: Sequence[HatchLayer] = ()
     shade: ShadingLayer | None = None
     points: Sequence[PointLayer] = ()
@@ -212,13 +210,14 @@ class MapLayers:
         return [*self.legend, *(texture.entry for texture in self.textures if texture.entry is not None)]
 
     @property
-    def bars(self) -> list[ScalarLayer]:
-        """The scalar layers with a colorbar."""
-        return [field for field in self.fields if field.bar]
+    def bar(self) -> ScalarLayer | None:
+        """The scalar layer if it has a colorbar."""
+        return self.scalar if self.scalar is not None and self.scalar.bar else None
 
-    def cells_on_scalar(self, place: int) -> Cells:
-        """Return the mask (y, x) of cells that are coloured by the scalar layer with index ``place``."""
-        return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.field == place])
+    @property
+    def cells_by_number(self) -> Cells:
+        """The mask (y, x) of cells that are coloured by the scalar layer."""
+        return np.isin(self.codes, [code for code, look in enumerate(self.styles) if look.by_number])
 
     def as_regime(self, regime: int) -> Cells:
         """Return the mask (y, x) of cells that look like cells of this regime."""
@@ -228,25 +227,25 @@ class MapLayers:
 def build_layers(
     regime: NDArray[np.int8],
     classes: Iterable[Class] = (),
-    fields: Sequence[ScalarLayer] = (),
+    scalar: ScalarLayer | None = None,
     numbered: tuple[NDArray[np.int64], Sequence[str]] | None = None,
     legend: Sequence[LegendEntry] = (),
     **others: Any,
 ) -> MapLayers:
-    """Return the layers of cells (y, x): classes over scalar layers over numbered cells.
+    """Return the layers of cells (y, x): classes over the scalar layer over numbered cells.
 
     regime    (y, x) regimes; cells without any other style look like their regime
     classes   classes of cells
-    fields    scalar layers
+    scalar    the scalar layer
     numbered  numbers (y, x) of cells, -1 for none, and the colour of each number
     legend    entries before those of the classes
     others    further fields of ``MapLayers``
     """
     number, colors = (np.full(regime.shape, -1), ()) if numbered is None else numbered
     codes, looks, entries = number.astype(np.intp), [CellStyle(color) for color in colors], [*legend]
-    for place, field in enumerate(fields):
-        codes[~np.isnan(field.values)] = len(looks)
-        looks.append(CellStyle(field=place))
+    if scalar is not None:
+        codes[~np.isnan(scalar.values)] = len(looks)
+        looks.append(CellStyle(by_number=True))
     for cells, color, name in classes:
         if cells.any():
             codes[cells] = len(looks)
@@ -259,16 +258,16 @@ def build_layers(
         looks.append(CellStyle(REGIME_COLORS[entry.code], regime=entry.code))
         entries += [LegendEntry.from_regime(entry.code)] if cells.any() else []
     codes[codes < 0] = len(looks) - 1
-    return MapLayers(codes, looks, entries, fields, **others)
+    return MapLayers(codes, looks, entries, scalar, **others)
 
 
 def paint(layers: MapLayers) -> Colors:
     """Return the colours of cells (y, x, 4) in bytes. Pending cells are transparent, to show the hatch below."""
     table = [style.rgb(look.color, alpha=0 if look.regime == PENDING else 255) for look in layers.styles]
     rgba = np.array(table, np.uint8)[layers.codes]
-    for place, field in enumerate(layers.fields):
-        cells = layers.cells_on_scalar(place)
-        rgba[cells] = field.colors(field.values[cells])
+    if layers.scalar is not None:
+        cells = layers.cells_by_number
+        rgba[cells] = layers.scalar.colors(layers.scalar.values[cells])
     if layers.shade is not None:
         brightness = layers.shade.brightness
         there = ~np.isnan(brightness)

@@ -1,4 +1,4 @@
-"""Drawing a map: read the cells, apply the layers, draw overlays, colorbars, legend and labels."""
+"""Drawing a map: read the cells, apply the layers, draw overlays, colorbar, legend and labels."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,22 +12,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from atlas.query.label_placement import places
-from atlas.query.plane import Cells, Plane
+from atlas.query.plane import Plane
 from atlas.query.resample import read_view as in_view
 from atlas.render import overlays, raster, scalar_maps, style, text
 from atlas.render.kinds import PictureKind
-from atlas.render.layers import MapLayers, MapView
+from atlas.render.layers import Class, MapLayers, MapView
 from atlas.render.layout import FigureLayout
 from atlas.render.request import PictureRequest
-from workers.results import ATTRACTOR, LARGEST, PENDING
+from workers.results import ATTRACTOR, PENDING
 
 LABEL_SIZE = 7.5
 """Type size of labels on a map, in points."""
-_ARROW = {
-    "arrowstyle": "-|>,head_length=0.25,head_width=0.1", "linewidth": 0.5, "shrinkA": 0.5, "shrinkB": 0.0,
-    "color": "#555555",
-}  # fmt: skip
-"""Style of the arrow from a label to its region."""
 
 
 def draw_layers(view: MapView, layers: MapLayers) -> Figure:
@@ -36,11 +31,12 @@ def draw_layers(view: MapView, layers: MapLayers) -> Figure:
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
         entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
-        scalar_maps.draw_bars(drawn, [ax], layers.bars, page)
+        if layers.bar is not None:
+            scalar_maps.draw_bar(drawn, [ax], layers.bar, page)
         page.legend(drawn, entries, beside=layers.side_legend_title)
         if layers.names and wanted.names:
             page.finalize(drawn)
-            name_regions(ax, view.plane, layers.names, [LABEL_SIZE * page.scale])
+            name_regions(ax, view.plane, layers.names, LABEL_SIZE * page.scale)
     return drawn
 
 
@@ -50,7 +46,6 @@ def read(kind: PictureKind, ds: xr.Dataset, request: PictureRequest) -> MapView:
     Raise InputError if the atlas lacks one. No other function of maps reads an atlas.
     """
     names = [*kind.variables] if request.variable is None else [request.variable]
-    names += [LARGEST.name] if "isolines" in request.overlays else []
     kind.require(ds, names)
     plane = Plane.from_dataset(in_view(ds, names, pixels=request.pixels or request.page.map_pixels), names)
     return MapView(kind, ds, plane, request)
@@ -89,34 +84,17 @@ def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
     return replace(layers, legend=legend)
 
 
-def name_regions(
-    ax: Axes,
-    plane: Plane,
-    named: Sequence[tuple[Cells, str, str]],
-    type_sizes: Sequence[float],
-    limit: int = 2,
-    free: Cells | None = None,
-) -> None:
-    """Write labels into the largest regions of sets of cells (y, x), see ``places``. The plot must have its final size.
+def name_regions(ax: Axes, plane: Plane, named: Sequence[Class], type_size: float) -> None:
+    """Write the labels of classes of cells into their largest regions, see ``places``.
 
-    ``named`` has cells, label, and the colour under the label.
+    The plot must have its final size.
     """
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
     place = np.ix_(rows, columns)
     extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
     step = np.array([extent.height / rows.size, extent.width / columns.size]) / dots  # in points
-
-    def at(cell: tuple[int, int]) -> tuple[float, float]:
-        return x.values[cell[1]], y.values[cell[0]]
-
-    cells = [(region[place], name) for region, name, _ in named]
-    for number, cell, size, angle, region in places(
-        cells, step, type_sizes, limit, None if free is None else free[place]
-    ):
+    look: Any = {"fontsize": type_size, "ha": "center", "va": "center_baseline", "zorder": 4}
+    for number, (row, column), angle in places([(cells[place], name) for cells, name, _ in named], step, type_size):
         _, name, color = named[number]
-        look: dict[str, Any] = {"fontsize": size, "ha": "center", "zorder": 4}
-        if region is None:
-            look |= {"va": "center_baseline", "rotation": angle, "rotation_mode": "anchor"}  # rotated about its centre
-            ax.text(*at(cell), name, color=style.ink_on(color), **look)
-        else:
-            ax.annotate(name, at(region), at(cell), va="center", color=style.ink_on("white"), arrowprops=_ARROW, **look)
+        turned: Any = {"rotation": angle, "rotation_mode": "anchor"}  # about its centre
+        ax.text(x.values[column], y.values[row], name, color=style.ink_on(color), **turned, **look)

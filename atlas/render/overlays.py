@@ -1,7 +1,7 @@
 """Overlays of a map: lines and marks over its cells.
 
-They are the grazing of impact-free motion, borders between regimes, lines of equal exponents, exact curves with their
-ends and their points of codimension two, and over basins the saddles with their stable manifolds.
+They are the grazing of impact-free motion, borders between regimes, exact curves with their ends and their points of
+codimension two, and over basins the saddles between them.
 
 A curve is drawn while its orbit is otherwise stable: there it bounds a region with attractors. The rest of a curve
 crosses regions without an effect and is left out.
@@ -14,10 +14,8 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.contour import ContourSet
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
@@ -26,26 +24,21 @@ from atlas.orbits.curves import queries
 from atlas.orbits.curves.table import Curve
 from atlas.query import machine
 from atlas.query.grazing import grazing_lines
-from atlas.query.label_placement import crowded_parts, densify_line
+from atlas.query.label_placement import crowded_parts
 from atlas.query.open import handle_of
-from atlas.query.outlines import isolines, simplify_regimes
+from atlas.query.outlines import simplify_regimes
 from atlas.query.window import axis_names
 from atlas.render import raster, style
 from atlas.render.kinds import OverlayError
 from atlas.render.layers import MapView
 from atlas.robustness.saddles import saddles_in
-from workers.results import LARGEST
 
 Array = NDArray[np.float64]
 
 _CROWDED = 5.0
 """Distance in points below which two grazing lines are solid: adjacent dashes look like a bar code."""
-MIN_LINE_LENGTH = 40.0
-"""Minimum length in points of a piece of an isoline."""
 BOUNDARY = "#101418"
 """Colour of regime boundaries."""
-SHADOW = "#3c4650"
-"""Colour of the edge of an isoline on pale cells; isolines are white, unlike boundaries."""
 CASING = {False: 1.5, True: 0.7}
 """Extra width of the white casing of a curve over a map, by whether another curve runs beside it."""
 _WIDTHS = {False: 1.1, True: 0.75}
@@ -107,29 +100,8 @@ def _boundaries(ax: Axes, view: MapView) -> list[Artist]:
     return [Line2D([], [], color=BOUNDARY, linewidth=0.9, label=label)]
 
 
-def _isolines(ax: Axes, view: MapView) -> list[Artist]:
-    plane, kept = view.plane, dict[float, list[Array]]()
-    for level, line in isolines(
-        plane.x.values, plane.y.values, plane.known_values(LARGEST.name), MaxNLocator(5).tick_values
-    ):
-        _, along = densify_line(raster.in_points(ax, line, view.page.map_size))
-        if along[-1] >= MIN_LINE_LENGTH:
-            kept.setdefault(level, []).append(line)
-    if not kept:
-        return []
-    drawn = ContourSet(ax, [*kept], [*kept.values()], colors="white", linewidths=0.7, linestyles="solid", zorder=2.5)
-    if view.wanted.names:
-        names = {level: f"{level:g}".replace("-", "\N{MINUS SIGN}") for level in kept}
-        named = drawn.clabel(fontsize=7.0 * view.page.scale, colors="black", inline=False, fmt=names, zorder=3.5)
-        for text in named:
-            text.set_path_effects([withStroke(linewidth=1.6, foreground="white", alpha=0.85)])
-    drawn.set_path_effects([withStroke(linewidth=1.5, foreground=SHADOW)])
-    shadow = [withStroke(linewidth=2.0, foreground=SHADOW)]
-    return [Line2D([], [], color="white", linewidth=1.0, path_effects=shadow, label=r"$\lambda_1$ constant")]
-
-
 def _curves(ax: Axes, view: MapView) -> list[Artist]:
-    return draw_curves(ax, requested_curves(view, "overlay 'curves'"), view, CASING)
+    return draw_curves(ax, requested_curves(view, "overlay 'curves'"), view)
 
 
 def requested_curves(view: MapView, who: str) -> list[Curve]:
@@ -144,7 +116,7 @@ def requested_curves(view: MapView, who: str) -> list[Curve]:
     return [curve for curve in stored if view.wanted.curves is None or curve.kind in view.wanted.curves]
 
 
-def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool, float] | None = None) -> list[Artist]:
+def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
     """Draw curves, each kind in its own colour and line style, and return the legend entries of the visible ones.
 
     Lines and casings of crowded curves are thinner, to show the map between them.
@@ -162,9 +134,8 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView, casing: dict[bool,
         if not own:
             continue
         segments, widths = [part for part, _ in own], np.array([_WIDTHS[crowded] for _, crowded in own])
-        if casing:
-            wide = widths + [casing[crowded] for _, crowded in own]
-            ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
+        wide = widths + [CASING[crowded] for _, crowded in own]
+        ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
         drawn = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
         drawn.set_gid(kind)
         ax.add_collection(drawn, autolim=False)
@@ -196,23 +167,18 @@ def _draw_marks(
 
 
 def _saddles(ax: Axes, view: MapView) -> list[Artist]:
-    box = {axis.name: (float(axis.edges[0]), float(axis.edges[-1])) for axis in (view.plane.x, view.plane.y)}
-    saddles, manifolds = saddles_in(view.ds, handle_of(view.ds).spec, box)
-    for color, width in (("white", 2.2), ("black", 0.9)):
-        ax.add_collection(LineCollection(manifolds, colors=color, linewidths=width, zorder=3.2), autolim=False)
+    saddles = saddles_in(view.ds, handle_of(view.ds).spec, (view.plane.x.name, view.plane.y.name))
     look = style.mark("X", 7.0, "black", "white", 0.8)
     for states in saddles:
         ax.plot(*states.T, zorder=4.2, scalex=False, scaley=False, gid="saddle", **look)
     if not saddles:
         return [Line2D([], [], linestyle="", label="no saddle found between basins")]
-    manifold = Line2D([], [], color="black", linewidth=0.9, label="stable manifold of a saddle")
-    return [Line2D([], [], label="saddle: unstable orbit", **look), manifold]
+    return [Line2D([], [], label="saddle: unstable orbit", **look)]
 
 
 DRAW: dict[str, Callable[[Axes, MapView], list[Artist]]] = {
     "grazing": _grazing,
     "boundaries": _boundaries,
-    "isolines": _isolines,
     "curves": _curves,
     "saddles": _saddles,
 }

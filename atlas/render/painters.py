@@ -5,25 +5,20 @@ from collections.abc import Callable, Mapping
 import xarray as xr
 from matplotlib.figure import Figure
 
-from atlas.render import class_maps, maps, region_chart, scalar_maps, sweep
+from atlas.render import class_maps, maps, scalar_maps, sweep
 from atlas.render.kinds import PictureKind
 from atlas.render.layers import MapLayers
 from atlas.render.request import PictureRequest
 
 PAINTERS: Mapping[str, Callable[..., MapLayers]] = {
     "exponent": scalar_maps.exponent, "period": class_maps.period, "impacts": class_maps.motions,
-    "symmetry": class_maps.symmetry,
-    "combined": scalar_maps.combined, "error": scalar_maps.error, "cost": scalar_maps.cost,
-    "sticking": scalar_maps.number,
-    "attractors": class_maps.attractors, "share": scalar_maps.number, "labels": class_maps.labels,
-    "basins": class_maps.basins,
-    "return_time": scalar_maps.scalar, "reactivity": scalar_maps.scalar, "amplification": scalar_maps.scalar,
-    "fatal_shock": scalar_maps.scalar, "margin": scalar_maps.scalar, "scalar": scalar_maps.scalar,
+    "combined": scalar_maps.combined, "attractors": class_maps.attractors, "labels": class_maps.labels,
+    "basins": class_maps.basins, "scalar": scalar_maps.scalar,
 }  # fmt: skip
 """For each kind of map, the function that returns the layers of a view."""
 
 FIGURES: Mapping[str, Callable[[xr.Dataset, PictureRequest], Figure]] = {
-    "regions": region_chart.figure, "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
+    "coexistence": sweep.figure_of_attractors, "sweep": sweep.figure,
     "spectrum": sweep.figure_of_all, "hysteresis": sweep.figure_of_two,
 }  # fmt: skip
 """For each other kind, the function that draws the figure."""

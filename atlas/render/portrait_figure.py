@@ -49,16 +49,13 @@ class PortraitCoordinate(NamedTuple):
         return states[:, : self.row.size] @ self.row, states[:, self.row.size :] @ self.row
 
 
-def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD, gap_plane: bool = True) -> Figure:
+def figure(orbit: CellTrajectory, layout: FigureLayout = STANDARD) -> Figure:
     """Return the portrait as a figure: the panels of Figs 3 to 5 of Li & Tan (2011) on one page.
 
-    If the cell has observables, the return map of the first one replaces the section. ``gap_plane`` False leaves out
-    the phase plane of the gap coordinate, for a figure beside another one that has it.
+    If the cell has observables, the return map of the first one replaces the section.
     """
     masses = [_shown(orbit, row) for row in selection.displacements(orbit)]
-    planes: list[tuple[PortraitCoordinate, PortraitCoordinate | None]] = [
-        (mass, None) for mass in masses if gap_plane or not np.array_equal(mass.row, orbit.gap_row)
-    ]
+    planes: list[tuple[PortraitCoordinate, PortraitCoordinate | None]] = [(mass, None) for mass in masses]
     if len(masses) > 1:
         planes.append((masses[0], masses[1]))  # the plane of both displacements
     chatter = selection.chatter(orbit)
@@ -106,7 +103,7 @@ def _mosaic(wide: bool, masses: int, planes: int, chatter: bool, many: bool) -> 
     pairs = [f"plane {k}" for k in range(planes)]
     if wide:
         rows = [[name] * (4 if chatter else 6) + ["zoom"] * (2 * chatter) for name in histories]
-        rows += [[name for name in pairs for _ in range(6 // planes)]] if pairs else []
+        rows.append([name for name in pairs for _ in range(6 // planes)])
         rows.append(["section"] * 2 + ["exponents"] * (3 - many) + ["values"] * (1 + many))
         return rows, [0.72] * masses + [1.25] * (len(rows) - masses)
     pairs.append("section")

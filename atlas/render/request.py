@@ -15,8 +15,10 @@ from atlas.render.kinds import (
     CURVES,
     KIND_TABLE,
     KINDS,
+    NUMBERS,
     OVERLAYS,
     SCALAR,
+    SCALES,
     PictureKind,
     found_axes,
 )
@@ -118,6 +120,9 @@ def _check_scalar(ds: "xr.Dataset", request: PictureRequest) -> None:
         raise InputError(f"kind {SCALAR!r} draws one atlas, found two")
     if len(axis_names(ds)) != 2:
         raise InputError(f"kind {SCALAR!r} draws two axes, {found_axes(ds)}")
+    hint = SCALES.get(name, NUMBERS).hint
+    if hint and name not in ds:
+        raise InputError(f"this atlas has no variable {name!r}; {hint}")
     check_number(ds, name)
 
 

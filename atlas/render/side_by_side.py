@@ -63,7 +63,8 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
         for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
             entries += maps.lay(ax, plane, layers, own)
             ax.set_title(title, loc="left")
-            scalar_maps.draw_bars(drawn, [ax], layers.bars, own, below=True)
+            if layers.bar is not None:
+                scalar_maps.draw_bar(drawn, [ax], layers.bar, own, below=True)
         _label_outside(panels)
         layout.legend(drawn, entries)
     return drawn
@@ -105,7 +106,8 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
         planes = [view.plane for view in views]
         panels[0].set_xlim(min(plane.x.edges[0] for plane in planes), max(plane.x.edges[-1] for plane in planes))
         panels[0].set_ylim(min(plane.y.edges[0] for plane in planes), max(plane.y.edges[-1] for plane in planes))
-        scalar_maps.draw_bars(drawn, panels, bars, page, below=not page.has_side_legend)
+        for bar in bars:
+            scalar_maps.draw_bar(drawn, panels, bar, page, below=not page.has_side_legend)
         page.legend(drawn, list(entries.values()))
     return drawn
 
@@ -191,7 +193,7 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
     layers = build_layers(
-        np.where(pending, np.int8(PENDING), first.regime), [unknown], [ScalarLayer(DIFFERENCE, norm, change, label)]
+        np.where(pending, np.int8(PENDING), first.regime), [unknown], ScalarLayer(DIFFERENCE, norm, change, label)
     )
     return replace(layers, legend=[entry for entry in layers.legend if entry.color == WITHOUT])
 

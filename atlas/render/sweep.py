@@ -10,14 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.query import hysteresis
 from atlas.query.attractors import branches as branches_of
 from atlas.query.attractors import select_dominant
-from atlas.query.outlines import interleave_exponents, row_rectangles
+from atlas.query.compare import check_same_axis
+from atlas.query.outlines import interleave_exponents
 from atlas.query.plane import CoordinateInfo, PlaneAxis, sort_axes
 from atlas.query.window import spec_of_axis
 from atlas.render import class_maps, raster, style, text
@@ -37,8 +36,6 @@ Panel: TypeAlias = Callable[[Axes, xr.Dataset, PlaneAxis, FigureLayout], None]
 LARGEST_LABEL = f"largest Lyapunov exponent\n$\\lambda_1$ [{PER_PERIOD}]"
 COLORS = ("#0a6ebd", "#e8701a")
 """Colours of two sweeps in one picture."""
-SHADES = {hysteresis.MIRRORED: "#f0eedd", hysteresis.DIFFERENT: "#d6cdea"}
-"""Background colours where two sweeps end on mirror images, and on different motions."""
 EXPONENTS = ("#b2182b", "#e08214", "#35978f", "#2c4f9e", "#762a83", "#8c6d31", "#e78ac3", "#525252")
 """Colour of each exponent, the largest first; repeated for systems with more."""
 INTERVAL = ("share_low", "share_high")
@@ -90,26 +87,21 @@ def _of_one(
 
 
 def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
-    """Return two sweeps as one figure, shaded where they end on different motions, paler for mirror images.
+    """Return two sweeps as one figure, in two colours: they hide each other where the motions are the same.
 
-    The rule is ``atlas.query.hysteresis.compare``. Raise InputError unless the sweeps have the same axis and a common
-    variable.
+    Raise InputError unless the sweeps have the same axis and a common variable.
     """
     against = request.against
     assert against is not None
-    hysteresis.check_same_axis(ds, against)
+    check_same_axis(ds, against)
     atlases = (ds, against)
     shown = PlottedValues.resolve(request.observe, *atlases)
     names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
-    (first, x), (second, _) = (line(ds, [*names, *held(hysteresis.COMPARED, *atlases)]) for ds in atlases)
-    outcome = hysteresis.compare(first, second)
+    (first, x), (second, _) = (line(ds, names if shown is None else [*names, *shown.reads]) for ds in atlases)
 
     def panel(ax: Axes, name: str) -> None:
-        for what, color in SHADES.items():
-            for stretch in row_rectangles(outcome[None] == what, x.edges, np.arange(2.0)):
-                ax.axvspan(*stretch[:2, 0], color=color, linewidth=0, zorder=0)
         # The second sweep is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, request.page) * larger
@@ -121,9 +113,6 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
     legend: list[Artist] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
-    for (what, color), meaning in zip(SHADES.items(), ("mirror images", "different motions"), strict=True):
-        if np.any(outcome == what):
-            legend.append(Patch(facecolor=color, edgecolor="#a9a4b8", linewidth=0.4, label=meaning))
     return stack(ds, (first, x), panels, legend, request, shown)
 
 

@@ -1,1 +1,1 @@
-"""Stability of attractors: decay and growth of deviations, fatal shocks, saddles, margins to curves."""
+"""Stability of attractors: decay and growth of deviations, fatal shocks, saddles."""

@@ -48,7 +48,6 @@ class Saddle:
     states (q, 2n)     section states, physical
     multipliers (2n,)  multipliers of the whole orbit
     normal (q, 2n)     normal of its stable manifold at each state, of length 1 in the norm's coordinates w z
-    along (q, 2n)      for n = 1 the stable direction at each state, of length 1 in these coordinates; else empty
     sides              labels reached a little to either side of the first state, against its normal and along it
     residual           largest component of P^q(z) - z
     weights (2n,)      weights of the norm
@@ -57,7 +56,6 @@ class Saddle:
     states: Array
     multipliers: NDArray[np.complex128]
     normal: Array
-    along: Array
     sides: tuple[int, int]
     residual: float
     weights: Array
@@ -194,19 +192,16 @@ class _Tracker:
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
         if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):
             return None
-        normal, along = zip(*(self._directions(one, period) for one in states), strict=True)
+        normal = [self._normal(one, period) for one in states]
         aside = ASIDE * max(self.size(one) for one in states) * normal[0] / self.weights
         low, high = reached_labels(self.table, np.stack([z - aside, z + aside])).tolist()
         if low == high or {low, high} & {UNKNOWN_LABEL, NO_MOTION}:
             return None
-        return Saddle(
-            states, multipliers, np.array(normal), np.array(along), (int(low), int(high)), residual, self.weights
-        )
+        return Saddle(states, multipliers, np.array(normal), (int(low), int(high)), residual, self.weights)
 
-    def _directions(self, state: Array, period: int) -> tuple[Array, Array]:
-        """Return the normal of the stable manifold, and for n = 1 its direction, both in the norm's coordinates."""
+    def _normal(self, state: Array, period: int) -> Array:
+        """Return the normal of the stable manifold in the norm's coordinates."""
         jacobian = self.weights[:, None] * self.map.orbit_with_jacobian(state, period)[2] / self.weights
         values, vectors = np.linalg.eig(jacobian.T)
         normal = np.real(vectors[:, np.argmax(np.abs(values))])
-        normal = normal / np.linalg.norm(normal) * (1.0 if normal[np.argmax(np.abs(normal))] > 0.0 else -1.0)
-        return normal, np.array([-normal[1], normal[0]]) if len(state) == 2 else np.zeros(0)
+        return normal / np.linalg.norm(normal) * (1.0 if normal[np.argmax(np.abs(normal))] > 0.0 else -1.0)

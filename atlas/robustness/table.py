@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import InputError
-from atlas.orbits.curves.table import KINDS
 from atlas.orbits.orbit_table import current_group
 from atlas.robustness.linear_measures import FLAGS
 from atlas.store.groups import STABILITY, write_table
@@ -22,16 +21,15 @@ Arrays = dict[str, NDArray[Any]]
 VERSION = 1
 """Version of the computation of measures; incremented whenever a measure may change."""
 
-LINEAR, SHOCKS, MARGIN = FAMILIES = ("linear", "shocks", "margin")
+LINEAR, SHOCKS = FAMILIES = ("linear", "shocks")
 """Families of measures that are computed together."""
 
 
 @dataclass(frozen=True)
 class MeasureVariable(Variable):
-    """A measure of each attractor, or with ``of_cell`` of each cell; ``family`` is its family."""
+    """A measure of each attractor; ``family`` is its family."""
 
     family: str = ""
-    of_cell: bool = False
 
 
 def _numbered(names: Iterable[str]) -> tuple[CodeMeaning, ...]:
@@ -54,18 +52,8 @@ _FAMILIES = {
         MeasureVariable("shock_reaches", "int32", -1, "place of the attractor it leads to; -2 if it is not stored"),
         MeasureVariable("shock_tried", "int32", -1, "states that fill the ball of this size and are not fatal"),
     ),
-    MARGIN: (
-        MeasureVariable("margin", "float64", _NAN, "distance to the nearest curve"),
-        MeasureVariable("margin_error", "float64", _NAN, "estimated distance of its nearest chord from the curve"),
-        MeasureVariable("margin_kind", "int8", -1, "kind of the nearest curve", codes=_numbered(KINDS)),
-        MeasureVariable("margin_curve", "int32", -1, "number of the nearest curve, from 0"),
-    ),
 }
-MEASURES = {
-    measure.name: replace(measure, family=family, of_cell=family == MARGIN)
-    for family, some in _FAMILIES.items()
-    for measure in some
-}
+MEASURES = {measure.name: replace(measure, family=family) for family, some in _FAMILIES.items() for measure in some}
 """All measures by name."""
 
 
@@ -100,22 +88,12 @@ def read_measures(handle: AtlasStore) -> StoredMeasures:
 
 def write_measures(handle: AtlasStore, stored: StoredMeasures) -> None:
     """Write measures into the store, replacing any earlier ones."""
-    dims = handle.spec.dims
-    many = (*dims, ATTRACTOR) if handle.spec.coexistence else dims
+    dims = (*handle.spec.dims, ATTRACTOR) if handle.spec.coexistence else handle.spec.dims
     columns = {
-        name: StoredArray(values, dims if MEASURES[name].of_cell else many, variable_attributes(MEASURES[name]))
-        for name, values in stored.arrays.items()
+        name: StoredArray(values, dims, variable_attributes(MEASURES[name])) for name, values in stored.arrays.items()
     }
     own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
     write_table(handle, STABILITY, columns, own | stored.requests)
-
-
-def drop_family(handle: AtlasStore, family: str) -> None:
-    """Remove the measures of a family from the store, if it has any."""
-    stored = read_measures(handle)
-    if family in stored.requests:
-        arrays = {name: values for name, values in stored.arrays.items() if MEASURES[name].family != family}
-        write_measures(handle, StoredMeasures(arrays, {k: v for k, v in stored.requests.items() if k != family}))
 
 
 def check_names(handle: AtlasStore) -> None:
@@ -129,7 +107,7 @@ def summary_of(arrays: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, float]
     """Return for each numeric measure how often it is known, and its smallest, median and largest finite value."""
     summary = {}
     for name, values in arrays.items():
-        if MEASURES[name].dtype != "float64" or name == "margin_error":
+        if MEASURES[name].dtype != "float64":
             continue
         known = values[np.isfinite(values)]
         summary[name] = {"known": int(np.sum(~np.isnan(values)))} | (

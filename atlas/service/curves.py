@@ -14,7 +14,6 @@ from atlas.orbits.curves.search import CurveSearch
 from atlas.orbits.curves.search_result import edge_share, finish_search
 from atlas.orbits.curves.settings import CurveSettings
 from atlas.orbits.curves.table import Curves, read_curves, write_curves
-from atlas.robustness.table import MARGIN, drop_family
 from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.progress import Progress
 from atlas.service.worker_pool import WorkerPool, open_store_call
@@ -151,7 +150,6 @@ class _CurveRun:
             self.pool.run_jobs(jobs, self._progress)
             self.search.add_results([read_part(self.handle, name) for name in tasks])
         curves = finish_search(self.search)
-        drop_family(self.handle, MARGIN)  # margins to the previous curves
         write_curves(self.handle, curves)
         drop_parts(self.handle, CURVES)
         pool, seconds = self.pool, time.monotonic() - self.pool.begin

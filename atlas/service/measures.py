@@ -20,11 +20,9 @@ from atlas.robustness.job import (
     pieces,
     read_measured,
 )
-from atlas.robustness.margin import margin_request, margins_hold, margins_of, validate_scale
 from atlas.robustness.norm import validate_weights
 from atlas.robustness.table import (
     LINEAR,
-    MARGIN,
     MEASURES,
     SHOCKS,
     VERSION,
@@ -86,9 +84,8 @@ class MeasureSummary:
     def __str__(self) -> str:
         lines = [f"{self.store}: {plural(len(self.measures), 'measure')}"]
         for name, numbers in self.measures.items():
-            kind = "cell" if MEASURES[name].of_cell else "attractor"
             ends = f", {numbers['least']:.4g} to {numbers['largest']:.4g}, median {numbers['median']:.4g}"
-            lines.append(f"{name}: {plural(int(numbers['known']), kind)}{ends if 'median' in numbers else ''}")
+            lines.append(f"{name}: {plural(int(numbers['known']), 'attractor')}{ends if 'median' in numbers else ''}")
         if self.seconds:
             lines.append(f"in {duration(self.seconds)}, {duration(self.processor_seconds)} of processor time")
         return "\n".join(lines)
@@ -99,9 +96,7 @@ def measure_attractors(
     store: "Given | AtlasStore",
     *,
     shocks: bool = False,
-    margin: bool = False,
     norm: Mapping[str, float] | None = None,
-    scale: Mapping[str, float] | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
     **fields: Unpack[RunOptionFields],
@@ -110,50 +105,39 @@ def measure_attractors(
 
     The measures are ``return_time``, ``reactivity`` and ``amplification``, as defined by ``atlas.stability``, in its
     ``norm``. ``shocks`` adds ``fatal_shock`` in an atlas of all attractors, which takes seconds to minutes for each
-    attractor. ``margin`` adds the distance of each cell to the nearest curve from ``find_curves``. Its lengths along an
-    axis are divided by the ``scale`` of the axis, by default its width. Stored measures are not computed again. Without
-    ``shocks`` and ``margin`` stored ones remain as long as the cells, and the curves, are the same. The jobs run on
-    ``client`` or on the workers of the options, like ``run``; the same call resumes a measurement that was stopped.
-    Raise InputError if the store is not a finished atlas; see also ``run``.
+    attractor. Stored measures are not computed again. Without ``shocks`` stored ones remain as long as the cells are
+    the same. The jobs run on ``client`` or on the workers of the options, like ``run``; the same call resumes a
+    measurement that was stopped. Raise InputError if the store is not a finished atlas; see also ``run``.
     """
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)
         weights = validate_weights(norm, handle.spec.system_def)
-        for name, flag in (("shocks", shocks), ("margin", margin)):
-            validate_flag(name, flag)
-        of_margin = margin_request(handle, validate_scale(handle, scale)) if margin else None
-        wanted = _requests(handle, shocks, of_margin, weights)
+        wanted = _requests(handle, validate_flag("shocks", shocks), weights)
         before = read_measures(handle)
-        stored = _still_true(handle, before, wanted)
+        stored = _still_true(before, wanted)
         missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
-        if not missing and stored.requests == before.requests:
+        if not missing:
             return MeasureSummary(str(handle.backend), summary_of(stored.arrays), stored.requests)
         check_not_packed(handle.backend)
         begin = time.monotonic()
-        families = [family for family in missing if family != MARGIN]
         kernels = kernels_of(handle.spec)
-        pool = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack, needed=bool(families))
+        pool = WorkerPool.open(handle, measure_and_keep, kernels, client, options, stack)
         handle = pool.handle
         if read_measures(handle).requests != before.requests:  # the other run's measures must not be lost
             raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")
         measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
-        if MARGIN in missing:
-            measured.arrays.update(margins_of(handle, wanted[MARGIN]["scale"]))
-        if families:
-            job = _MeasureRun(handle, pool, tuple(weights.items()))
-            measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in families}))
+        job = _MeasureRun(handle, pool, tuple(weights.items()))
+        measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in missing}))
         measured.requests.update({family: wanted[family] for family in missing})
         ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
         write_measures(handle, StoredMeasures(ordered, measured.requests))
-        for family in families:
+        for family in missing:
             drop_parts(handle, group_of(family))
         seconds, busy = time.monotonic() - begin, pool.processor_seconds
         return MeasureSummary(str(handle.backend), summary_of(ordered), measured.requests, seconds, busy, pool.tasks)
 
 
-def _requests(
-    handle: AtlasStore, shocks: bool, margin: Request | None, norm: Mapping[str, float]
-) -> dict[str, Request]:
+def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> dict[str, Request]:
     """Return the request of each family; ``content`` is a digest of the cells that its measures depend on."""
     if shocks and not handle.spec.coexistence:
         raise InputError(
@@ -163,20 +147,13 @@ def _requests(
     requests: dict[str, Request] = {LINEAR: {"content": content, "norm": dict(norm)}}
     if shocks:
         requests[SHOCKS] = {"content": content, "norm": dict(norm)}
-    return requests if margin is None else requests | {MARGIN: margin}
+    return requests
 
 
-def _still_true(handle: AtlasStore, stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
-    """Return the stored measures that are still valid.
-
-    These are measures of the present cells, and margins to the present curves.
-    """
+def _still_true(stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
+    """Return the stored measures of the present cells."""
     content = wanted[LINEAR]["content"]
-    kept = {
-        family: request
-        for family, request in stored.requests.items()
-        if (margins_hold(handle, request) if family == MARGIN else request.get("content") == content)
-    }
+    kept = {family: request for family, request in stored.requests.items() if request.get("content") == content}
     return StoredMeasures(
         {name: values for name, values in stored.arrays.items() if MEASURES[name].family in kept}, kept
     )

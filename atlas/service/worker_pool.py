@@ -79,14 +79,13 @@ class WorkerPool(Generic[J, R]):
         client: "Client | None",
         options: RunOptions,
         stack: ExitStack,
-        needed: bool = True,
     ) -> "WorkerPool[J, R]":
         """Lease a store until ``stack`` is closed, and return its pool.
 
-        The handle of the pool writes behind the fence of the lease. Workers are connected only if ``needed``.
+        The handle of the pool writes behind the fence of the lease.
         """
-        client = connect_client(client, options, stack) if needed else None
-        threads = worker_count(client, options) if needed else 0
+        client = connect_client(client, options, stack)
+        threads = worker_count(client, options)
         claim = stack.enter_context(hold_store_lease(handle.backend, options))
         return cls(
             handle.with_backend(claim.fence_backend(handle.backend)),

@@ -77,5 +77,5 @@ def law_lines(uses: Mapping[str, LawUse]) -> list[str]:
         if use.error > SHOWN:
             words.append(f"its segments are off by up to {100.0 * use.error:.2g} % of the greatest force")
         if words:
-            lines.append(f"law of {name}: {'; '.join(words)}; compare a smaller bound, or atlas check-law")
+            lines.append(f"law of {name}: {'; '.join(words)}; compare a smaller bound, or atlas plan --laws")
     return lines

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("workers", "atlas", "scripts", "rig")
-PLACE = re.compile(r"^<!-- modules: (\w+) -->$", re.MULTILINE)
+FOLDERS = ("workers", "atlas", "scripts", "tests/support")
+PLACE = re.compile(r"^<!-- modules: ([\w/]+) -->$", re.MULTILINE)
 
 
 def sentence(file: Path) -> str:

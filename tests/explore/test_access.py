@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from atlas.explore.session import ExplorerSession
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
@@ -94,7 +94,7 @@ def test_a_tap_chooses_the_cell_and_controls_unfold_between_the_plane_and_its_de
     x, y = ends(phone, "omega"), ends(phone, "b")
     assert abs(mark[0] - (x[0] + 0.6 * np.ptp(x))) < 0.02 * np.ptp(x)
     assert abs(mark[1] - (y[0] + 0.6 * np.ptp(y))) < 0.02 * np.ptp(y)
-    phone.page.locator("img.portrait").wait_for(timeout=120_000)
+    phone.page.get_by_role("button", name="copy all numbers").wait_for(timeout=120_000)
     phone.page.get_by_role("button", name="controls").click()
     cuts = phone.page.get_by_role("button", name="cut across")
     cuts.wait_for()

@@ -4,7 +4,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from distributed import Client
 import atlas
 from atlas.explore.actions import new_atlas
 from atlas.explore.attractors import AttractorListing, attractor_computation, attractors_table, stored_attractors
-from atlas.explore.basins_panel import BasinsPanel
 from atlas.explore.cell_lookup import CellLookup, CellResult
 from atlas.explore.explorer import Explorer
 from atlas.explore.jobs import ComputationJob
@@ -104,16 +102,11 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
     assert atlas.verify(coexistence, sample=1).is_sound
 
 
-def test_by_the_papers_schedule_neither_attractors_nor_basins_are_sought(finished: Path) -> None:
+def test_by_the_papers_schedule_attractors_are_not_sought(finished: Path) -> None:
     subject = subject_of(str(finished))
     fixed = replace(subject, settings=Settings(method="fixed"))
     found = stored_attractors(fixed, CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
     assert found is not None and "adaptive" in attractors_table(found, fixed)
-    for shown, offered in ((subject, True), (fixed, False)):
-        explorer = SimpleNamespace(subject=shown, patches=SimpleNamespace(request=lambda who, jobs: None))
-        panel = BasinsPanel(explorer, SimpleNamespace(deferred_call=lambda act: act))  # type: ignore[arg-type]
-        panel.set_topic(CellResult(dict(subject.plane.parameters) | CELL, CELL, of_atlas=False))
-        assert panel._button.visible == offered
 
 
 def test_a_cell_without_a_motion_has_no_attractors(finished: Path) -> None:

@@ -1,9 +1,8 @@
-"""What the page says and shows of a cell that was clicked: its numbers, its motion, its basins."""
+"""What the page says and shows of a cell that was clicked: its numbers, its motion."""
 
 import json
 import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,11 @@ import atlas
 from atlas.cell.trajectory import cell_orbit
 from atlas.errors import InputError
 from atlas.explore import motion
-from atlas.explore.basins import BAND, SIDE, BasinGrid, label_computation
-from atlas.explore.basins_panel import BasinsPanel, label_colors
 from atlas.explore.cell_lookup import CellResult
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.static.about import meanings
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.text import cell_given, cell_line, cell_text
-from atlas.render.class_maps import BASINS
 from tests.explore.modules import run
 from workers.results import REASONS
 
@@ -148,57 +144,3 @@ def test_a_motion_that_cannot_be_shown_leaves_the_others_their_places(
     monkeypatch.setattr(motion, "cell_orbit", orbit)
     monkeypatch.setattr(motion, "motion_of", lambda x: x)
     assert motions(subject, {"omega": 4.0}, [[0.0] * 4, [0.05] * 4]) == {1: 0.05}
-
-
-def test_the_basins_of_a_cell_are_those_that_an_atlas_of_them_has(subject: Subject) -> None:
-    grid = BasinGrid(subject.system, {"omega": 4.0, "b": 0.1}, subject.settings, subject.starts,
-                ("x1", np.linspace(-0.09, 0.09, 5)), ("v1", np.linspace(-0.4, 0.4, 4)))  # fmt: skip
-    question = label_computation(grid, slice(1, 3))
-    rows, found = question.postprocess(question.function(question.argument))
-    assert (rows, question.n_cells) == (slice(1, 3), 10)
-    states = [{"x1": x, "v1": v} for v in grid.y[1][1:3] for x in grid.x[1]]
-    periods = [atlas.point({**grid.parameters, **state}, settings=subject.settings)["period"] for state in states]
-    labels = found.ravel().tolist()
-    assert min(labels) >= 0 and len(set(periods)) == 2
-    of_label = {label: {p for p, k in zip(periods, labels, strict=True) if k == label} for label in labels}
-    assert all(len(found) == 1 for found in of_label.values())
-
-
-def test_the_rows_of_basins_cover_the_plane(subject: Subject) -> None:
-    assert SIDE % BAND == 0
-    made = BasinGrid.from_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
-    assert made.x[0] == "x1" and made.x[1].size == made.y[1].size == SIDE
-    assert -0.1 < made.x[1][0] < made.x[1][-1] < 0.1
-
-
-def test_the_picture_of_basins_has_each_initial_state_at_the_centre_of_its_pixel(subject: Subject) -> None:
-    grid = BasinGrid.from_cell(subject, cell_at(subject, 4.0, 0.1).parameters)
-    (x0,), (y0,), (w,), (h,) = (grid.box[name] for name in ("x0", "y0", "w", "h"))
-    centres = (np.arange(SIDE) + 0.5) / SIDE
-    assert np.allclose(x0 + w * centres, grid.x[1], rtol=0.0, atol=1e-12)
-    assert np.allclose(y0 + h * centres, grid.y[1], rtol=0.0, atol=1e-12)
-
-
-def test_the_plane_of_initial_states_is_laid_out_away_from_the_thread_of_the_document(
-    subject: Subject, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    works, made, of_cell = list[Any](), list[BasinGrid](), BasinGrid.from_cell
-    background = SimpleNamespace(deferred_call=lambda act: act, run=lambda work, refuse: works.append(work))
-    wanted = SimpleNamespace(
-        request=lambda who, jobs, keep_earlier=False: made.extend(job.question.argument[0] for job in jobs)
-    )
-    panel = BasinsPanel(SimpleNamespace(subject=subject, patches=wanted), background)  # type: ignore[arg-type]
-    panel.set_topic(cell_at(subject, 4.0, 0.1))
-    monkeypatch.setattr(BasinGrid, "from_cell", pytest.fail)
-    panel._ask()
-    assert not made
-    monkeypatch.setattr(BasinGrid, "from_cell", of_cell)
-    (work,) = works
-    work()()
-    assert len(made) == SIDE // BAND
-
-
-def test_an_unknown_label_is_grey_and_each_other_has_its_colour() -> None:
-    pixels = label_colors(np.array([[0, 1, -1, len(BASINS)]], dtype=np.int32)).view(np.uint8).reshape(4, 4)
-    assert pixels[0].tolist() == [0x44, 0x77, 0xAA, 255] == pixels[3].tolist()
-    assert pixels[2].tolist() == [221, 221, 221, 255]

@@ -1,29 +1,23 @@
-"""Cuts: the cells along a line over a plane, and the branches through them."""
+"""Cuts: the cells along a line over a plane."""
 
 import numpy as np
 import pytest
 from distributed import Client
 
 import atlas
-from atlas.errors import InputError
 from atlas.explore.cut import (
-    MAX_IMPACTS,
     SAMPLES,
     STEPS,
     CutCells,
     CutLine,
     cut_computation,
     exponents,
-    follow_branches,
     shown_points,
-    sweep_of,
     to_observe,
-    too_long,
 )
 from atlas.explore.jobs import ComputationJob
 from atlas.explore.subject import Subject, subject_of
 from tests.explore.test_solving import exploring, waited
-from workers.results import CHAOTIC, PERIODIC
 
 
 @pytest.fixture(scope="module")
@@ -102,24 +96,6 @@ def test_a_cut_shows_the_phases_of_impacts_of_its_cells(subject: Subject) -> Non
     assert not cells.results["more"].any()
 
 
-def test_branches_along_a_cut_are_those_that_a_cell_alone_leads_to(subject: Subject) -> None:
-    """The symmetry breaking at b = 0.087 of the example of ``atlas.branch``."""
-    line = CutLine(subject, subject.plane, (4.0, 0.05, 4.0, 0.15))
-    assert line.name == "b"
-    found = follow_branches(sweep_of(line, solved(line, line.batches()[:1])))
-    alone = atlas.branch({"omega": 4.0, "b": 0.1}, along="b", window=(0.05, 0.15), settings=subject.settings)
-    where = [value for kind, value, _ in found.events if kind == "symmetry_breaking"]
-    expected = alone.events["b"][alone.events["kind"] == "symmetry_breaking"].to_list()
-    assert len(expected) == 1 and min(abs(value - expected[0]) for value in where) < 1e-9
-    assert {stable for stable, *_ in found.stretches} == {True, False}
-
-
-def test_branches_along_a_slanted_cut_are_refused(subject: Subject) -> None:
-    line = CutLine(subject, subject.plane, (3.9, 0.1, 4.0, 0.11))
-    with pytest.raises(InputError, match="branches follow one parameter: cut along omega or b alone"):
-        sweep_of(line, solved(line, [(0,)]))
-
-
 def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject: Subject, client: Client) -> None:
     with exploring("omega-b", client) as explorer:
         line, came = CutLine(explorer.subject, explorer.subject.plane, (3.7, 0.45, 3.9, 0.45)), []
@@ -130,12 +106,3 @@ def test_a_cut_is_solved_on_the_cluster_and_dropped_when_nobody_wants_it(subject
         explorer.patches.request("page", jobs)
         explorer.patches.request("page", ())
         assert explorer.patches.n_remaining("page") == 0
-
-
-def test_periodic_cells_whose_orbits_are_too_long_to_be_followed_are_counted() -> None:
-    regime, impacts = (
-        np.array([PERIODIC, PERIODIC, CHAOTIC]),
-        np.array([MAX_IMPACTS // 2, MAX_IMPACTS // 2 + 1, MAX_IMPACTS]),
-    )
-    results = {"regime": regime, "impacts_upper": impacts, "impacts_lower": impacts}
-    assert too_long(CutCells(np.arange(3), results)) == 1

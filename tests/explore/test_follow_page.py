@@ -8,7 +8,7 @@ import pytest
 
 import atlas
 from atlas.explore.session import ExplorerSession
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
@@ -20,7 +20,7 @@ VIEW = "omega=1.7:1.8&b=0.12:0.13&cell=1.75,0.125"
 def tab(running: ExplorerSession, browser: Any) -> Iterator[Tab]:
     """A page that shows the cell; afterwards nothing may have gone wrong in the browser."""
     with opened(browser, f"{running.url}&{VIEW}", 1440, 900) as made:
-        made.page.locator("img.portrait").wait_for(timeout=120_000)
+        made.page.get_by_role("button", name="copy all numbers").wait_for(timeout=120_000)
         yield made
         assert made.complaints == []
 
@@ -58,7 +58,7 @@ def handle(tab: Tab) -> Any:
 def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it(tab: Tab) -> None:
     start(tab)
     assert data(tab, "follow_x")["follow_x"] == [1.75] and data(tab, "follow_x")["follow_y"] == [0.125]
-    before, portrait = tab.text(), data(tab, "branch_gap")
+    before, gap = tab.text(), data(tab, "branch_gap")
     handle(tab).scroll_into_view_if_needed()
     box = handle(tab).bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -70,7 +70,7 @@ def test_the_mouse_drags_the_orbit_along_its_branch_and_the_marker_moves_with_it
     tab.until(lambda: data(tab, "follow_x")["follow_x"] == [followed(tab)[4]])
     value = followed(tab)[4]
     assert value < 1.75 and tab.text() != before
-    tab.until(lambda: data(tab, "branch_gap") != portrait)
+    tab.until(lambda: data(tab, "branch_gap") != gap)
 
 
 def test_arrows_of_the_keyboard_walk_over_the_fold_where_the_parameter_turns_back(

@@ -15,7 +15,7 @@ from distributed import Client
 from PIL import Image
 
 from atlas.explore.session import HUB, ExplorerSession, explore
-from rig.browser import Tab, opened
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 
@@ -85,12 +85,12 @@ def test_back_leads_to_the_view_at_which_one_rested_and_not_to_those_between(tab
 def test_the_cell_clicked_comes_back_by_the_link(tab: Tab) -> None:
     left, top, width, height = tab.plot()
     tab.page.mouse.click(left + 0.5 * width, top + 0.6 * height)
-    tab.page.locator("img.portrait").wait_for(timeout=120_000)
+    tab.page.get_by_role("button", name="copy all numbers").wait_for(timeout=120_000)
     tab.until(lambda: "cell=" in tab.address())
     mark = tab.mark()
     assert mark is not None
     tab.page.goto(tab.address())
-    tab.page.locator("img.portrait").wait_for(timeout=120_000)
+    tab.page.get_by_role("button", name="copy all numbers").wait_for(timeout=120_000)
     assert tab.mark() == mark
 
 

@@ -94,7 +94,7 @@ def test_the_browser_colours_a_view_as_paint_does_by_the_numbers_that_it_was_sen
     (made,) = about["maps"]
     own = {name: arrays[name].ravel().tolist() for name in made["needs"]}
     finite = {name: [None if np.isnan(value) else value for value in values] for name, values in own.items()}
-    own_ends = next((bar["ends"] for bar in made["bars"] if bar["main"]), None)
+    own_ends = made["bar"] and made["bar"]["ends"]
     given = {"map": made, "codes": arrays[made["codes"]].ravel().tolist(), "values": finite, "ends": ends or own_ends}
     found = np.array(run(browser, COLORS, given), "<u4").view(np.uint8).reshape(*seen.sight.shape, 4)
 
@@ -133,14 +133,14 @@ def test_a_view_that_is_known_comes_with_every_map_of_its_variables(subject: Sub
 def test_a_scale_keeps_its_ends_and_says_which_would_fit_the_view(subject: Subject) -> None:
     held = (-3.0, 2.0)
     about, _, _, seen = sent(subject, view_of(subject), scales={"exponent": held})
-    (bar,) = about["maps"][0]["bars"]
+    bar = about["maps"][0]["bar"]
     assert tuple(bar["ends"]) == held
     (first, *_) = maps_of(seen, view_of(subject), others=False)
     assert tuple(bar["fit"]) == ends_of(first) != held
 
 
 def test_lines_come_clipped_to_the_view_and_what_cannot_be_drawn_is_said(subject: Subject) -> None:
-    chosen = view_of(subject, overlays=("grazing", "boundaries", "isolines", "curves"))
+    chosen = view_of(subject, overlays=("grazing", "boundaries", "curves"))
     about, arrays, lacking, seen = sent(subject, chosen)
     assert lacking == "" and {*about["lines"]} == {*chosen.overlays}
     for line in about["lines"]["curves"]["lines"]:

@@ -21,9 +21,9 @@ from atlas.errors import InputError
 from atlas.explore.session import explore
 from atlas.store.store import open_store
 from atlas.store.zoom import list_metatiles
-from rig.browser import opened, started
 from tests.explore.test_solving import waited
 from tests.paths import ROOT
+from tests.support.browser import opened, started
 
 COMMAND = """
 import signal, sys

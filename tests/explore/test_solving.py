@@ -510,9 +510,8 @@ def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: P
 
 def test_workers_need_no_bokeh() -> None:
     imports = """
-from atlas.explore.basins import solve_rows
 from atlas.explore.branches import follow_orbit
-from atlas.explore.cut import follow_branches
+from atlas.explore.cut import cut_computation
 from atlas.explore.grid_patch import solve_patch
 """
     program = f"import sys\n{imports}\nprint('bokeh' in sys.modules)"

@@ -231,10 +231,10 @@ def test_javascript_has_the_colours_of_paint_to_the_bit_with_any_ends_of_the_sca
         expected[expected[..., 3] == 0] = 255
         assert np.array_equal(found, expected), (coded.name, ends)
     there = {
-        "plane": {*MAPS} - {"regions"},
+        "plane": {*MAPS},
         "regimes": {"exponent", "period", "combined"},
         "basin": {BASINS},
-        "labelled": {LABELS, "share"},
+        "labelled": {LABELS},
     }
     assert seen - {word for word in seen if word.startswith("number-")} == there[name]
 
@@ -268,7 +268,7 @@ def test_curves_are_those_of_the_store_where_their_orbit_is_otherwise_stable() -
 
 
 def test_a_store_without_curves_has_none_on_its_page(opened: xr.Dataset) -> None:
-    assert described(page_of(opened))["lines"].keys() == {"grazing", "boundaries"}  # and no isoline
+    assert described(page_of(opened))["lines"].keys() == {"grazing", "boundaries"}
 
 
 # The file

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 import atlas
-from rig.browser import Tab, opened
 from tests import pictures, synthetic
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 

@@ -16,8 +16,8 @@ from atlas.render.layers import MapView, paint
 from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
 from atlas.render.request import PictureRequest
-from rig.browser import Tab, opened
 from tests.explore.test_page import arguments, painter_of, settled
+from tests.support.browser import Tab, opened
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:playwright")]
 

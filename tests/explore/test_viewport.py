@@ -210,20 +210,20 @@ def test_every_kind_that_is_offered_is_drawn_from_the_variables_that_it_names(fi
     sight = stored.viewport((2.3, 2.9), (0.2, 0.3), (60, 40))
     tiles = [(key, filled(stored, key, 1.0)) for key in sight.tiles(0)]
     for kind in kinds(stored):
-        chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"isolines"]})
+        chosen = from_address(stored, {"kind": [kind.encode()], "overlay": [b"boundaries"]})
         (made,) = maps_of(compose_view(stored, stored.plane, sight, tiles, chosen.names), chosen, others=False)
         assert made.codes.shape == sight.shape and {*made.needs} <= {*chosen.names}, kind
 
 
 def test_curves_are_not_offered_where_there_is_no_store(subject: Subject) -> None:
-    assert overlays(subject) == ["grazing", "boundaries", "isolines"] and "regions" not in kinds(subject)
+    assert overlays(subject) == ["grazing", "boundaries"]
 
 
 def test_an_address_restores_what_it_was_made_of(subject: Subject) -> None:
     from urllib.parse import parse_qs
 
     given = {"omega": [b"2.5:2.75"], "b": [b"0.2:0.21"], "kind": [b"scalar"], "variable": [b"peak_to_peak"],
-             "log": [b"1"], "overlay": [b"grazing,isolines"], "vmin": [b"0.1"], "R": [b"0.75"],
+             "log": [b"1"], "overlay": [b"grazing,boundaries"], "vmin": [b"0.1"], "R": [b"0.75"],
              "without": [b"graze,fold"]}  # fmt: skip
     chosen = from_address(subject, given)
     again = {

@@ -20,8 +20,8 @@ from atlas.cli.main import main
 from atlas.cli.output import to_json
 from atlas.service.summary import RunSummary
 from atlas.service.timing import TIMING, Timing
-from rig.faults import ATLAS
 from tests.paths import ROOT
+from tests.support.faults import ATLAS
 from workers import Settings
 from workers.model.system import find_system, system_names
 from workers.results import PERIODS_SPENT, REASONS

@@ -15,7 +15,7 @@ import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.errors import InputError
 from atlas.explore.view_state import ARGUMENTS
-from atlas.orbits.curves.export import columns
+from atlas.orbits.curves.queries import frame
 from atlas.orbits.curves.table import Curves, as_arrays
 from atlas.orbits.labels.table import BRANCH, OF_BRANCHES
 from atlas.overview.coarsen import SHARE, level_variables
@@ -51,7 +51,7 @@ def own_names() -> Iterator[str]:
     for name, array in as_arrays(Curves(("omega", "b"), ())).items():
         yield from (name, *array.dims)
     yield from (variable.name for variable in OF_BRANCHES)
-    yield from set(columns(("omega", "b"))) - {"omega", "b"}
+    yield from set(frame(Curves(("omega", "b"), ())).columns) - {"omega", "b"}
     yield from (coarse_name("omega"), bounds_name(coarse_name("omega")))
     yield from ARGUMENTS
     yield from set(re.findall(r"`(\w+)=", PAGE))

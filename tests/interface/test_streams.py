@@ -13,8 +13,8 @@ from atlas.cli.main import main
 from atlas.cli.output import print_table
 from atlas.cli.progress import LogReporter
 from atlas.service.progress import Progress
-from rig.faults import ATLAS
 from tests.paths import ROOT
+from tests.support.faults import ATLAS
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 UNBUFFERED = ENVIRONMENT | {"PYTHONUNBUFFERED": "1"}

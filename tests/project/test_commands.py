@@ -20,9 +20,9 @@ from distributed import Client
 from PIL import Image
 
 import atlas
-from rig.faults import ATLAS
 from tests.cli_runner import commands
 from tests.project.test_docs import PAGES, ROOT, files, script_calls
+from tests.support.faults import ATLAS
 
 pytestmark = pytest.mark.slow
 
@@ -170,6 +170,8 @@ def test_what_a_page_shows_can_be_run_as_it_stands(
         else:
             (folder / f"block{number}.py").write_text(text)
             run([sys.executable, "-W", "error", f"block{number}.py"], folder)
+    for line in for_each_name(page):
+        run(["sh", "-eu", "-c", line], folder)
     for name in pictures(page):
         if (folder / name).exists():
             with Image.open(folder / name) as image:
@@ -193,14 +195,26 @@ def pictures(page: Path) -> list[str]:
     return [Path(name).name for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text())]
 
 
+def written(page: Path) -> set[str]:
+    """The files that the blocks and calls of scripts of a page write."""
+    blocks = "".join(text for _, text in runnable(page))
+    named = {Path(word).name for call in script_calls(page) for word in call}
+    return named | set(re.findall(r"^atlas .* -o (\S+)", blocks, re.MULTILINE))
+
+
+def for_each_name(page: Path) -> list[str]:
+    """The commands that a page gives once for every NAME, of each picture that no other command writes."""
+    lines = re.findall(r"^    (atlas .*\bNAME\b.*)", page.read_text(), re.MULTILINE)
+    names = [Path(picture).stem for picture in pictures(page) if lines and picture not in written(page)]
+    return [line.replace("NAME", name) for name in names for line in lines]
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if pictures(page)], ids=lambda page: page.name)
 def test_the_command_that_makes_a_picture_stands_beside_it(page: Path) -> None:
-    """An ``atlas`` command that writes it, or a call of a script that does."""
-    blocks = "".join(text for _, text in runnable(page))
-    written = {Path(word).name for call in script_calls(page) for word in call}
-    written |= set(re.findall(r"^atlas .* -o (\S+)", blocks, re.MULTILINE))
-    written.add("machine.svg")  # scripts/machine_drawing.py draws that and nothing else
-    assert set(pictures(page)) <= written
+    """An ``atlas`` command that writes it, one for every NAME, or a call of a script that does."""
+    found = written(page) | set(re.findall(r" -o (\S+)", "\n".join(for_each_name(page))))
+    found.add("machine.svg")  # scripts/machine_drawing.py draws that and nothing else
+    assert set(pictures(page)) <= found
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

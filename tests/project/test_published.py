@@ -1,6 +1,6 @@
 """Claims about the gallery of published results: its page is that of its JSON, and its closed forms are right.
 
-The closed forms of rig/published are held against scipy's integrator with events, and against maps whose times are
+The closed forms of scripts/published are held against scipy's integrator with events, and against maps whose times are
 bisected and whose derivatives are differences. Neither shares code with the solver. test_den_hartog.py and
 test_bifurcations.py have further references of the gallery.
 """
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
-from rig.oracle.closed_form import symmetric_orbit
-from rig.published.entries import (
+from scripts.published.entries import (
     ENTRIES,
     bapat_1983,
     den_hartog_1931,
@@ -31,10 +30,11 @@ from rig.published.entries import (
     popp_stelter_1990,
     shaw_1986,
 )
-from rig.published.one_impact import OneImpact
-from rig.published.page import page_of
+from scripts.published.one_impact import OneImpact
+from scripts.published.page import page_of, table
 from tests import naive
 from tests.paths import ROOT
+from tests.support.oracle.closed_form import symmetric_orbit
 from workers import SOLVER_VERSION
 
 Array = NDArray[np.float64]
@@ -45,6 +45,11 @@ BY_STORED = {entry["name"]: entry for entry in STORED["entries"]}
 
 def test_the_page_is_that_of_the_json() -> None:
     assert (ROOT / "docs/published.md").read_text() == page_of(STORED), "run python -m scripts.published"
+
+
+def test_the_tables_are_those_of_the_json() -> None:
+    tables = {path.stem: path.read_text() for path in (ROOT / "docs/published").iterdir()}
+    assert tables == {name: table(entry["statements"]) for name, entry in BY_STORED.items()}
 
 
 def test_the_json_holds_every_entry_of_the_present_solver() -> None:

@@ -17,7 +17,8 @@ import workers
 from atlas.cli.main import attractors, find, main
 from atlas.errors import InputError, RunError
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves.export import columns
+from atlas.orbits.curves.queries import frame
+from atlas.orbits.curves.table import Curves
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
 from atlas.store.create import make_store
@@ -38,7 +39,7 @@ atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
-commands    demo example schema systems plan check-law run extend retry status cancel plot explore figures query find
+commands    demo example schema systems plan run extend retry status cancel plot explore query find
             attractors compare point portrait branch verify pack export cite
 find        regions extremes curves
 attractors  label measure basins stability saddles
@@ -109,7 +110,7 @@ def test_the_columns_of_branches_and_curves_are_the_promised_ones() -> None:
     assert list(empty.branches.columns) == NAMES["branches"]
     assert list(empty.points.columns) == NAMES["points"]
     assert list(empty.events.columns) == NAMES["events"]
-    assert columns(("omega", "b")) == NAMES["curves"]
+    assert list(frame(Curves(("omega", "b"), ())).columns) == NAMES["curves"]
 
 
 def test_the_methods_of_a_dataset_and_the_columns_of_its_tables_are_the_promised_ones(solved_plane: Path) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.model import machine_of
-from rig.stress.findings import RandomCell, StressFindings
-from rig.stress.report import NEVER
-from rig.stress.result_checks import cells_of, contradictions, misplaced, solve
-from rig.stress.systems import SIZES, system
+from scripts.stress.findings import RandomCell, StressFindings
+from scripts.stress.report import NEVER
+from scripts.stress.result_checks import cells_of, contradictions, misplaced, solve
+from scripts.stress.systems import SIZES, system
 from tests.script import script
+from tests.support.oracle.model import machine_of
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import PERIODIC

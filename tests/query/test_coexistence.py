@@ -215,9 +215,10 @@ def test_the_command_lists_attractors_at_a_point_and_picks_one_by_its_place(solv
     assert wrong.exit_code == 2 and "attractor: found 3, must be a whole number, 0 to 2" in wrong.output
 
 
-@pytest.mark.parametrize("kind", ["attractors", "share", "exponent", "period", "cost"])
-def test_every_map_is_drawn_of_all_attractors(solved: Path, tmp_path: Path, kind: str) -> None:
-    assert render.render(atlas.open(solved), tmp_path / "map.png", kind).exists()
+@pytest.mark.parametrize("asked", ["attractors", "exponent", "period", ("share",), ("periods_used",)])
+def test_every_map_is_drawn_of_all_attractors(solved: Path, tmp_path: Path, asked: str | tuple[str]) -> None:
+    look = {"kind": asked} if isinstance(asked, str) else {"variable": asked[0]}
+    assert render.render(atlas.open(solved), tmp_path / "map.png", **look).exists()
 
 
 def test_a_sweep_of_all_attractors_is_drawn_with_their_shares(tmp_path: Path, client: Client) -> None:

@@ -263,8 +263,8 @@ def test_the_command_draws_several_stores_named_where_nothing_differs(folder: Pa
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("--kind", "cost"), "kind 'cost' is drawn of one atlas; side by side: exponent, period"),
-        (("--overlay", "isolines"), "--overlay takes one STORE, found 2"),
+        (("--kind", "impacts"), "kind 'impacts' is drawn of one atlas; side by side: exponent, period"),
+        (("--overlay", "boundaries"), "--overlay takes one STORE, found 2"),
         (("--against", "c.zarr"), "--against takes one STORE, found 2"),
     ],
 )

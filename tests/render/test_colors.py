@@ -8,8 +8,8 @@ import xarray as xr
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from atlas.render import class_maps, portrait_figure, scalar_maps, style, sweep
-from atlas.render.kinds import KIND_TABLE, STABLE
+from atlas.render import class_maps, kinds, portrait_figure, scalar_maps, style, sweep
+from atlas.render.kinds import STABLE
 from atlas.store.schema import REGIME_COLORS
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
@@ -30,7 +30,6 @@ _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", 
 _PERIODS = {f"period {first}": color for first, _, color in class_maps.PERIODS}
 _CHAOS = {f"chaos {i}": tuple(scalar_maps.CHAOS(i / 4)[:3]) for i in range(5)}
 
-_SYMMETRIES = (class_maps.SYMMETRIC, class_maps.UPPER, class_maps.LOWER, class_maps.UNTOLD, class_maps.ALONE)
 _UNLISTED = {f"unlisted {i}": color for i, color in enumerate(class_maps.UNLISTED)}
 
 OF_A_COLOR = {
@@ -43,7 +42,6 @@ PALETTES = {
     "combined": _COLD | _PERIODS,
     "combined with chaos": _PLAIN | _PERIODS | _CHAOS,
     "impacts": _REGIMES | {color: color for pair in class_maps.HUES.values() for color in pair} | _UNLISTED,
-    "symmetry": _REGIMES | {color: color for color in _SYMMETRIES},
     "spectrum": {f"exponent {i}": sweep.color_of(i) for i in range(4)},
     "points of a sweep": {
         str(code): style.INK[code] for code in (NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, LOCKING)
@@ -141,10 +139,11 @@ def test_the_scale_of_exponents_darkens_all_the_way_through_zero(sight: str) -> 
     assert 90.0 < lightness[0] < 95.0 and lightness[-1] < 12.0
 
 
-SCALES = {name: scalar_maps.colormap_of(kind.scale.colors) for name, kind in KIND_TABLE.items() if kind.scale.colors}
-SCALES |= {
+SCALES = {
     "exponent": scalar_maps.EXPONENT,
-    **{f"error, {name}": scale for name, (scale, _) in scalar_maps.ERRORS.items()},
+    "combined": scalar_maps.CHAOS,
+    "numbers": scalar_maps.colormap_of(kinds.NUMBERS.colors),
+    **{name: scalar_maps.colormap_of(scale.colors) for name, scale in kinds.SCALES.items()},
 }
 
 

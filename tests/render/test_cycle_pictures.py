@@ -79,7 +79,7 @@ def test_every_picture_without_a_force_has_the_units_and_the_words_of_its_machin
         assert "per unit time" in texts_of(drawn) and "per forcing period" not in texts_of(drawn)
         assert "no impact" not in texts_of(drawn)
     assert "equilibrium" in texts_of(both[0]) and ": stick erases disturbances" in texts_of(both[0])
-    assert "natural periods simulated" in texts_of(figure(atlases[0], kind="cost"))
+    assert "natural periods simulated" in texts_of(figure(atlases[0], variable="periods_used"))
     assert "$n$ passages" in texts_of(figure(atlases[0], kind="impacts"))
 
 

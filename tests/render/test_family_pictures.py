@@ -7,17 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.colors import to_rgb
 
 from atlas import render
 from atlas.cell import trajectory as cell
 from atlas.cell.trajectory import CellTrajectory, cell_orbit, describe
 from atlas.errors import InputError
-from atlas.query import grazing, hysteresis, machine
-from atlas.render import class_maps, text
+from atlas.query import grazing, machine
+from atlas.render import text
 from atlas.spec.system import stored_system
 from tests.pictures import labels
-from tests.render.test_maps import drawn
 from workers.model.system import System, find_system
 from workers.results import CHAOTIC, PENDING, PERIODIC
 
@@ -202,47 +200,6 @@ def test_shares_are_stacked_up_to_the_share_that_is_decided() -> None:
     assert drawn.axes[1].collections[1].get_paths()[0].contains_point((2.0, 0.51))
     assert drawn.axes[1].get_ylim() == (0.0, 1.0)
     assert labels(drawn)[-1] == "shares: 95 % interval\nwithin ± 0.10"
-
-
-# Mirror images
-
-
-@pytest.mark.parametrize(
-    ("system", "given", "why"),
-    [
-        (SINGLE, {"s": 0.0}, "there is only one stop"),
-        (SINGLE, {"s": 2.0}, "the stops lie 1 above and 0.5 below the rest position"),
-        (LOADED, {"q": 0.5}, "the stops lie 0.75 above and 1.25 below the rest position"),
-        (LOADED, {"A2": 0.5}, "the force has even harmonics"),
-        (find_system("impact-pair"), {"delta": 0.1}, "a constant load acts on a mass that no spring holds"),
-    ],
-)
-def test_a_symmetry_map_without_mirror_images_is_refused_with_the_reason(
-    system: System, given: dict[str, float], why: str
-) -> None:
-    other = "alpha" if system.name == "impact-pair" else "A"
-    ds = periodic_plane(system, {"omega": [0.5, 0.7], other: [0.1, 0.2]}, **given)
-    with pytest.raises(InputError, match=f"no motion here has one: .*{why}"):
-        render.figure(ds, "symmetry")
-
-
-def test_a_symmetry_map_tells_twins_only_where_the_machine_is_symmetric() -> None:
-    figure = render.figure(periodic_plane(SINGLE, {"s": [0.5, 1.0], "omega": [0.5, 0.7]}), "symmetry")
-    colors = [tuple(round(255 * part) for part in to_rgb(color)) for color in (class_maps.ALONE, class_maps.UPPER)]
-    assert [tuple(color[:3]) for color in drawn(figure)[0]] == colors
-
-
-@pytest.mark.parametrize(("s", "expected"), [(0.5, hysteresis.DIFFERENT), (1.0, hysteresis.MIRRORED)])
-def test_two_sweeps_find_mirror_images_only_where_the_machine_is_symmetric(s: float, expected: int) -> None:
-    def swept(upper: int, lower: int, side: float) -> xr.Dataset:
-        n = 3
-        return atlas_of(
-            SINGLE, {"omega": [0.5, 0.6, 0.7]}, s=s, regime=np.full(n, PERIODIC, np.int8), period=np.ones(n, np.int32),
-            impacts_upper=np.full(n, upper), impacts_lower=np.full(n, lower), symmetric=np.zeros(n, bool),
-            section=side * np.full((n, 2, 2), 0.1),
-        )  # fmt: skip
-
-    assert set(hysteresis.compare(swept(1, 2, 1.0), swept(2, 1, -1.0))) == {expected}
 
 
 # The gap coordinate

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 from matplotlib import colors
 from matplotlib.figure import Figure
-from scipy import ndimage
 
 from atlas import render
 from atlas.errors import InputError
@@ -19,11 +18,9 @@ from atlas.query import grazing, label_placement, outlines
 from atlas.query.plane import Plane, sort_axes
 from atlas.query.queries import boundary
 from atlas.render import class_maps, kinds, overlays, painters, scalar_maps
-from atlas.render.coded_lines import lines_over, names_on
+from atlas.render.coded_lines import names_on
 from atlas.render.coded_maps import coded_map
-from atlas.render.layers import LegendEntry, MapView, paint
-from atlas.render.layout import STANDARD
-from atlas.render.request import PictureRequest
+from atlas.render.layers import LegendEntry, paint
 from atlas.render.text import number
 from tests.pictures import NAN, atlas, branches, colour, curves, keeping, labelled, labels, layers, pixel, plane
 from workers import solve_tile
@@ -32,8 +29,10 @@ from workers.results import CHAOTIC, FAILED, INVALID, LOCKING, NO_IMPACT, PENDIN
 
 TWO_MASS = find_system("two-mass")
 
-COLOURED = [kind for kind in render.MAPS if kind != "regions"]
-"""The maps that colour cells; a region chart has lines and names alone."""
+NUMBERS = ("error", "periods_used", "stuck_fraction", "share")
+"""Variables that have colours of their own."""
+MAPS = (*render.MAPS, *NUMBERS)
+"""Every kind of map, and maps of these variables."""
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +48,14 @@ def rgb(color: str) -> tuple[int, ...]:
 @cache
 def map_of_plane(kind: str) -> Figure:
     """A map of ``plane``, only to be looked at."""
-    return render.figure(plane(), kind)
+    return figure_of(plane(), kind)
+
+
+def figure_of(ds: xr.Dataset, name: str) -> Figure:
+    """A map of a kind or of a variable."""
+    asked = {"kind": name} if name in render.MAPS else {"variable": name}
+    made: Figure = render.figure(ds, **asked)
+    return made
 
 
 def drawn(figure: Figure) -> np.ndarray:
@@ -57,17 +63,19 @@ def drawn(figure: Figure) -> np.ndarray:
     return np.asarray(figure.axes[0].images[0].get_array())
 
 
-@pytest.mark.parametrize("kind", COLOURED)
+@pytest.mark.parametrize("kind", MAPS)
 def test_what_has_no_result_looks_the_same_in_every_map(kind: str) -> None:
     cells = drawn(map_of_plane(kind))
     regime = plane()["regime"].values
-    codes = (UNDETERMINED, INVALID, FAILED) if kind != "cost" else (INVALID, FAILED)  # what it did cost is known
+    codes = (
+        (UNDETERMINED, INVALID, FAILED) if kind != "periods_used" else (INVALID, FAILED)
+    )  # what it did cost is known
     for code in codes:
         assert tuple(cells[regime == code][0]) == colour(code)
     assert cells[regime == PENDING][0, 3] == 0
 
 
-@pytest.mark.parametrize("kind", COLOURED)
+@pytest.mark.parametrize("kind", MAPS)
 def test_invalid_and_failed_cells_are_textured_in_every_map(kind: str) -> None:
     textures = {patch.get_hatch() for patch in map_of_plane(kind).axes[0].patches}
     assert textures >= {"\\\\\\\\", "xxxx"}
@@ -79,16 +87,16 @@ def test_a_written_map_shows_an_undetermined_cell_in_its_colour(tmp_path: Path, 
     assert pixel(path, render.figure(plane(), kind), 3.5, 0.1) == colour(UNDETERMINED)[:3]
 
 
-@pytest.mark.parametrize("kind", render.MAPS)
+@pytest.mark.parametrize("kind", MAPS)
 def test_every_map_has_its_axes_with_symbols_and_the_fixed_parameters(kind: str) -> None:
     ax = map_of_plane(kind).axes[0]
     assert (ax.get_xlabel(), ax.get_ylabel()) == (r"forcing frequency $\omega$", "clearance $b$")
     assert "$R = 0.8$" in ax.get_title(loc="left")
 
 
-@pytest.mark.parametrize("kind", COLOURED)
+@pytest.mark.parametrize("kind", MAPS)
 def test_of_an_atlas_of_nothing_but_pending_cells_the_legend_says_that(kind: str) -> None:
-    assert labels(render.figure(nothing(), kind)) == ["pending"]
+    assert labels(figure_of(nothing(), kind)) == ["pending"]
 
 
 @pytest.mark.parametrize("kind", ["period", "exponent"])
@@ -105,24 +113,18 @@ def nothing() -> xr.Dataset:
     return ds
 
 
-@pytest.mark.parametrize("kind", ["exponent", "error", "sticking"])
+@pytest.mark.parametrize("kind", ["exponent", "error", "stuck_fraction"])
 def test_averages_of_an_undetermined_cell_do_not_pass_for_results(kind: str) -> None:
     ds = plane()
     for name in ("largest", "error", "stuck_fraction"):
         ds[name] = ds[name].fillna(0.3)
-    assert tuple(drawn(render.figure(ds, kind))[ds["regime"].values == UNDETERMINED][0]) == colour(UNDETERMINED)
+    assert tuple(drawn(figure_of(ds, kind))[ds["regime"].values == UNDETERMINED][0]) == colour(UNDETERMINED)
 
 
 def test_a_locking_cell_has_a_name_and_a_colour_of_its_own_on_a_map_of_periods() -> None:
     found = layers("period", regime=np.array([[LOCKING, PERIODIC]]), period=np.array([[0, 1]]))
     assert tuple(paint(found)[0, 0]) == colour(LOCKING)
     assert [entry.label for entry in found.legend] == ["period 1", "locking"]
-
-
-def test_an_error_that_no_scale_shows_leaves_a_cell_the_colour_of_its_regime() -> None:
-    found = layers("error", regime=np.array([[LOCKING, PERIODIC]]), error=np.array([[1e-9, 1e-9]]))
-    assert tuple(paint(found)[0, 0]) == colour(LOCKING)
-    assert [entry.label for entry in found.legend] == ["locking"]
 
 
 def test_exponents_of_locking_cells_are_textured_as_those_of_a_rest() -> None:
@@ -252,60 +254,22 @@ def test_a_chaotic_cell_without_exponent_keeps_the_colour_and_name_of_chaos() ->
 # Symmetry
 
 
-def test_the_symmetry_map_tells_twins_by_their_impacts_where_it_can() -> None:
-    upper, lower = np.array([[1, 2, 1, 1, -1]], np.int32), np.array([[1, 1, 2, 1, -1]], np.int32)
-    symmetric = np.array([[True, False, False, False, False]])
-    regime = np.full((1, 5), PERIODIC, np.int8)
-    found = layers("symmetry", regime=regime, symmetric=symmetric, impacts_upper=upper, impacts_lower=lower)
-    expected = [class_maps.SYMMETRIC, class_maps.UPPER, class_maps.LOWER, class_maps.UNTOLD, class_maps.UNTOLD]
-    assert [tuple(cell[:3]) for cell in paint(found)[0]] == [rgb(color) for color in expected]
-    assert len(found.legend) == 4
-
-
-def test_the_symmetry_map_colours_what_is_not_periodic_by_its_regime() -> None:
-    cells, regime = drawn(render.figure(plane(), "symmetry")), plane()["regime"].values
-    assert tuple(cells[regime == CHAOTIC][0]) == colour(CHAOTIC)
-
-
 # Error, cost, sticking
 
 
-def test_errors_of_each_kind_have_their_own_scale() -> None:
-    figure = render.figure(plane(), "error")
-    bars = [ax.get_title(loc="left") for ax in figure.axes[0].child_axes]
-    assert bars == ["periodic", "chaotic"]
-    numerical, statistical = (ax.get_ylim() for ax in figure.axes[0].child_axes)
-    assert numerical[1] < 1e-10 < 1e-4 < statistical[0]
-
-
-def test_ends_of_the_scale_of_errors_are_those_of_chaos() -> None:
-    plain, given = (
-        render.figure(plane(), "error", **ends).axes[0].child_axes for ends in ({}, {"vmin": 1e-3, "vmax": 0.3})
-    )
-    assert given[1].get_ylim() == pytest.approx((1e-3, 0.3))
-    assert given[0].get_ylim() == plain[0].get_ylim()
-
-
 def test_a_larger_error_is_darker() -> None:
-    cells = drawn(render.figure(plane(), "error")).astype(int).sum(axis=-1)
+    cells = drawn(figure_of(plane(), "error")).astype(int).sum(axis=-1)
     assert cells[1, 8] < cells[1, 2]
 
 
-def test_an_error_of_zero_is_drawn_as_the_smallest() -> None:
-    ds = plane()
-    ds["error"] = ds["error"] * 0.0 + np.where(np.arange(9) < 4, 0.0, 1e-10)[None, :]
-    cells = drawn(render.figure(ds, "error")).astype(int).sum(axis=-1)
-    assert cells[1, 1] > cells[1, 6]
-
-
 def test_a_cell_that_cost_nothing_differs_from_one_that_cost_little() -> None:
-    figure = render.figure(plane(), "cost")
+    figure = figure_of(plane(), "periods_used")
     assert "none needed" in labels(figure)
     assert tuple(drawn(figure)[5, 7][:3]) == (0xDD, 0xDD, 0xDD) != tuple(drawn(figure)[1, 7][:3])
 
 
 def test_a_cell_that_rests_differs_from_those_that_do_not() -> None:
-    figure = render.figure(plane(), "sticking")
+    figure = figure_of(plane(), "stuck_fraction")
     assert "never at rest" in labels(figure)
     assert tuple(drawn(figure)[2, 8]) != tuple(drawn(figure)[2, 7]) == tuple(drawn(figure)[2, 1])
 
@@ -313,7 +277,7 @@ def test_a_cell_that_rests_differs_from_those_that_do_not() -> None:
 def test_where_nothing_rests_there_is_no_scale_to_read() -> None:
     ds = plane()
     ds["stuck_fraction"] = ds["stuck_fraction"] * 0.0
-    assert len(render.figure(ds, "sticking").axes) == 1
+    assert len(figure_of(ds, "stuck_fraction").axes) == 1
 
 
 def test_ends_of_a_scale_that_are_equal_are_refused() -> None:
@@ -439,41 +403,8 @@ def test_a_resonance_narrower_than_the_points_of_a_grid_has_one_line_around_it()
     assert np.mean(ridge > 0.0) > 0.95
 
 
-def test_isolines_follow_the_exponents_that_they_name() -> None:
-    """Arcs about a corner of the plane: all along, not at some points only."""
-    n = 300  # matplotlib simplifies long lines only
-    omega, b = np.linspace(0.05, 1.0, n), np.linspace(0.05, 1.0, n)
-    values = -np.hypot(*np.meshgrid(omega, b))
-    regime = np.full((n, n), PERIODIC, np.int8)
-    axes_of = render.figure(atlas({"omega": omega, "b": b}, regime=regime, largest=values), overlay=["isolines"]).axes[
-        0
-    ]
-    lines = next(layer for layer in axes_of.collections if layer.get_zorder() == 2.5)
-    named = set()
-    for path in lines.get_paths():
-        if len(path.vertices):
-            half_way = 0.5 * (path.vertices[1:] + path.vertices[:-1])
-            radius = np.hypot(*np.concatenate([path.vertices, half_way]).T)
-            assert np.ptp(radius) < 0.02
-            named.add(round(float(radius.mean()), 1))
-    assert {0.3, 0.6, 0.9, 1.2} <= named or {0.2, 0.4, 0.6, 0.8} <= named
-
-
 UNEVEN = np.cumsum(np.concatenate([np.full(80, 0.01), np.linspace(0.01, 0.2, 60)])) + 0.05
 """Points that are drawn neither evenly nor in the logarithm."""
-
-
-@pytest.mark.parametrize("axis", [np.linspace(0.05, 6.0, 140), np.geomspace(0.05, 6.0, 140), UNEVEN])
-def test_a_number_on_an_isoline_of_a_page_stands_on_that_line(axis: np.ndarray) -> None:
-    """Truth: the exponent at (x, y) is -(x + y) / 6. Earlier numbers stood where equally wide cells would lie."""
-    n = axis.size
-    values = -np.add.outer(axis, axis) / 6.0
-    ds = atlas({"omega": axis, "b": axis}, regime=np.full((n, n), PERIODIC, np.int8), largest=values)
-    view = MapView(kinds.KIND_TABLE["period"], ds, Plane.from_dataset(ds, ["largest"]), PictureRequest(STANDARD))
-    names = lines_over(view, "isolines", (1000.0, 800.0)).described["names"]
-    assert len(names) >= 3
-    for name in names:
-        assert float(name["text"].replace("−", "-")) == pytest.approx(-(name["x"] + name["y"]) / 6.0, abs=0.02)
 
 
 @pytest.mark.parametrize("logarithmic", [False, True])
@@ -508,7 +439,7 @@ def test_names_of_regions_lie_within_them_in_pictures_and_on_pages_however_wide_
 
 def test_the_legend_names_the_overlays() -> None:
     found = labels(render.figure(plane(), "period", overlay=render.MAP_OVERLAYS))
-    assert found[-7:-4] == [r"grazing, $|Y| = b$", "regime boundary", r"$\lambda_1$ constant"]
+    assert found[-6:-4] == [r"grazing, $|Y| = b$", "regime boundary"]
     assert found[-4:] == ["fold", "period doubling", "graze", "graze–period doubling"]
 
 
@@ -526,23 +457,9 @@ def test_every_curve_over_a_map_has_a_white_casing() -> None:
     assert len(lines) == len(cased) == 3
 
 
-def test_exponents_without_a_slope_have_no_isolines() -> None:
-    n = 6
-    regime = np.full((n, n), PERIODIC, np.int8)
-    ds = atlas({"omega": np.arange(1, 7), "b": np.arange(1, 7)}, regime=regime, largest=np.full((n, n), -0.3))
-    assert not [
-        layer for layer in render.figure(ds, overlay=["isolines"]).axes[0].collections if layer.get_zorder() == 2.5
-    ]
-
-
 def test_an_unknown_overlay_is_refused_with_those_possible() -> None:
-    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, isolines, cur"):
+    with pytest.raises(InputError, match="unknown overlay 'grid'; possible: grazing, boundaries, cur"):
         render.figure(plane(), overlay=["grid"])
-
-
-def test_isolines_of_an_atlas_without_exponents_are_refused() -> None:
-    with pytest.raises(InputError, match="'largest', which this atlas does not have"):
-        render.figure(plane().drop_vars("largest"), "period", overlay=["isolines"])
 
 
 # Cells too small to be seen
@@ -594,22 +511,6 @@ def test_impact_free_dust_keeps_its_colour_and_gets_no_outline() -> None:
     ds = atlas({"omega": np.linspace(1, 2, n), "b": np.linspace(1, 2, n)}, regime=regime, largest=-np.ones((n, n)))
     lines = np.array(render.figure(ds).axes[0].collections[0].get_segments())
     assert lines[:, :, 0] == pytest.approx(np.full(lines.shape[:2], 1 + 299.5 / 399))
-
-
-@pytest.mark.parametrize("times", [1, 2, 5])
-@pytest.mark.parametrize("share", [0.05, 0.3, 0.6])
-def test_filled_cells_are_those_of_a_closing_by_a_square(times: int, share: float) -> None:
-    cells = np.random.default_rng(0).random((40, 53)) < share
-    square = np.ones((2 * times + 1, 2 * times + 1))
-    closed = ndimage.binary_closing(np.pad(cells, times, "edge"), square)[times:-times, times:-times]
-    np.testing.assert_array_equal(outlines.fill_holes(cells, times), closed)
-
-
-def test_filling_wide_holes_takes_memory_for_the_cells_alone() -> None:
-    """A closing by a square of 301 x 301 would take tens of gigabytes."""
-    cells = np.zeros((400, 400), dtype=bool)
-    cells[:, :100] = cells[:, 300:] = True
-    assert outlines.fill_holes(cells, 150).all()
 
 
 def test_a_sweep_of_labelled_attractors_has_an_entry_for_each_branch() -> None:

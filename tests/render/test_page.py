@@ -124,16 +124,19 @@ def test_what_makes_no_page_is_refused_in_one_line(look: dict[str, Any], says: s
         render.figure(plane(), **look)
 
 
-@pytest.mark.parametrize("kind", ["period", "impacts", "symmetry"])
+@pytest.mark.parametrize("kind", ["period", "impacts"])
 def test_ends_of_a_scale_are_refused_where_there_is_none(kind: str) -> None:
     with pytest.raises(InputError, match=f"kind '{kind}' draws classes"):
         render.figure(plane(), kind, vmax=1.0)
 
 
-@pytest.mark.parametrize("kind", ["exponent", "combined", "cost", "sticking"])
-def test_two_planes_can_be_drawn_on_one_scale(kind: str) -> None:
-    low = {"exponent": -2.0, "combined": 0.0, "cost": 1.0, "sticking": 0.0}[kind]
-    bars = [render.figure(part, kind, vmin=low, vmax=3e4).axes[1] for part in (plane(), plane().isel(b=slice(1, 6)))]
+@pytest.mark.parametrize(
+    ("asked", "low"),
+    [({"kind": "exponent"}, -2.0), ({"kind": "combined"}, 0.0), ({"variable": "periods_used"}, 1.0),
+     ({"variable": "stuck_fraction"}, 0.0)],
+)  # fmt: skip
+def test_two_planes_can_be_drawn_on_one_scale(asked: dict[str, Any], low: float) -> None:
+    bars = [render.figure(part, **asked, vmin=low, vmax=3e4).axes[1] for part in (plane(), plane().isel(b=slice(1, 6)))]
     assert [bar.get_ylim() for bar in bars] == [pytest.approx((low, 3e4))] * 2
 
 

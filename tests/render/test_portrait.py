@@ -287,17 +287,3 @@ def test_the_exponents_written_of_an_undetermined_cell_are_where_its_curves_end(
     figure = render.figure(replace(found, cell=cell, running=running))
     written = [text.get_text() for text in figure.axes[-1].texts]
     assert written[:2] == ["dotted: averaged\nover 100 periods", r"$\lambda_{1} = -0.020$"]
-
-
-@pytest.mark.parametrize("width", ["180mm", "85mm"])
-def test_without_the_plane_of_the_gap_a_portrait_has_all_other_panels(closed: CellTrajectory, width: str) -> None:
-    from atlas.render import portrait_figure as portrait
-    from atlas.render.layout import page
-
-    def panels(**options: bool) -> list[tuple[str, str]]:
-        drawn = portrait.figure(closed, page(width=width), **options)
-        return [(ax.get_xlabel(), ax.get_ylabel()) for ax in drawn.axes]
-
-    every, without = panels(), panels(gap_plane=False)
-    assert [panel for panel in every if panel not in without] == [("$x_1$", r"$\dot x_1$")]
-    assert len(without) == len(every) - 1

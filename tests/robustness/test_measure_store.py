@@ -17,13 +17,10 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
-from atlas.orbits.curves.table import Curve, Curves, write_curves
 from atlas.robustness.job import MeasureJob, group_of, measure_and_keep, pieces, read_measured
 from atlas.robustness.linear_measures import FLAGS
-from atlas.robustness.margin import margin_request, margins_of, validate_scale
 from atlas.robustness.table import (
     LINEAR,
-    MARGIN,
     MEASURES,
     SHOCKS,
     VERSION,
@@ -33,7 +30,6 @@ from atlas.robustness.table import (
     read_measures,
     write_measures,
 )
-from atlas.service import curves
 from atlas.service.measures import _content, _digest, measure_attractors
 from atlas.service.options import RunOptions
 from atlas.store.create import create_store
@@ -78,24 +74,6 @@ def plane(solved_once: Callable[[atlas.Spec], Path]) -> Path:
 
 def copied(store: Path, to: Path) -> Path:
     return Path(shutil.copytree(store, to / "copy.zarr"))
-
-
-def with_lines(store: Path, *points: list[tuple[float, float]], unstable: int = 0) -> Path:
-    """A store with these curves, folds."""
-    curves = [
-        Curve(
-            "fold",
-            1,
-            *np.ones((2, len(point)), int),
-            True,
-            np.array(point),
-            np.full(len(point), unstable),
-            ("edge", "edge"),
-        )
-        for point in points
-    ]
-    write_curves(open_store(store), Curves(("omega", "b"), tuple(curves)))
-    return store
 
 
 def test_measures_of_a_store_are_those_of_single_cells(measured: Path) -> None:
@@ -221,104 +199,23 @@ def test_verify_finds_a_flipped_byte_of_a_measure_and_repair_drops_the_group(mea
     assert atlas.verify(path, sample=0).is_sound
 
 
-@pytest.mark.parametrize("kind", ["return_time", "reactivity", "amplification"])
-def test_each_measure_is_drawn_as_a_map(measured: Path, kind: str) -> None:
-    drawn = atlas.open(measured).atlas.plot(kind)
+@pytest.mark.parametrize("name", ["return_time", "reactivity", "amplification"])
+def test_each_measure_is_drawn_as_a_map(measured: Path, name: str) -> None:
+    drawn = atlas.open(measured).atlas.plot(variable=name)
     assert any(axis.get_ylabel() for axis in drawn.axes[1:])
 
 
 def test_a_store_without_measures_says_how_to_get_them(unmeasured: Path) -> None:
     with pytest.raises(InputError, match="measure its attractors by atlas attractors measure"):
-        atlas.open(unmeasured).atlas.plot("return_time")
-
-
-# Margins
-
-
-def test_margins_of_cells_are_those_of_the_closed_form_of_a_line(plane: Path, tmp_path: Path, client: Client) -> None:
-    """A vertical line: its distance is that along omega, in units of the scale."""
-    path = with_lines(copied(plane, tmp_path), [(3.3, 0.05), (3.3, 0.9)], [(9.0, 0.1), (9.0, 0.2)])
-    measure_attractors(path, margin=True, scale={"omega": 0.1}, client=client)
-    ds = atlas.open(path)
-    assert ds["margin"].dims == ("b", "omega")
-    assert ds["margin"].values == pytest.approx(np.array([[13.0, 3.0, 7.0]] * 3))
-    assert (ds["margin_curve"].values == 0).all() and (ds["margin_kind"].values == 0).all()
-    assert ds["margin_kind"].attrs["flag_meanings"].split()[0] == "fold"
-    assert ds.atlas.plot("margin") is not None
-
-
-def test_along_a_logarithmic_axis_margins_are_of_the_logarithm(plane: Path, tmp_path: Path, client: Client) -> None:
-    path = with_lines(copied(plane, tmp_path), [(-50.0, 0.3), (50.0, 0.3)])
-    measure_attractors(path, margin=True, scale={"b": 0.5}, client=client)
-    ds = atlas.open(path)
-    expected = np.abs(np.log(ds["b"].values / 0.3)) / 0.5
-    assert ds["margin"].values == pytest.approx(np.repeat(expected[:, None], 3, axis=1))
-
-
-def test_without_a_scale_the_width_of_the_plane_is_the_unit(plane: Path, tmp_path: Path) -> None:
-    path = with_lines(copied(plane, tmp_path), [(3.0, 1e-3), (3.0, 1e3)])
-    measure_attractors(path, margin=True, workers=1)
-    assert atlas.open(path)["margin"].values == pytest.approx(np.array([[1.0, 0.0, 1.0]] * 3) / 3.0)
-
-
-def test_a_curve_of_an_unstable_orbit_has_no_margin(plane: Path, tmp_path: Path, client: Client) -> None:
-    path = with_lines(copied(plane, tmp_path), [(3.0, 0.1), (3.0, 0.3)], unstable=1)
-    measure_attractors(path, margin=True, client=client)
-    ds = atlas.open(path)
-    assert np.isnan(ds["margin"].values).all() and (ds["margin_curve"].values == -1).all()
-
-
-def test_other_curves_make_other_margins(plane: Path, tmp_path: Path, client: Client) -> None:
-    path = with_lines(copied(plane, tmp_path), [(3.0, 0.1), (3.0, 0.3)])
-    measure_attractors(path, margin=True, client=client)
-    before = atlas.open(path)["margin"].values
-    with_lines(path, [(2.0, 0.1), (2.0, 0.3)])
-    again = measure_attractors(path, margin=True)
-    assert again.tasks == 0  # the attractors are measured already
-    assert not np.array_equal(atlas.open(path)["margin"].values, before)
-
-
-@pytest.fixture
-def with_margins(tmp_path: Path) -> Path:
-    """A store of made-up cells with measures of attractors, all unknown, and margins to one line."""
-    handle = create_store(tmp_path / "made.zarr", synthetic.spec_of(4, 3), (3, 4))
-    synthetic.fill(handle)
-    with_lines(handle.path, [(2.0, 0.1), (2.0, 0.3)])
-    scale = validate_scale(handle, None)
-    arrays = empty(of_family(LINEAR), handle.spec.shape) | margins_of(handle, scale)
-    requests = {LINEAR: {"content": _content(handle), "norm": {}}, MARGIN: margin_request(handle, scale)}
-    write_measures(handle, StoredMeasures(arrays, requests))
-    return handle.path
-
-
-def test_margins_to_former_curves_do_not_stay(with_margins: Path) -> None:
-    measure_attractors(with_margins)
-    assert "margin" in atlas.open(with_margins)
-    with_lines(with_margins, [(3.0, 0.1), (3.0, 0.3)])
-    summary = measure_attractors(with_margins)
-    ds = atlas.open(with_margins)
-    assert "margin" not in summary.measures and "margin" not in ds and "reactivity" in ds
-
-
-def test_a_search_that_finds_other_curves_drops_the_margins_to_those_before(
-    with_margins: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    handle = open_store(with_margins)
-    monkeypatch.setattr(curves, "finish_search", lambda search: Curves(("omega", "b"), ()))
-    search: Any = SimpleNamespace(tasks=dict)
-    crew: Any = SimpleNamespace(
-        lease=SimpleNamespace(confirm=lambda place: None), begin=0.0, threads=1, tasks=0, processor_seconds=0.0
-    )
-    curves._CurveRun(handle, search, "another", crew).run()
-    ds = atlas.open(with_margins)
-    assert "margin" not in ds and "reactivity" in ds
+        atlas.open(unmeasured).atlas.plot(variable="return_time")
 
 
 def test_what_another_run_has_measured_meanwhile_is_not_lost(
-    with_margins: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, client: Client
 ) -> None:
     """It ends while this one waits for the claim."""
-    handle = open_store(with_margins)
+    handle = create_store(tmp_path / "made.zarr", synthetic.spec_of(4, 3), (3, 4))
+    synthetic.fill(handle)
     theirs = StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "theirs", "norm": NORM}})
 
     @contextmanager
@@ -328,7 +225,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
 
     monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):
-        measure_attractors(with_margins, margin=True, scale={"omega": 0.5})
+        measure_attractors(handle.path, client=client)
     assert read_measures(handle).requests == theirs.requests
 
 
@@ -345,12 +242,8 @@ def fails(*words: str) -> str:
 def test_bad_input_is_one_line_and_nothing_is_written(plane: Path, tmp_path: Path) -> None:
     path = copied(plane, tmp_path)
     store = str(path)
-    assert "found no curves, which margins need" in fails(store, "--margin")
     assert "shocks need an atlas of all attractors, see [attractors]" in fails(store, "--shocks")
     assert "norm.v1: found 0, must be above 0" in fails(store, "--norm", "v1=0")
-    assert "--scale needs --margin" in fails(store, "--scale", "b=1")
-    assert "scale.b: found -1, must be above 0" in fails(store, "--margin", "--scale", "b=-1")
-    assert "unknown axis in scale 'c'" in fails(store, "--margin", "--scale", "c=1")
     assert not (path / STABILITY).exists()
 
 
@@ -380,24 +273,3 @@ def test_a_store_is_read_without_a_warning_while_other_measures_are_under_way(me
     finished_parts(handle, group_of(LINEAR), "another")
     assert "reactivity" in atlas.open(handle.path)
     assert "reactivity" in xr.open_zarr(handle.path, group=STABILITY, consolidated=False)
-
-
-@pytest.mark.slow
-def test_margins_to_a_graze_are_those_of_its_closed_form(tmp_path: Path, client: Client) -> None:
-    """Without impact the amplitude is A / sqrt((1 - omega^2)^2 + (2 zeta omega)^2), which is b = 1 at the graze."""
-    axes = {"omega": {"start": 1.3, "stop": 1.8, "num": 12}, "A": {"start": 0.2, "stop": 3.0, "num": 12}}
-    path = tmp_path / "graze.zarr"
-    atlas.run(atlas.Spec("single-mass", axes, {"zeta": 0.05}, solve={"max_periods": 2000}), path, client=client)
-    atlas.find_curves(path, client=client)
-    measure_attractors(path, margin=True, scale={"omega": 0.5, "A": 2.8}, client=client)
-    ds = atlas.open(path)
-    graze = MEASURES["margin_kind"].code_of("graze")
-    near = (ds["margin_kind"].values == graze) & (ds["margin"].values < 0.3)
-    omega = np.linspace(1.3 - 0.25 / 11, 1.8 + 0.25 / 11, 40_001)  # to the edges of the cells, where the curve ends
-    A = np.hypot(1.0 - omega**2, 2.0 * 0.05 * omega)
-    y, x = np.meshgrid(ds["A"].values, ds["omega"].values, indexing="ij")
-    rows = list(zip(x[near], y[near], ds["margin"].values[near], ds["margin_error"].values[near], strict=True))
-    assert len(rows) > 5
-    for at, height, margin, error in rows:
-        exact = np.hypot((omega - at) / 0.5, (A - height) / 2.8).min()
-        assert margin == pytest.approx(exact, abs=2.0 * error + 1e-6)

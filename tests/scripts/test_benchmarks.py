@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.general_integrator import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
-from rig.heyoka_reference import INSTALLED, Taylor
-from rig.oracle import symmetric_orbit
+from scripts.general_integrator import FIGURES, GeneralIntegrator, compiled_rates, numpy_rates
+from scripts.heyoka_reference import INSTALLED, Taylor
 from tests.paths import ROOT
 from tests.script import script
+from tests.support.oracle import symmetric_orbit
 
 pytestmark = pytest.mark.slow
 

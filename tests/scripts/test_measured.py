@@ -10,15 +10,11 @@ from tests.paths import ROOT
 from tests.script import script
 
 PAGE = """before
-<!-- measured: cell -->
 
-| a | b |
-|---|---|
-| 1 | 2 |
+[Table](measured/cell.csv)
 
 *`{}`, solver version 9*
 
-<!-- end -->
 after"""
 COMMAND = "python -m scripts.bench_cell"
 
@@ -27,6 +23,7 @@ COMMAND = "python -m scripts.bench_cell"
 def docs(tmp_path: Path) -> Path:
     """A page with its table."""
     (tmp_path / "measured").mkdir()
+    (tmp_path / "measured/cell.csv").write_text("a,b\n1,2\n")
     table = {"command": COMMAND, "solver_version": 9, "head": ["a", "b"], "rows": [["1", "2"]]}
     (tmp_path / "measured/cell.json").write_text(json.dumps(table))
     (tmp_path / "page.md").write_text(PAGE.format(COMMAND))
@@ -38,7 +35,11 @@ def test_pages_show_each_table_once_as_the_script_that_it_names_has_measured_it(
 
 
 def edit(docs: Path) -> None:
-    (docs / "page.md").write_text(PAGE.format(COMMAND).replace("| 1 |", "| 7 |"))
+    (docs / "page.md").write_text(PAGE.format(COMMAND).replace("version 9", "version 8"))
+
+
+def edit_the_file(docs: Path) -> None:
+    (docs / "measured/cell.csv").write_text("a,b\n7,2\n")
 
 
 def lose(docs: Path) -> None:
@@ -63,6 +64,7 @@ def lengthen_a_row(docs: Path) -> None:
     ("fault", "found"),
     [
         (edit, "page.md: tables differ from those measured; run python -m scripts.measured"),
+        (edit_the_file, "page.md: tables differ from those measured; run python -m scripts.measured"),
         (lose, "page.md: no table cell"),
         (show_twice, "cell: shown 2 times, must be shown once"),
         (name_another_script, "cell: scripts.bench_none does not write it"),
@@ -74,10 +76,12 @@ def test_a_fault_of_a_table_is_found(docs: Path, fault: Callable[[Path], None], 
     assert found in script("measured", "--check", "--docs", str(docs), code=1).splitlines()
 
 
-def test_a_table_that_was_edited_on_its_page_is_set_anew(docs: Path) -> None:
-    edit(docs)
+@pytest.mark.parametrize("fault", [edit, edit_the_file])
+def test_a_table_that_was_edited_is_written_anew(docs: Path, fault: Callable[[Path], None]) -> None:
+    fault(docs)
     script("measured", "--docs", str(docs))
     assert (docs / "page.md").read_text() == PAGE.format(COMMAND)
+    assert (docs / "measured/cell.csv").read_text() == "a,b\n1,2\n"
 
 
 def test_rough_numbers_are_not_kept() -> None:
@@ -86,7 +90,7 @@ def test_rough_numbers_are_not_kept() -> None:
 
 @pytest.mark.slow
 def test_the_rows_of_the_stress_table_are_rows_of_its_report() -> None:
-    from rig.stress.report import table
+    from scripts.stress.report import table
 
     options = ("--cells", "60", "--recheck", "2", "--workers", "0", "--systems", "0.5", "--modes", "0", "--json")
     made = {what for what, _ in table(json.loads(script("stress", *options)))}

@@ -32,7 +32,7 @@ from atlas.task import tile_job as jobs
 from atlas.task.attempt import execute_job, run_tile_job
 from atlas.task.store_ref import StoreFullError, StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
-from rig.faults import ATLAS, attempts, environment
+from tests.support.faults import ATLAS, attempts, environment
 from workers import tile as solving
 from workers.results import result_variables
 from workers.tile import solve_tile

@@ -35,8 +35,8 @@ from atlas.task import attempt, store_ref
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
-from rig.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from tests.planes import plane_of
+from tests.support.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from workers import tile as solving
 from workers.settings import MAX_PERIODS
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.faults import ATLAS
 from tests.paths import ROOT
+from tests.support.faults import ATLAS
 
 pytestmark = pytest.mark.slow
 

@@ -24,9 +24,9 @@ from atlas.service.timing import TIMING
 from atlas.store.create import create_store
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import open_store
-from rig.faults import attempts, environment
 from tests.planes import plane_of
 from tests.polling import until
+from tests.support.faults import attempts, environment
 from workers import SOLVER_VERSION
 
 pytestmark = pytest.mark.slow

@@ -1,6 +1,6 @@
 """The fast simulator of free masses against the slow one, and random cells of the solver against the fast one.
 
-The simulator (rig/oracle/shaken_mass.py) starts from each cell's ``state`` and follows it on. What has to hold:
+The simulator (support/oracle/shaken_mass.py) starts from each cell's ``state`` and follows it on. What has to hold:
 
 periodic       the state recurs after ``period`` periods and not before, with the impacts that were counted; the mass
                rests if and only if the cell sticks; exponents are the logarithms of the multipliers, both -infinity
@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.oracle import simulate
-from rig.oracle.machines import single_mass
-from rig.oracle.shaken_mass import ShakenMassHistory, follow
+from tests.support.oracle import simulate
+from tests.support.oracle.machines import single_mass
+from tests.support.oracle.shaken_mass import ShakenMassHistory, follow
 from workers import Settings, solve_tile
 from workers.results import CHAOTIC, LOCKING, PERIODIC, UNDETERMINED
 
@@ -77,7 +77,7 @@ LOST = 18.0
 
 @dataclass(frozen=True)
 class Machine:
-    """A free mass as the simulator takes it; see rig/oracle/shaken_mass.py."""
+    """A free mass as the simulator takes it; see tests/support/oracle/shaken_mass.py."""
 
     load: float
     force: float

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle import dense_violation, first_impact_dense, section_jacobian, simulate, symmetric_orbit
-from rig.oracle.crossing import first_upward_zero
-from rig.oracle.simulate import first_hit
+from tests.support.oracle import dense_violation, first_impact_dense, section_jacobian, simulate, symmetric_orbit
+from tests.support.oracle.crossing import first_upward_zero
+from tests.support.oracle.simulate import first_hit
 
 FIG3 = {"mu_k": 5.0, "mu_m": 2.0, "zeta": 0.05, "f2": 0.0, "omega": 4.0, "tau": math.pi, "R": 0.8, "b": 0.1}
 STICKING = {**FIG3, "R": 0.3, "b": 0.15, "omega": 1.0}

@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 from mpmath import mp
 
-from rig.oracle import OracleMachine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
-from rig.oracle.closed_form import ImpactOrbit
-from rig.oracle.free_mass import (
+from tests.exponential import flown
+from tests.support.oracle import OracleMachine, one_sided_orbit, section_jacobian, simulate, symmetric_orbit
+from tests.support.oracle.closed_form import ImpactOrbit
+from tests.support.oracle.free_mass import (
     FreeOrbit,
     bouncing_ball_doubling,
     bouncing_ball_fold,
@@ -17,8 +18,7 @@ from rig.oracle.free_mass import (
     impact_pair_orbits,
     impact_pair_symmetry_breaking,
 )
-from rig.oracle.machines import bouncing_ball, impact_pair, single_mass
-from tests.exponential import flown
+from tests.support.oracle.machines import bouncing_ball, impact_pair, single_mass
 
 pytestmark = pytest.mark.slow
 

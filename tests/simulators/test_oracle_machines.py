@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle import OracleMachine, dense_violation, first_impact_dense, section_jacobian, simulate, two_mass
-from rig.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
-from rig.oracle.simulate import first_hit
 from tests.exponential import flown
 from tests.paths import DATA
+from tests.support.oracle import (
+    OracleMachine,
+    dense_violation,
+    first_impact_dense,
+    section_jacobian,
+    simulate,
+    two_mass,
+)
+from tests.support.oracle.machines import DAMPINGS, chain, random_machine, rigid_mode
+from tests.support.oracle.simulate import first_hit
 
 pytestmark = pytest.mark.slow
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.piecewise import PiecewiseMachine, PiecewiseMode, bifurcation, measures, orbit, simulate
-from rig.oracle.piecewise.reference_orbits import CRITICAL, GRAZES, belt, soft
-from rig.oracle.piecewise.write_table import PATH, ZERO
+from tests.support.oracle.piecewise import PiecewiseMachine, PiecewiseMode, bifurcation, measures, orbit, simulate
+from tests.support.oracle.piecewise.reference_orbits import CRITICAL, GRAZES, belt, soft
+from tests.support.oracle.piecewise.write_table import PATH, ZERO
 
 RECORDS: dict[str, dict[str, Any]] = {record["name"]: record for record in json.loads(Path(PATH).read_text())}
 DRIVEN = [

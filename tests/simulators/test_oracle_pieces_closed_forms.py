@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rig.oracle.piecewise import (
+from tests.support.oracle.piecewise import (
     HarmonicForce,
     PiecewiseContact,
     PiecewiseFriction,
@@ -16,7 +16,7 @@ from rig.oracle.piecewise import (
     orbit,
     simulate,
 )
-from rig.oracle.piecewise.reference_orbits import oscillator, soft
+from tests.support.oracle.piecewise.reference_orbits import oscillator, soft
 
 
 @pytest.mark.parametrize("R", [0.0, 0.5])

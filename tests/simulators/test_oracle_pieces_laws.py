@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.piecewise import (
+from tests.paths import ROOT
+from tests.support.oracle.piecewise import (
     PiecewiseContact,
     PiecewiseFriction,
     PiecewiseMachine,
@@ -17,9 +18,8 @@ from rig.oracle.piecewise import (
     monodromy,
     simulate,
 )
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.oracle.piecewise.reference_orbits import oscillator
-from tests.paths import ROOT
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.oracle.piecewise.reference_orbits import oscillator
 
 AT_REST = 1e-11
 SHORTEST = 1e-5  # legs of a chatter below this are not looked into

@@ -12,8 +12,32 @@ from tests.project.test_docs import ROOT, files
 from workers import System
 from workers.model.system import find_system
 
-OWN = files(ROOT / "docs/systems.md")
-"""The definitions that the page shows: the equations below are written by hand from its tables."""
+OWN = files(ROOT / "docs/systems.md")["gear-pair.toml"]
+"""The definition that the page shows: the equations below are written by hand from its tables and the next ones."""
+UNEQUAL = """
+[system]
+name = "damper"
+coordinates = ["x1", "x2"]
+mass = [[1.0, 0.0], [0.0, "mu"]]
+damping = [["2 * zeta + c", "-c"], ["-c", "c"]]
+stiffness = [["1 + k", "-k"], ["-k", "k"]]
+force = [1.0, 0.0]
+gap = [-1.0, 1.0]
+upper = "b"
+lower = "-ratio * b"
+restitution = "R"
+[system.let]
+c = "2 * xi * mu"
+k = "phi**2 * mu"
+[system.parameters]
+mu = 0.1
+zeta = 0.02
+xi = 0.02
+phi = 0.2
+b = 5.0
+ratio = 1.5
+R = 0.6
+"""
 
 GEARS = """\
 y'' + beta * y' = -drag + alpha * omega**2 * sin(omega t + tau) + 4 * alpha2 * omega**2 * sin(2 (omega t + tau) + psi)
@@ -29,9 +53,9 @@ c = 2 * xi * mu
 k = phi**2 * mu"""
 
 
-@pytest.mark.parametrize(("name", "written"), [("gear-pair.toml", GEARS), ("damper.toml", DAMPER)])
-def test_a_system_without_an_equation_in_words_has_it_written_out(name: str, written: str) -> None:
-    assert equation_of(System.from_toml(OWN[name])) == written
+@pytest.mark.parametrize(("definition", "written"), [(OWN, GEARS), (UNEQUAL, DAMPER)], ids=["gears", "damper"])
+def test_a_system_without_an_equation_in_words_has_it_written_out(definition: str, written: str) -> None:
+    assert equation_of(System.from_toml(definition)) == written
 
 
 def test_the_authors_own_words_stand_where_there_are_any() -> None:
@@ -62,7 +86,7 @@ def test_an_entry_stands_in_the_equation_as_one_writes_it(entry: str | float, sh
 
 
 def test_the_command_shows_it(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(OWN["gear-pair.toml"])
+    (tmp_path / "own.toml").write_text(OWN)
     shown = CliRunner().invoke(main, ["systems", str(tmp_path / "own.toml")])
     assert shown.exit_code == 0
     assert [f"    {line}" for line in GEARS.splitlines()] == shown.stdout.splitlines()[2:5]

@@ -25,8 +25,8 @@ from atlas.store.store import done_tiles, open_arrays, open_store
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
-from rig.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from tests.planes import find, plane_of
+from tests.support.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from workers.results import REGIME
 
 pytestmark = pytest.mark.slow

@@ -20,8 +20,8 @@ from atlas.store.tiles import drop_tile
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
 from atlas.task.tile_job import RunJob
-from rig.fake_object_store import FakeObjectStore, object_store
 from tests.planes import plane_of
+from tests.support.fake_object_store import FakeObjectStore, object_store
 
 pytestmark = pytest.mark.slow
 URL = "s3://bucket/plane.zarr"

@@ -20,9 +20,9 @@ from atlas.service.progress import prepare_kernels
 from atlas.spec.examples import example_text
 from atlas.task import compile as warm
 from atlas.task.child_process import run_python_parallel
-from rig.faults import ATLAS
 from tests.paths import ROOT
 from tests.reference_machines import bouncing_ball, impact_pair
+from tests.support.faults import ATLAS
 from tests.workers.attractors.test_attractors import CHAOTIC_TWINS, TWINS
 from tests.workers.continuation.test_branches import ball_orbit, pair_orbit
 from workers import Settings, solve_tile

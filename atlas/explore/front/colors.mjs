@@ -19,7 +19,7 @@ export function fits(bar, [low, high]) {
 
 /** Return the limits of a colorbar: the requested ones if they are possible, its own where the request is null. */
 export function endsOf(bar, asked) {
-  const own = bar.ends, ends = bar.main && asked ? own.map((end, k) => asked[k] ?? end) : own;
+  const own = bar.ends, ends = asked ? own.map((end, k) => asked[k] ?? end) : own;
   return fits(bar, ends) ? ends : own;
 }
 
@@ -52,10 +52,10 @@ function shadeOf({ variable, low, high, dark }, values) {
 export function colorsOf(map, codes, values, asked) {
   const colors = new Uint32Array(codes.length), brightness = map.shade && shadeOf(map.shade, values);
   const flat = map.entries.map((entry) => (entry.color ? pixel(rgb(entry.color)) : 0));
-  const bars = map.bars.map((bar) => ({ color: coloring(bar, endsOf(bar, asked)), of: values[bar.variable] }));
+  const colorOf = map.bar && coloring(map.bar, endsOf(map.bar, asked)), numbers = map.bar && values[map.bar.variable];
   for (let k = 0; k < codes.length; k++) {
-    const code = codes[k], entry = map.entries[code], bar = bars[entry.bar];
-    if (bar) colors[k] = bar.color(bar.of[k]);
+    const code = codes[k], entry = map.entries[code];
+    if (entry.byNumber) colors[k] = colorOf(numbers[k]);
     else if (entry.shaded) colors[k] = pixel(rgb(entry.color).map((part) => Math.floor(part * brightness(k))));
     else colors[k] = flat[code];
   }

@@ -1,4 +1,4 @@
-// The legend of a map: its colorbars with their limits, its classes, and the curves over it, which are switched here.
+// The legend of a map: its colorbar with its limits, its classes, and the curves over it, which are switched here.
 
 import { endsOf, fits, inkedBy, rgb, shareOf, tableOf } from "./colors.mjs";
 import { fitted, make } from "./elements.mjs";
@@ -46,7 +46,7 @@ function barOf(bar, look) {
     canvas.ariaLabel = `colours from ${number(low)} to ${number(high)}`;
   };
   canvas.setAttribute("role", "img");
-  const label = `${bar.title ? `${bar.title}: ` : ""}${bar.label}${isTwoSided(bar) ? " (two linear scales, joined at 0)" : ""}`;
+  const label = `${bar.label}${isTwoSided(bar) ? " (two linear scales, joined at 0)" : ""}`;
   return make("div", { className: "bar" }, label, canvas, marks);
 }
 
@@ -104,9 +104,9 @@ function labelOf({ label }, enlarged) {
 /** Fill an element with the legend of a map; `look` gives the style, `change` changes it, and `enlarged` gives the
  * labels of classes whose single cells are drawn larger. */
 export function fillKey(key, map, lines, look, change, enlarged) {
-  const { meaning, title, bars, legend } = map, main = bars.find((bar) => bar.main);
-  key.replaceChildren(make("h2", { textContent: meaning }), ...bars.map((bar) => barOf(bar, look)));
-  if (main) key.append(endsInputs(main, look, change));
+  const { meaning, title, bar, legend } = map;
+  key.replaceChildren(make("h2", { textContent: meaning }));
+  if (bar) key.append(barOf(bar, look), endsInputs(bar, look, change));
   if (title) key.append(make("p", { className: "note", textContent: title }));
   key.append(make("ul", {}, ...legend.map((entry) => make("li", {}, boxOf(entry), labelOf(entry, enlarged)))));
   if (lines.lines) key.append(...curveEntries(lines, look, change));

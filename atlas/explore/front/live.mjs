@@ -109,7 +109,7 @@ function drawNow() {
   const canvas = new OffscreenCanvas(Math.round(width * ratio), Math.round(height * ratio)), pen = canvas.getContext("2d", { willReadFrequently: true });
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   const larger = drawPlane(pen, { axes, window: ranges.map(({ start, end }, along) => [start, end].map(axes[along].to)), plot: { left: 0, top: 0, width, height },
-    shown, lines: over, hidden: look.hidden, names: [...(held.names[shown.map.name] || []), ...over.names] }, ratio);
+    shown, lines: over, hidden: look.hidden, names: held.names[shown.map.name] || [] }, ratio);
   if ([...larger].join() !== [...enlarged].join()) {
     enlarged = larger;
     fill("key");
@@ -165,7 +165,7 @@ function fillMapKey(element) {
     keyed = null;
     return element.replaceChildren();
   }
-  const over = lines(), of = JSON.stringify([shown.map.name, shown.map.bars.map(({ ends, fit }) => [ends, fit]), shown.map.legend, over.looks, Object.keys(over.marks), over.ends.length > 0]);
+  const over = lines(), of = JSON.stringify([shown.map.name, shown.map.bar && [shown.map.bar.ends, shown.map.bar.fit], shown.map.legend, over.looks, Object.keys(over.marks), over.ends.length > 0]);
   if (of === keyed && element.firstChild) return updateKey(element);
   keyed = of;
   const at = element.getRootNode().activeElement, focused = at && [...element.querySelectorAll("input, button")].indexOf(at);

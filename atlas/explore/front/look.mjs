@@ -65,7 +65,7 @@ export function fillLook(element, { maps, overlays, logs }, look, change) {
 export function linesOf(look, lines) {
   const on = look.overlays.map((name) => lines[name]).filter(Boolean), all = (name) => on.flatMap((overlay) => overlay[name] || []);
   return { looks: Object.assign({}, ...on.map(({ looks }) => looks)), marks: Object.assign({}, ...on.map(({ marks }) => marks)),
-    lines: all("lines"), corners: all("corners"), ends: all("ends"), names: all("names") };
+    lines: all("lines"), corners: all("corners"), ends: all("ends") };
 }
 
 /** Return a function that unpacks an array by its name, once, in rows of this width. */

@@ -226,17 +226,12 @@ function drawCurves(pen, scene) {
 function drawNames(pen, scene) {
   pen.textAlign = "center";
   pen.textBaseline = "middle";
-  for (const { text, x, y, angle, color, size, halo } of scene.names || []) {
+  for (const { text, x, y, angle, color, size } of scene.names || []) {
     pen.save();
     pen.translate(place(scene, x, 0), place(scene, y, 1));
     pen.rotate((-angle * Math.PI) / 180);
     pen.font = `${size}px STIXGeneral, "Times New Roman", serif`;
     pen.fillStyle = color;
-    if (halo) {
-      pen.strokeStyle = "#ffffff";
-      pen.lineWidth = 3;
-      pen.strokeText(text, 0, 0);
-    }
     pen.fillText(text, 0, 0);
     pen.restore();
   }

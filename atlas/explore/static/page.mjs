@@ -26,7 +26,7 @@ const themed = (name) => getComputedStyle(document.documentElement).getPropertyV
 const draw = oncePerFrame(drawNow);
 const scene = () => {
   const lines = linesOf(state, atlas.lines);
-  return { axes, window: state.window, plot, shown, lines, hidden: state.hidden, names: [...(atlas.names[state.map] || []), ...lines.names],
+  return { axes, window: state.window, plot, shown, lines, hidden: state.hidden, names: atlas.names[state.map] || [],
     mark: state.cell && state.cell.map((at, along) => axes[along].edges.slice(at, at + 2)) };
 };
 

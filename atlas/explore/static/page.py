@@ -126,12 +126,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
 
 def lines_of(ds: "xr.Dataset", visible: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the overlays that can be drawn on maps of these cells, by name, and the arrays that they need."""
-    view = MapView(
-        KIND_TABLE["period"],
-        ds,
-        Plane.from_dataset(visible, [LARGEST.name] if LARGEST.name in visible else []),
-        PictureRequest(STANDARD),
-    )
+    view = MapView(KIND_TABLE["period"], ds, Plane.from_dataset(visible, ()), PictureRequest(STANDARD))
     lines, arrays = dict[str, Any](), dict[str, Any]()
     for name in MAP_OVERLAYS:
         with suppress(OverlayError):  # this atlas has no such overlay

@@ -36,10 +36,10 @@ The error of a straight line between two points of a branch is usually smaller.
 _STORED = (REGIME.name, "period", "impacts_upper", "impacts_lower", "symmetric", "state")
 
 
-def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> BranchTree:
+def tree_through(sweeps: Sequence["xr.Dataset"]) -> BranchTree:
     """Return the branches of proven orbits in sweeps of one axis, and the branches that begin on them.
 
-    There are up to MAX_BRANCHES branches, of orbits with up to ``longest`` impacts. A cell whose orbit, or its mirror
+    There are up to MAX_BRANCHES branches, of orbits with up to MAX_IMPACTS impacts. A cell whose orbit, or its mirror
     image, is on a branch already adds none. Raise InputError if no parameter is swept, and if an atlas has no states.
     """
     ds = sweeps[0]
@@ -60,27 +60,27 @@ def tree_through(sweeps: Sequence["xr.Dataset"], longest: int = MAX_IMPACTS) -> 
     if low == high:
         raise InputError(f"branches need more than one value of {along}, found {low:g} alone")
     tree: BranchTree | None = None
-    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored, longest)):
+    for cell in (cell for ds in sweeps for cell in _cells(ds, along, stored)):
         value = float(cell[along])
         if tree is not None and (len(tree.branches) >= MAX_BRANCHES or _is_covered(tree, cell, value)):
             continue
         try:
             seed = seed_of(cell, system, {**defaults, **fixed, along: value})
-            tree = tree or BranchTree(system, seed.values, along, (low, high), MAX_BRANCHES, longest)
+            tree = tree or BranchTree(system, seed.values, along, (low, high), MAX_BRANCHES, MAX_IMPACTS)
             tree.grow(seed.orbit, value, leaving=True)
         except ValueError:  # not a solution of the equations: a neighbour is tried
             continue
     if tree is None:
-        raise InputError(f"no cell here has an orbit to follow: none is periodic with at most {longest} impacts")
+        raise InputError(f"no cell here has an orbit to follow: none is periodic with at most {MAX_IMPACTS} impacts")
     return tree
 
 
-def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str], longest: int) -> Iterator[dict[str, Any]]:
+def _cells(ds: "xr.Dataset", along: str, stored: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Yield the periodic cells: the longest run of neighbours of one class first, and its middle first."""
     read = ds[list(stored)].sortby(along).load()
     columns: dict[str, NDArray[Any]] = {name: read[name].values for name in (along, *stored)}
     impacts = columns["impacts_upper"] + columns["impacts_lower"]
-    fits = (columns[REGIME.name] == PERIODIC) & (impacts <= longest)
+    fits = (columns[REGIME.name] == PERIODIC) & (impacts <= MAX_IMPACTS)
     classes = np.stack([np.where(fits, columns[name], -2) for name in _STORED[1:5]], axis=1).tolist()
     runs = [[k for k, _ in run] for _, run in groupby(enumerate(classes), key=lambda numbered: numbered[1])]
     for run in sorted((run for run in runs if fits[run[0]]), key=len, reverse=True):

@@ -1,14 +1,13 @@
 """Export of the curves of a plane to a file for other programs: CSV or JSON, selected by the suffix."""
 
-import csv
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from atlas.argument_checks import validate_path, validate_suffix
-from atlas.orbits.curves.table import Curve, Curves
-from atlas.query.export import check_writable, replace_on_success
+from atlas.orbits.curves.queries import frame
+from atlas.orbits.curves.table import Curves
+from atlas.query.export import check_writable, replace_on_success, write_table
 
 FORMATS = (".csv", ".json")
 
@@ -16,20 +15,15 @@ FORMATS = (".csv", ".json")
 def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file, completely or not at all.
 
-    CSV has one row per point, curve by curve, with the columns of ``columns`` and numbers in their shortest exact form.
-    A point of codimension two is a row of its own kind at its position in the curve. JSON has one object, as
-    ``as_json``. Raise InputError for another suffix, and for a path that cannot be written.
+    CSV has the table of ``atlas.orbits.curves.queries.frame``, with numbers in their shortest exact form. JSON has one
+    object, as ``as_json``. Raise InputError for another suffix, and for a path that cannot be written.
     """
     target = validate_path(path)
-    suffix = check_path(target)
-    with replace_on_success(target) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
-        if suffix == ".csv":
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns(curves.axes))
-            writer.writerows(rows(curves))
-        else:
-            json.dump(as_json(curves), file, allow_nan=False)
-            file.write("\n")
+    if check_path(target) == ".csv":
+        write_table(target, frame(curves))
+        return
+    with replace_on_success(target) as unfinished:
+        unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
 
 
 def check_path(path: Path) -> str:
@@ -37,23 +31,6 @@ def check_path(path: Path) -> str:
     suffix = validate_suffix(path, FORMATS)
     check_writable(path)
     return suffix
-
-
-def columns(axes: tuple[str, str]) -> list[str]:
-    """Return the columns of the CSV; ``unstable`` counts unstable multipliers besides the event's own."""
-    return ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *axes, "unstable"]
-
-
-def rows(curves: Curves) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of the CSV; a point of codimension two has the orbit and ``unstable`` of the point before it."""
-    for number, curve in enumerate(curves):
-        corners, symmetric = _placed(curve), str(curve.symmetric).lower()
-        counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
-        for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
-            orbit = (curve.period, upper, lower, symmetric)
-            yield (number, curve.kind, *orbit, x, y, unstable)
-            for corner in corners.get(k, ()):
-                yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
 
 
 def as_json(curves: Curves) -> dict[str, Any]:
@@ -76,11 +53,3 @@ def as_json(curves: Curves) -> dict[str, Any]:
         ],
         "report": dict(curves.report),
     }
-
-
-def _placed(curve: Curve) -> dict[int, list[Any]]:
-    """Return the points of codimension two by the index of the curve's point that they follow."""
-    corners_after: dict[int, list[Any]] = {}
-    for corner in curve.corners:
-        corners_after.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
-    return corners_after

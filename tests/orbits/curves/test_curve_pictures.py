@@ -10,16 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.text import Annotation
 
 import atlas
 from atlas import render
 from atlas.errors import InputError
 from atlas.orbits.curves.table import CodimTwoPoint, Curves
 from atlas.render.style import CORNERS, EVENT_STYLES, corner_look
-from tests.pictures import atlas as atlas_of
 from tests.pictures import curve, curves, keeping, labels, plane
-from workers.results import CHAOTIC, PERIODIC
 
 
 def collection(ax: Axes, kind: str) -> LineCollection:
@@ -151,13 +148,6 @@ def test_curves_can_be_drawn_without_names_and_without_a_legend() -> None:
     assert (figure.axes[0].texts[:], labels(figure)) == ([], [])
 
 
-def test_a_region_chart_takes_kinds_and_leaves_names_out() -> None:
-    with keeping(curves()):
-        figure = render.figure(plane(), "regions", curves="fold", names=False)
-    assert {collection.get_gid() for collection in figure.axes[0].collections} == {"fold"}
-    assert not figure.axes[0].texts
-
-
 def test_a_long_legend_beside_a_map_is_shown_whole() -> None:
     """A point of every kind: the page grows with the legend unless its height is asked for."""
     points = np.column_stack([np.linspace(1.0, 5.0, 21), np.full(21, 0.3)])
@@ -210,84 +200,6 @@ def test_an_atlas_without_curves_says_which_command_finds_them(finished: Path) -
     ds = atlas.open(finished)
     with pytest.raises(InputError, match=r"overlay 'curves': .*out\.zarr: has no curves yet; find them"):
         render.figure(ds, overlay="curves")
-    with pytest.raises(InputError, match=r"kind 'regions': .*out\.zarr: has no curves yet; find them"):
-        render.figure(ds, "regions")
-
-
-def chart() -> Figure:
-    """1-1-1 below a fold at b = 0.4, chaos above; of the band right of omega = 3 mirror images alternate by cells."""
-    omega, b = np.linspace(1.0, 5.0, 41), np.linspace(0.1, 0.7, 31)
-    regime = np.where(b[:, None] < 0.4, PERIODIC, CHAOTIC) + np.zeros((31, 41), int)
-    right = (omega > 3.0) & (b[:, None] < 0.4)
-    odd = (np.arange(41) + np.arange(31)[:, None]) % 2 == 0
-    upper = np.where(right & odd, 2, 1) * (regime == PERIODIC)
-    lower = np.where(right & ~odd, 2, 1) * (regime == PERIODIC)
-    period = (regime == PERIODIC).astype(np.int32)
-    ds = atlas_of(
-        {"omega": omega, "b": b}, regime=regime.astype(np.int8), period=period, impacts_upper=upper.astype(np.int32),
-        impacts_lower=lower.astype(np.int32),
-    )  # fmt: skip
-    fold = curve("fold", [[1.0, 0.39], [5.0, 0.39]])
-    doubling = curve("period_doubling", [[3.05, 0.1], [3.05, 0.39]])
-    with keeping(Curves(("omega", "b"), (fold, doubling))):
-        figure: Figure = render.figure(ds, "regions")
-    return figure
-
-
-def test_a_region_chart_names_regions_inside_them_and_mirror_images_as_one() -> None:
-    places = {text.get_text(): text.get_position() for text in chart().axes[0].texts}
-    assert places.keys() == {"1-1-1", "1-2-1", "chaos"}
-    assert places["1-1-1"][0] < 3.0 < places["1-2-1"][0]
-    assert max(places["1-1-1"][1], places["1-2-1"][1]) < 0.39 < places["chaos"][1]
-
-
-def test_names_in_a_region_chart_are_crossed_by_no_curve() -> None:
-    figure = chart()
-    figure.draw_without_rendering()
-    ax = figure.axes[0]
-    for text in ax.texts:
-        (left, low), (right, high) = ax.transData.inverted().transform(text.get_window_extent())
-        assert not left < 3.05 < right
-        assert not low < 0.39 < high
-
-
-def test_a_region_chart_has_lines_and_no_coloured_cells() -> None:
-    ax = chart().axes[0]
-    assert not ax.images
-    assert {collection.get_gid() for collection in ax.collections} == {"fold", "period_doubling"}
-
-
-def test_a_region_chart_tells_symmetric_motions_from_unsymmetric_ones() -> None:
-    """Of a machine whose motions have mirror images: 1-1-1 on both sides of a symmetry breaking at omega = 3."""
-    omega, b = np.linspace(1.0, 5.0, 41), np.linspace(0.1, 0.7, 31)
-    ones = np.ones((31, 41), np.int32)
-    ds = atlas_of(
-        {"omega": omega, "b": b}, regime=np.full((31, 41), PERIODIC, np.int8), period=ones, impacts_upper=ones,
-        impacts_lower=ones, symmetric=np.broadcast_to(omega > 3.0, (31, 41)),
-    )  # fmt: skip
-    with keeping(Curves(("omega", "b"), (curve("symmetry_breaking", [[3.0, 0.1], [3.0, 0.7]]),))):
-        figure = render.figure(ds, "regions")
-    places = {text.get_text(): text.get_position()[0] for text in figure.axes[0].texts}
-    assert places.keys() == {"1-1-1 u", "1-1-1 s"}
-    assert places["1-1-1 u"] < 3.0 < places["1-1-1 s"]
-    assert "s: symmetric, u: unsymmetric" in figure.legends[0].get_title().get_text()
-
-
-def test_a_region_too_narrow_for_its_name_has_it_beside_at_the_end_of_an_arrow() -> None:
-    omega, b = np.linspace(1.0, 5.0, 161), np.linspace(0.1, 0.7, 121)
-    band = (omega > 3.0) & (omega < 3.06)
-    regime = np.where(band, PERIODIC, CHAOTIC) + np.zeros((121, 161), int)
-    ones = np.ones((121, 161), np.int32)
-    ds = atlas_of(
-        {"omega": omega, "b": b}, regime=regime.astype(np.int8), period=ones, impacts_upper=2 * ones, impacts_lower=ones
-    )
-    edges = tuple(curve("fold", [[at, 0.1], [at, 0.7]]) for at in (3.0, 3.06))
-    with keeping(Curves(("omega", "b"), edges)):
-        ax = render.figure(ds, "regions").axes[0]
-    (name,) = [text for text in ax.texts if text.get_text() == "1-2-1" or isinstance(text, Annotation)]
-    assert isinstance(name, Annotation)
-    assert 3.0 < name.xy[0] < 3.06
-    assert not 3.0 < name.get_position()[0] < 3.06
 
 
 def test_many_marks_are_smaller_than_few_and_bury_no_map() -> None:

@@ -32,11 +32,11 @@ from atlas.store.groups import CURVES
 from atlas.store.parts import part_names
 from atlas.store.store import open_store
 from atlas.store.tiles import write_tile
-from rig.faults import ATLAS
 from tests import synthetic
 from tests.curve_planes import all_same, ball, forces, found_serially, pair
 from tests.paths import ROOT
 from tests.reference_machines import amplitude
+from tests.support.faults import ATLAS
 from workers.continuation import Orbit
 from workers.results import CHAOTIC
 

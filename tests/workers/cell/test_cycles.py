@@ -13,9 +13,9 @@ import pytest
 from atlas.check.rules import broken_rules
 from atlas.errors import InputError
 from atlas.spec.spec import Spec, validate_parameters
-from rig.oracle.piecewise.machine import PiecewiseContact, PiecewiseFriction, PiecewiseMachine
-from rig.oracle.piecewise.motion import simulate
-from rig.oracle.piecewise.reference_orbits import belt as belt_of_oracle
+from tests.support.oracle.piecewise.machine import PiecewiseContact, PiecewiseFriction, PiecewiseMachine
+from tests.support.oracle.piecewise.motion import simulate
+from tests.support.oracle.piecewise.reference_orbits import belt as belt_of_oracle
 from tests.unforced import machine, pair_of, random_pair
 from workers import Settings, System, solve_tile
 from workers.history import within_periods

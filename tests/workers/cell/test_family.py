@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle import OracleMachine, section_jacobian, simulate
-from rig.oracle.machines import random_machine
 from tests.oscillators import build_one
+from tests.support.oracle import OracleMachine, section_jacobian, simulate
+from tests.support.oracle.machines import random_machine
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import LOWER, RUNNING, STATUS, STUCK, UPPER, Motion, motion_at
 from workers.kernel.period import propagate

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.solver_bridge import follow
+from tests.support.solver_bridge import follow
 from workers import Settings, System, solve_tile
 from workers.cell.cell_batch import Results
 from workers.results import CHAOTIC, NO_REASON, PERIODIC

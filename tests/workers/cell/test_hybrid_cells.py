@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import PiecewiseMachine
-from rig.solver_bridge import machines_of
+from tests.support.oracle.piecewise import PiecewiseMachine
+from tests.support.solver_bridge import machines_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, machine_in
 from workers import Settings
 from workers.cell.cell_batch import CellBatch, Results

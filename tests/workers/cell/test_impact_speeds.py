@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.closed_form import symmetric_orbit
 from tests import naive
 from tests.reference_motion import ball_in_flight, follow, on_attractor
+from tests.support.oracle.closed_form import symmetric_orbit
 from workers import Settings, solve_tile
 from workers.history import trace
 from workers.results import CHAOTIC, NO_IMPACT, PERIODIC

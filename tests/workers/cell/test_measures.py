@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.piecewise import measures
-from rig.oracle.piecewise.random_machines import random_state
-from rig.solver_bridge import built, follow, shown
+from tests.support.oracle.piecewise import measures
+from tests.support.oracle.piecewise.random_machines import random_state
+from tests.support.solver_bridge import built, follow, shown
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in, number_in
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, drawn
 from workers import Settings, System, solve_tile, trace

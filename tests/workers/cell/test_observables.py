@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from atlas.cell.trajectory import cell_orbit
-from rig.oracle.closed_form import one_sided_orbit
-from rig.oracle.free_mass import impact_pair_orbits
-from rig.oracle.machines import single_mass
-from rig.oracle.simulate import simulate
-from rig.solver_bridge import built
+from tests.support.oracle.closed_form import one_sided_orbit
+from tests.support.oracle.free_mass import impact_pair_orbits
+from tests.support.oracle.machines import single_mass
+from tests.support.oracle.simulate import simulate
+from tests.support.solver_bridge import built
 from tests.workers.cell.test_measures import ORBITS, readings_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, expected_events, machine_in, number_in
 from workers import Settings, System, solve_tile

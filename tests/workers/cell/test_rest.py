@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rig.oracle.machines import bouncing_ball
-from rig.oracle.simulate import simulate
 from tests import naive
+from tests.support.oracle.machines import bouncing_ball
+from tests.support.oracle.simulate import simulate
 from tests.workers.cell.test_survival import cells_of
 from workers import Settings, solve_tile
 from workers.cell.averages import restart

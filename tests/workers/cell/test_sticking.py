@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.simulate import section_jacobian
 from tests import naive
 from tests.oscillators import mass_spring
+from tests.support.oracle.simulate import section_jacobian
 from tests.workers.orbit.test_stroboscopic import KINDS, differences, jacobian
 from workers.cell.cell_batch import CellBatch
 from workers.cell.interval import run_periods

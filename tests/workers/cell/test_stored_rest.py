@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from atlas.robustness.linear_measures import slips_at_a_push
-from rig.solver_bridge import follow
+from tests.support.solver_bridge import follow
 from workers import Settings, System, solve_tile
 from workers.kernel.hybrid.state import satisfy_rows
 from workers.model.oscillator import Oscillator, take_one

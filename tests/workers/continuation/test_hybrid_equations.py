@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.solver_bridge import machines_of
+from tests.support.solver_bridge import machines_of
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, TOUCHES, machine_in
 from workers import Settings
 from workers.continuation.admissibility import first_fault

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from rig.oracle.machines import bouncing_ball
-from rig.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
-from rig.oracle.simulate import simulate as simulate_rigid
-from rig.solver_bridge import built, follow
+from tests.support.oracle.machines import bouncing_ball
+from tests.support.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
+from tests.support.oracle.simulate import simulate as simulate_rigid
+from tests.support.solver_bridge import built, follow
 from workers import Settings, System, solve_tile, trace
 from workers.kernel.chatter import chatter_end, hop
 from workers.kernel.motion import RUNNING

@@ -8,11 +8,11 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseMachine, simulate
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.solver_bridge import Array, machines_of
 from tests import naive
 from tests.oscillators import build_one
+from tests.support.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseMachine, simulate
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.solver_bridge import Array, machines_of
 from tests.workers.kernel.test_hybrid_random import check_derivative, check_volume, compare
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.crossing import next_crossing

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.solver_bridge import built, follow, machines_of
+from tests.support.solver_bridge import built, follow, machines_of
 from tests.workers.cell.test_hybrid_cells import exponents_in
 from tests.workers.kernel.test_hybrid_orbits import RECORDS, machine_in, number_in
 from workers import Settings, System, solve_tile, trace

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import (
+from tests.support.oracle.piecewise import (
     HarmonicForce,
     PiecewiseContact,
     PiecewiseFriction,
@@ -14,8 +14,8 @@ from rig.oracle.piecewise import (
     monodromy,
     simulate,
 )
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.solver_bridge import built, follow, machines_of
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.solver_bridge import built, follow, machines_of
 from workers import Settings, System, solve_tile
 from workers.cell.cell_batch import CellBatch, Results
 from workers.cell.solve import solve

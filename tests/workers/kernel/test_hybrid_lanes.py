@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import PiecewiseMachine
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.solver_bridge import machines_of
+from tests.support.oracle.piecewise import PiecewiseMachine
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.solver_bridge import machines_of
 from workers import Settings, solve_tile
 from workers.cell.interval import batch_of, begin, has_ended, run
 from workers.kernel.lanes.run import MotionBatch

@@ -6,9 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, PiecewisePhase
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.solver_bridge import Array, built, follow, machines_of
+from tests.support.oracle.piecewise import (
+    HarmonicForce,
+    PiecewiseContact,
+    PiecewiseFriction,
+    PiecewiseMachine,
+    PiecewisePhase,
+)
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.solver_bridge import Array, built, follow, machines_of
 from workers import Settings
 from workers.cell.cell_batch import CellBatch, Results
 from workers.cell.interval import begin, sections_from

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import PiecewiseMachine, PiecewiseMode
-from rig.solver_bridge import Array, SolverEvent, SolverMotion, built, code_in, follow
 from tests.paths import DATA
+from tests.support.oracle.piecewise import PiecewiseMachine, PiecewiseMode
+from tests.support.solver_bridge import Array, SolverEvent, SolverMotion, built, code_in, follow
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING
 from workers.model.hybrid_modes import code_of
 from workers.model.oscillator import Oscillator

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import PiecewiseMachine, simulate
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.solver_bridge import Array, SolverMotion, built, follow
+from tests.support.oracle.piecewise import PiecewiseMachine, simulate
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.solver_bridge import Array, SolverMotion, built, follow
 from workers.kernel.motion import CONTRACTION, LOST, MODE_MISSING, RUNNING
 from workers.model.oscillator import Oscillator
 

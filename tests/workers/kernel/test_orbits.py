@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.closed_form import symmetric_orbit
-from rig.oracle.simulate import simulate
 from tests import naive
 from tests.paths import DATA
+from tests.support.oracle.closed_form import symmetric_orbit
+from tests.support.oracle.simulate import simulate
 from workers.cell.interval import run_periods
 from workers.history import trace
 from workers.kernel.coordinates import motion_from

@@ -16,11 +16,11 @@ from atlas.query.grazing import grazing_ratio
 from atlas.query.queries import per_unit_time
 from atlas.robustness.norm import weights_of
 from atlas.spec.equation import equation_of
-from rig.oracle import OracleMachine, simulate
-from rig.oracle.machines import random_machine
-from rig.oracle.piecewise import HarmonicForce
-from rig.oracle.piecewise import PiecewiseMachine as Pieces
-from rig.oracle.piecewise.random_machines import random_machine as pieces_at_random
+from tests.support.oracle import OracleMachine, simulate
+from tests.support.oracle.machines import random_machine
+from tests.support.oracle.piecewise import HarmonicForce
+from tests.support.oracle.piecewise import PiecewiseMachine as Pieces
+from tests.support.oracle.piecewise.random_machines import random_machine as pieces_at_random
 from tests.workers.cell.test_family import assert_jacobians_agree, solver_jacobian, solver_sections
 from tests.workers.kernel.test_hybrid_random import SENSITIVE, assert_few_stop, compare
 from workers import Settings, System, solve_tile

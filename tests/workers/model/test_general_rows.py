@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, orbit
+from tests.support.oracle.piecewise import HarmonicForce, PiecewiseContact, PiecewiseFriction, PiecewiseMachine, orbit
 from workers import Settings, System, solve_tile
 from workers.continuation import branch, family_of, orbit_from_state
 from workers.model.system import find_system

@@ -20,13 +20,13 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.spec.equation import equation_of
 from atlas.spec.spec import Spec
-from rig.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
-from rig.oracle.piecewise.random_machines import random_machine, random_state
-from rig.oracle.segmented_mass import SegmentedMass
-from rig.oracle.segmented_mass import simulate as simulate_segments
-from rig.oracle.smooth import SmoothMass
-from rig.oracle.smooth import orbit as smooth_orbit
-from rig.solver_bridge import Array, SolverMotion, follow, machines_of
+from tests.support.oracle.piecewise import PiecewiseContact, PiecewiseMachine, simulate
+from tests.support.oracle.piecewise.random_machines import random_machine, random_state
+from tests.support.oracle.segmented_mass import SegmentedMass
+from tests.support.oracle.segmented_mass import simulate as simulate_segments
+from tests.support.oracle.smooth import SmoothMass
+from tests.support.oracle.smooth import orbit as smooth_orbit
+from tests.support.solver_bridge import Array, SolverMotion, follow, machines_of
 from workers import Settings, solve_tile
 from workers.kernel.motion import CONTRACTION, LOST, RUNNING, SIMULTANEOUS
 from workers.model import laws
@@ -640,7 +640,7 @@ def test_a_law_that_cannot_be_checked_gets_one_line(spec: Spec, line: str) -> No
 
 
 @pytest.mark.parametrize("given", ["single-mass", "finer.toml", "points.toml"])
-def test_check_law_refuses_before_it_loads_the_kernels(
+def test_a_check_of_laws_is_refused_before_it_loads_the_kernels(
     given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -650,9 +650,17 @@ def test_check_law_refuses_before_it_loads_the_kernels(
     Path("ball.toml").write_text(ball.replace('"hertz-ball"', '"ball"'))
     Path("table.csv").write_text("omega\n1.0\n")
     Path("points.toml").write_text('system = "hertz-ball"\n[points]\nfile = "table.csv"\n')
-    ended = CliRunner().invoke(main, ["check-law", given])
+    ended = CliRunner().invoke(main, ["plan", given, "--laws"])
     assert (ended.exit_code, ended.stdout) == (2, "")
     assert ended.stderr.startswith("Error: ") and ended.stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_plan_lists_the_cells_that_change_with_twice_the_segments() -> None:
+    ended = CliRunner().invoke(main, ["plan", "hertz-ball", "--no-probe", "--laws", "3"])
+    assert ended.exit_code == 0, ended.output
+    assert "segments at the defaults, compared with" in ended.stdout
+    assert " of 9 cells change their class" in ended.stdout
 
 
 def test_an_odd_law_bends_alike_on_both_sides_whatever_its_range() -> None:

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from rig.oracle.simulate import section_jacobian, simulate
 from tests import naive
+from tests.support.oracle.simulate import section_jacobian, simulate
 from workers.cell.interval import run_periods
 from workers.kernel.coordinates import blocks_to_physical, motion_from
 from workers.kernel.motion import EVALUATIONS, FLIGHT, LOST, LOWER, RUNNING, STATUS, STUCK, UPPER
