@@ -4,6 +4,7 @@ An atlas:
 
 Spec                 describes an atlas
 Settings             decide how a cell is solved
+System               a machine, from its definition
 RunOptions           options of a run, which decide no number
 plan                 estimates the cost
 run                  computes an atlas into a store
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
         RunOptions,
         Settings,
         Spec,
+        System,
         attractors,
         branch,
         extend,
@@ -70,6 +72,7 @@ __all__ = [
     "RunOptions",
     "Settings",
     "Spec",
+    "System",
     "__version__",
     "attractors",
     "branch",

@@ -6,19 +6,19 @@ registers the accessor then.
 
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from atlas.accessor import AtlasAccessor
+ENGINE = "atlas.xarray_engine"
+"""The module that registers the accessor when it is imported."""
 
 
 def register_accessor() -> None:
     """Register the accessor ``atlas`` of datasets, now or once xarray is imported."""
     if "xarray" in sys.modules:
-        _register()
+        import_module(ENGINE)
     else:
         sys.meta_path.insert(0, _AfterXarray())
 
@@ -42,21 +42,7 @@ class _AfterXarray(MetaPathFinder):
             execute(module)
             if self in sys.meta_path:
                 sys.meta_path.remove(self)
-            _register()
+            import_module(ENGINE)
 
         spec.loader.exec_module = exec_module  # type: ignore[method-assign]
         return spec
-
-
-def _register() -> None:
-    import xarray
-
-    if not hasattr(xarray.Dataset, "atlas"):
-        xarray.register_dataset_accessor("atlas")(_accessor)
-
-
-def _accessor(ds: Any) -> "AtlasAccessor":
-    """Return the accessor of a dataset; its class is loaded at the first use."""
-    from atlas.accessor import AtlasAccessor
-
-    return AtlasAccessor(ds)

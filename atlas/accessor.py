@@ -1,6 +1,6 @@
 """The accessor ``ds.atlas``: queries and pictures of an atlas as methods of its dataset.
 
-The accessor holds nothing but the dataset. ``import atlas`` registers the accessor with xarray, see ``accessing.py``.
+The accessor holds nothing but the dataset. ``xarray_engine.py`` registers it with xarray.
 """
 
 from collections.abc import Iterable, Mapping

@@ -39,6 +39,7 @@ __all__ = [
     "RunOptions",
     "Settings",
     "Spec",
+    "System",
     "attractors",
     "branch",
     "errors",
@@ -73,7 +74,6 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
     >>> ds.atlas.at(omega=3.0, b=0.3)["regime"]
     'periodic'
     """
-
     return open_atlas(store, chunks, storage_options)
 
 

@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     import xarray
 
 
-SOURCE, _HANDLE = "source", "atlas"
-"""Keys of a dataset's encoding for the name of its store and for its handle.
+SOURCE, _RUN_ID = "source", "run_id"
+"""Encoding keys of the name of a dataset's store and of the run that created the store."""
+_opened: dict[tuple[str, str | None], AtlasStore] = {}
+"""Handles of the stores that this process opened as datasets, by these two, the least recently opened first.
 
-The handle has what was read of the store when the dataset was opened.
+A handle has what was read of the store when the dataset was opened, and the access to the store.
 """
+MAX_OPENED = 64
+"""Maximum number of these handles; the store of an older dataset is opened again by its name."""
 LAYERS = "layers"
-"""Encoding key of the layers of each Dask array's graph, by variable, at the time when the dataset was opened."""
+"""Encoding key of the layers of each Dask array's graph, by variable, when the dataset was opened."""
 Chunks = int | str | Mapping[Any, Any] | None
 """Dask chunks as ``xarray.open_dataset`` takes them; None for no Dask arrays."""
 
@@ -64,13 +68,18 @@ def open_atlas(
     attach_store(opened, handle)
     if chunks is not None:
         arrays = {str(name): array.data for name, array in opened.data_vars.items() if array.chunks is not None}
-        opened.encoding[LAYERS] = {name: frozenset(array.dask.layers) for name, array in arrays.items()}
+        opened.encoding[LAYERS] = {name: sorted(array.dask.layers) for name, array in arrays.items()}
     return opened
 
 
 def attach_store(ds: "xarray.Dataset", handle: AtlasStore) -> None:
-    """Record in a dataset the store that it shows."""
-    ds.encoding |= {SOURCE: str(handle.backend), _HANDLE: handle}
+    """Record in a dataset the store that it shows, by its name: ``handle_of`` finds the handle."""
+    name, run_id = str(handle.backend), handle.run_id
+    _opened.pop((name, run_id), None)
+    _opened[name, run_id] = handle
+    for oldest in list(_opened)[:-MAX_OPENED]:
+        _opened.pop(oldest, None)  # another thread may have been faster
+    ds.encoding |= {SOURCE: name, _RUN_ID: run_id}
 
 
 def handle_of(ds: "xarray.Dataset") -> AtlasStore:
@@ -79,17 +88,16 @@ def handle_of(ds: "xarray.Dataset") -> AtlasStore:
     It is the handle that ``atlas.open`` made, as long as the store is the same; otherwise the store is opened by its
     name. Raise InputError if the dataset has no reference to its store, and if the store is gone or was replaced.
     """
-    kept, source = ds.encoding.get(_HANDLE), ds.encoding.get(SOURCE)
-    if isinstance(kept, AtlasStore):
-        handle = kept.current()
-        if handle is not kept:
-            attach_store(ds, handle)
-    elif isinstance(source, str):
-        handle = open_store(source)
-    else:
+    name = ds.encoding.get(SOURCE)
+    if not isinstance(name, str):
         raise InputError("this dataset has no reference to its store; use the dataset that atlas.open returns")
-    if ds.attrs.get("run_id", handle.run_id) != handle.run_id:
+    run_id = ds.encoding.get(_RUN_ID, ds.attrs.get("run_id"))
+    known = _opened.get((name, run_id))
+    handle = open_store(name) if known is None else known.current()
+    if run_id not in (None, handle.run_id):
         raise InputError(f"{handle.backend}: the store was replaced after this dataset was opened; open it again")
+    if handle is not known:
+        attach_store(ds, handle)
     return handle
 
 

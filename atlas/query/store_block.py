@@ -80,12 +80,12 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     return untouched and inner == list(stored["shape"][len(handle.spec.shape) :])
 
 
-def _is_selected(array: Any, opened: frozenset[str] | None) -> bool:
+def _is_selected(array: Any, opened: list[str] | None) -> bool:
     """Return True if a Dask array is the one whose graph had the layers ``opened``, or a selection of it."""
     layers = set(array.dask.layers)
-    if opened is None or not opened <= layers:
+    if opened is None or not layers.issuperset(opened):
         return False
-    return all(layer.startswith("getitem-") for layer in layers - opened)
+    return all(layer.startswith("getitem-") for layer in layers.difference(opened))
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ class CurveSummary:
 
 @with_fields
 def find_curves(
-    store: "Given | AtlasStore",
+    store: Given,
     settings: CurveSettings | None = None,
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,

@@ -15,7 +15,7 @@ from atlas.service.run import complete
 from atlas.service.summary import RunSummary
 from atlas.spec.extension import extend_spec, refine_spec
 from atlas.spec.spec import Spec
-from atlas.store.object_backend import Given, StoreBackend, is_url, open_backend, sibling_backend
+from atlas.store.object_backend import Given, StoreBackend, is_url, open_backend, sibling_backend, sibling_name
 from atlas.store.origin import Origin
 from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.task.reuse import count_shared
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @with_fields
 def extend(
-    store: "Given | AtlasStore",
+    store: Given,
     into: Given,
     spec: Spec | None = None,
     refine: int | Mapping[str, int] | None = None,
@@ -72,7 +72,7 @@ def extend(
     with progress_reporter(options.on_progress) as report:
         options = replace(options, on_progress=report)
         options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
-        return complete(grown, place, client, options, Origin(str(old.backend), old.run_id))
+        return complete(grown, place, client, options, Origin(sibling_name(place, old.backend), old.run_id))
 
 
 def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:

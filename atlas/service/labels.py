@@ -12,7 +12,6 @@ from atlas.service.worker_pool import hold_store_lease, open_store_call
 from atlas.spec.system import must_offer
 from atlas.store.groups import check_table_size
 from atlas.store.object_backend import Given
-from atlas.store.store import AtlasStore
 from atlas.store.zip_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
 from workers.results import LABEL
@@ -48,9 +47,7 @@ class LabelSummary:
 
 
 @with_fields
-def label_attractors(
-    store: "Given | AtlasStore", options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]
-) -> LabelSummary:
+def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unpack[RunOptionFields]) -> LabelSummary:
     """Label the attractors of a finished atlas, one label per branch from cell to cell, and store the labels.
 
     Return at once if the store has labels. Raise InputError if the store is not a finished atlas of all attractors.

@@ -93,7 +93,7 @@ class MeasureSummary:
 
 @with_fields
 def measure_attractors(
-    store: "Given | AtlasStore",
+    store: Given,
     *,
     shocks: bool = False,
     norm: Mapping[str, float] | None = None,

@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,23 +17,20 @@ from atlas.task.solve_block import kernels_of, solve_independent
 from workers import Settings
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 
-CELLS = 256
-STEPS = (4, 16, 64, CELLS)
+STEPS = (4, 16, 64, 256)
 """Number of cells solved in all after each step.
 
-A step begins only if it should keep the processor seconds of the whole within BUDGET.
+A step begins only if it should keep the processor seconds of the whole within the budget.
 """
+CELLS = STEPS[-1]
 BUDGET, LONG_BUDGET = 2.0, 10.0
 """Budget of the probe, in processor seconds, and its budget for the first FEW cells.
 
 Fewer cells say next to nothing.
 """
-FEW = 16
+FEW = STEPS[1]
 MAX_PROBE_PERIODS, MAX_SURVIVAL = 20_000, 48_000
-"""Largest budget and largest survival of a probed cell, in forcing periods.
-
-The error of the cell shows the cost with a larger budget, its ``survived`` the cost of a longer survival.
-"""
+"""Largest budget and largest survival of a probed cell, in forcing periods; by default a cell has no more."""
 SEGMENT = 8
 """Number of cells of a probed segment of a continued line.
 
@@ -43,22 +40,6 @@ STANDARD_ERRORS = 2.0
 """Number of standard errors by which the range extends beyond the measurement."""
 
 Array = NDArray[np.float64]
-_Solved = tuple[dict[str, Array], dict[str, NDArray[Any]]]
-"""Parameters and results of cells, as arrays (starts, cells)."""
-
-
-class _ProbeStep(NamedTuple):
-    """The measurement of one step.
-
-    seconds      processor seconds
-    simulated    forcing periods simulated
-    least, most  (starts, cells) limits of the forcing periods that the cells will take
-    """
-
-    seconds: float
-    simulated: float
-    least: Array
-    most: Array
 
 
 def with_time(report: Callable[[Progress], None]) -> Callable[[Progress], None]:
@@ -100,30 +81,32 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     """
     warm_up(*kernels_for(spec.system_def, settings=spec.settings))
     starts, length = spread_cells(spec)
-    settings, share = brief(spec.settings)
-    if spec.attractors is not None:
-        _solve(spec, settings, starts[:1], length)  # the search has kernels of its own
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
-    steps: list[_ProbeStep] = []
-    spent, done = 0.0, 0
-
-    def timed(chosen: list[tuple[int, ...]], few: int) -> _ProbeStep:
-        begin = clock()
-        solved = [_solve(spec, settings, part, length) for part in _parts(chosen, few)]
-        return _measured(spec, solved, clock() - begin, share, length)
-
+    _solve(spec, starts[:1], length)
+    costs, done, spent, rate = list[Array](), 0, 0.0, 0.0
     for cells in STEPS:
         chosen = starts[done : max(1, cells // length)]
         budget = BUDGET if done * length >= FEW else LONG_BUDGET
         if not chosen or spent * (1 + len(chosen) / max(done, 1)) > budget:
             break
-        few = math.ceil(together / _evenness(steps))
-        step = timed(chosen, few)
-        if not steps and step.seconds > BUDGET / len(STEPS):  # it may have loaded kernels that other cells do not need
-            step = min(step, timed(chosen, few), key=lambda one: one.seconds)
-        steps.append(step)
-        done, spent = done + len(chosen), spent + step.seconds
-    return _estimate(steps, done * length, math.prod(spec.shape))
+        begin = clock()
+        solved = [_solve(spec, chosen[k : k + together], length) for k in range(0, len(chosen), together)]
+        seconds = clock() - begin
+        used, least, most = (np.concatenate(arrays) for arrays in zip(*solved, strict=True))
+        costs.append(np.stack([least.mean(axis=1), most.mean(axis=1)]))
+        rate = seconds / (used.sum() + least.size)  # a cell costs something even without a period
+        done, spent = done + len(chosen), spent + seconds
+    least, most = np.concatenate(costs, axis=1)
+    middle = 0.5 * (least + most)
+    spread = np.std(middle, ddof=1) / math.sqrt(done) if done > 1 else middle.mean()
+    doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - done * length / math.prod(spec.shape)))
+    return ProbeResult(
+        cells=done * length,
+        periods_per_cell=float(middle.mean()),
+        seconds_per_cell=rate * (float(middle.mean()) + 1.0),
+        low=rate * (max(float(least.mean()) - doubt, 0.0) + 1.0),
+        high=rate * (float(most.mean()) + doubt + 1.0),
+    )
 
 
 def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
@@ -143,111 +126,52 @@ def spread_cells(spec: Spec) -> tuple[list[tuple[int, ...]], int]:
     return list(cells)[: CELLS // length], length
 
 
-def brief(settings: Settings) -> tuple[Settings, float]:
-    """Return the settings with limited periods and survival, and the share of the full budget that they have.
-
-    The limits are MAX_PROBE_PERIODS and MAX_SURVIVAL.
-    """
+def brief(settings: Settings) -> Settings:
+    """Return the settings with at most MAX_PROBE_PERIODS periods and a survival of at most MAX_SURVIVAL."""
     if settings.method == "adaptive":
-        share = min(1.0, MAX_PROBE_PERIODS / settings.max_periods)
         survival = min(MAX_SURVIVAL, settings.survival)
-        return replace(settings, max_periods=min(MAX_PROBE_PERIODS, settings.max_periods), survival=survival), share
-    whole = settings.transient_periods + settings.periods
-    transient = settings.transient_periods * min(whole, MAX_PROBE_PERIODS) // whole
-    periods = max(1, settings.periods * min(whole, MAX_PROBE_PERIODS) // whole)
-    return replace(settings, transient_periods=transient, periods=periods), (transient + periods) / whole
+        return replace(settings, max_periods=min(MAX_PROBE_PERIODS, settings.max_periods), survival=survival)
+    share = min(1.0, MAX_PROBE_PERIODS / (settings.transient_periods + settings.periods))
+    transient, periods = int(settings.transient_periods * share), max(1, int(settings.periods * share))
+    return replace(settings, transient_periods=transient, periods=periods)
 
 
-def _evenness(steps: list[_ProbeStep]) -> float:
-    """Return the fraction of the starts that would do all the work if it were shared equally; 1 before the first step.
+def _solve(spec: Spec, starts: list[tuple[int, ...]], length: int) -> tuple[Array, Array, Array]:
+    """Solve the cells, or the segments of lines, that begin at these starts, with brief settings.
 
-    The cells of a tile cost about the same. A batch of cells from all over the plane must be larger by this factor.
+    Return arrays (starts, cells): the periods that the cells took, and the limits of those that they will take.
     """
-    work = np.concatenate([step.most.sum(axis=1) for step in steps]) + 1.0 if steps else np.ones(1)
-    return float(work.sum() ** 2 / (work.size * (work**2).sum()))
-
-
-def _measured(spec: Spec, solved: list[_Solved], seconds: float, share: float, length: int) -> _ProbeStep:
-    given, arrays = ({name: np.concatenate([one[k][name] for one in solved]) for name in solved[0][k]} for k in (0, 1))
-    if spec.attractors is None:
-        least, most = _full_periods(spec, given, arrays, share)
-    else:
-        least = most = arrays["periods_used"].astype(np.float64)
-    counted = slice(None)
-    if length > 1 and spec.continuation is not None:
-        counted = slice(None, -1) if spec.continuation[1] else slice(1, None)
-    return _ProbeStep(seconds, float(arrays["periods_used"].sum(dtype=np.float64)), least[:, counted], most[:, counted])
-
-
-def _parts(starts: list[tuple[int, ...]], together: int) -> Iterator[list[tuple[int, ...]]]:
-    for first in range(0, len(starts), together):
-        yield starts[first : first + together]
-
-
-def _solve(spec: Spec, settings: Settings, starts: list[tuple[int, ...]], length: int) -> _Solved:
-    """Solve the cells, or the segments of lines, that begin at these starts; return their parameters and results."""
     from workers.sweep import solve_lines
 
-    along = -1 if spec.continuation is None else spec.continuation[0]
+    along, backward = (-1, False) if spec.continuation is None else spec.continuation
     slices = [tuple(slice(i, i + (length if k == along else 1)) for k, i in enumerate(start)) for start in starts]
     blocks = [spec.cell_params(block) for block in slices]
     params = {name: np.stack([np.broadcast_to(np.ravel(b[name]), length) for b in blocks]) for name in blocks[0]}
-    if spec.continuation is None:
-        return params, solve_independent(spec, params, settings)
-    return params, solve_lines(spec.system_def, params, settings, backward=spec.continuation[1])
-
-
-def _full_periods(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], share: float) -> tuple[Array, Array]:
-    """Return the least and the most periods that cells cost with their full budget, when solved with a share of it.
-
-    The square of a chaotic cell's error falls as one over its periods. Nothing is known of an undetermined cell.
-    """
-    settings = spec.settings
+    few = brief(spec.settings)
+    if along < 0:
+        arrays = solve_independent(spec, params, few)
+    else:
+        arrays = solve_lines(spec.system_def, params, few, backward=backward)
     used = arrays["periods_used"].astype(np.float64)
+    least, most = (used, used) if spec.attractors is not None else full_periods(spec.settings, few, arrays)
+    counted = slice(None) if length == 1 else slice(None, -1) if backward else slice(1, None)
+    return used, least[:, counted], most[:, counted]
+
+
+def full_periods(settings: Settings, few: Settings, arrays: dict[str, NDArray[Any]]) -> tuple[Array, Array]:
+    """Return the least and the most periods that cells cost with their settings, when solved with a brief ``few``.
+
+    The square of a chaotic cell's error falls as one over its periods. Nothing is known of an undetermined cell, nor
+    for how long chaos is watched.
+    """
+    used, regime = arrays["periods_used"].astype(np.float64), arrays[REGIME.name]
     if settings.method == "fixed":
-        return used / share, used / share
-    regime, few = arrays[REGIME.name], brief(settings)[0]
-    least = used.copy()
-    if settings.survival > few.survival:
-        watched = np.isin(regime, (CHAOTIC, APERIODIC))
-        least[watched] += _unwatched(spec, params, arrays, few.survival)[watched]
+        whole = used * (settings.transient_periods + settings.periods) / (few.transient_periods + few.periods)
+        return whole, whole
+    least, scale = used.copy(), settings.max_periods / few.max_periods
     if "error" in arrays:
         with np.errstate(over="ignore"):  # if the tolerance is tiny
-            wanted = np.minimum((arrays["error"] / settings.tolerance) ** 2, 1.0 / share)
-        spent = np.minimum(used, few.deciding_periods)
-        least += np.where((regime == CHAOTIC) & (wanted > 1.0), spent * (wanted - 1.0), 0.0)
-    return least, np.where(regime == UNDETERMINED, used / share, least)
-
-
-def _unwatched(spec: Spec, params: dict[str, Array], arrays: dict[str, Any], few: int) -> Array:
-    """Return the remaining periods of watching chaotic cells that were watched with a survival of ``few`` periods."""
-    from workers.cell.schedule import relaxation_periods, survival_share
-
-    survived, hits = arrays["survived"], np.nan_to_num(arrays["impacts_per_period"].ravel())
-    flat = {p.name: np.resize(params.get(p.name, np.array(p.default)), hits.shape) for p in spec.system_def.parameters}
-    oscillators, _ = spec.system_def.build_many(flat)
-    with np.errstate(divide="ignore", invalid="ignore"):  # cells without an oscillator are not chaotic
-        part = survival_share(relaxation_periods(oscillators, np.arange(hits.size), hits)).reshape(survived.shape)
-    required = np.where(survived >= few, 1.0, part) * spec.settings.survival
-    return np.maximum(required - survived, 0.0)
-
-
-def _estimate(steps: list[_ProbeStep], cells: int, of: int) -> ProbeResult:
-    """Return the estimate: periods from all steps, the time of a period from the last.
-
-    The cells of the last step fill the processor best.
-    """
-    last = steps[-1]
-    rate = last.seconds / (last.simulated + last.least.size)  # a cell costs something even without a period
-    least, most = (np.concatenate([getattr(step, name).mean(axis=1) for step in steps]) for name in ("least", "most"))
-    middle = 0.5 * (least + most)
-    spread = np.std(middle, ddof=1) / math.sqrt(middle.size) if middle.size > 1 else middle.mean()
-    doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - cells / of))
-    periods = float(middle.mean())
-    return ProbeResult(
-        cells=cells,
-        periods_per_cell=periods,
-        seconds_per_cell=rate * (periods + 1.0),
-        low=rate * (max(float(least.mean()) - doubt, 0.0) + 1.0),
-        high=rate * (float(most.mean()) + doubt + 1.0),
-    )
+            wanted = np.clip((arrays["error"] / settings.tolerance) ** 2, 1.0, scale) - 1.0
+        least += np.where(regime == CHAOTIC, np.minimum(used, few.deciding_periods) * wanted, 0.0)
+    watched = np.isin(regime, (CHAOTIC, APERIODIC, UNDETERMINED)) * float(settings.survival - few.survival)
+    return least, np.where(regime == UNDETERMINED, used * scale, least) + watched

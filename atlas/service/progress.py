@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from atlas.formatting import duration, plural, shares
 from atlas.service.plan import Plan
-from atlas.task.compile import CompileProgress, compile_notice, compile_once
+from atlas.task.compile import compile_notice, compile_once
 from workers.results import REASONS, REGIME
 
 LOG_INTERVAL = 5.0
@@ -24,6 +24,7 @@ class Progress:
     counts                  cells solved in this run by regime
     failures                number of tiles that ended with an error in this run
     transient               True if it is of interest only while it lasts, and not for a log
+    detail                  how far a stage has come that counts no cells, as text
     note                    a line that remains on the display; empty for none
     """
 
@@ -38,6 +39,7 @@ class Progress:
     counts: Mapping[str, int] = field(default_factory=dict)
     failures: int = 0
     transient: bool = False
+    detail: str = ""
     note: str = ""
 
     @property
@@ -52,9 +54,9 @@ class Progress:
 
     @property
     def format_speed(self) -> str:
-        """Cells per second and time left; empty before the first tile."""
+        """Cells per second and time left; before the first tile the detail of the stage."""
         left = self.seconds_left
-        return "" if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
+        return self.detail if left is None else f"{self.rate:.3g} cells/s, {duration(left)} left"
 
     @property
     def outcome(self) -> str:
@@ -64,10 +66,11 @@ class Progress:
 
     @property
     def format_line(self) -> str:
-        """Tiles, cells, speed, time left and regimes; before the first tile, share and seconds of the stage."""
+        """Tiles, cells, speed, time left and regimes; before the first tile, share or detail, and seconds."""
         if not self.tiles:
-            share = f"{100 * self.cells_done / self.cells:.0f} % after " if self.cells else ""
-            return f"{self.stage}: {share}{duration(self.seconds)}" if self.seconds else self.stage
+            done = f"{100 * self.cells_done / self.cells:.0f} %" if self.cells else self.detail
+            after = f"{done} after " if done else ""
+            return f"{self.stage}: {after}{duration(self.seconds)}" if self.seconds else self.stage
         done = f"{self.tiles_done}/{self.tiles} tiles, {self.cells_done}/{self.cells} cells"
         return ", ".join(part for part in (done, self.format_speed, self.outcome) if part)
 
@@ -91,9 +94,11 @@ def prepare_kernels(report: Callable[[Progress], None], *more: str) -> None:
     """Compile the kernels of cells, and ``more``, on this host unless they are compiled, and report the progress."""
     stage = compile_notice(*more)
 
-    def report_compilation(now: CompileProgress) -> None:
-        stage_now = stage if now.of else "waiting for another process, which compiles the kernels"
-        report(Progress(stage_now, cells=now.of, cells_done=now.done, seconds=now.seconds))
+    def report_compilation(functions: int | None, seconds: float) -> None:
+        if functions is None:
+            report(Progress("waiting for another process, which compiles the kernels", seconds=seconds))
+        else:
+            report(Progress(stage, detail=plural(functions, "function"), seconds=seconds))
 
     report(Progress(stage))
     compile_once(*more, report=report_compilation)

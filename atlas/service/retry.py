@@ -16,7 +16,7 @@ from atlas.service.status import read_status
 from atlas.service.submit import submit
 from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
-from atlas.store.object_backend import Given, StoreBackend
+from atlas.store.object_backend import Given, StoreBackend, sibling_name
 from atlas.store.origin import ALLOWANCES, BUDGET, SURVIVAL, BudgetVariable, Origin, RetryRequest
 from atlas.store.store import AtlasStore
 from workers.results import APERIODIC, CHAOTIC, REGIMES, UNDETERMINED
@@ -32,7 +32,7 @@ DECIDED_BY = {regime.name: _NEED[regime.code] for regime in REGIMES if regime.co
 
 @with_fields
 def retry(
-    store: "Given | AtlasStore",
+    store: Given,
     into: Given,
     regimes: str | Iterable[str],
     max_periods: int | None = None,
@@ -112,7 +112,7 @@ def prepare_retry(
         raise InputError(f"{old.backend}: {done} done: complete it first, with the command that began it")
     count = sum(status.regimes.get(name, 0) for name in wanted.regimes)
     report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"
-    return old.spec.in_tiles(old.tile), place, Origin(str(old.backend), old.run_id, wanted), report
+    return old.spec.in_tiles(old.tile), place, Origin(sibling_name(place, old.backend), old.run_id, wanted), report
 
 
 def validate_retry(

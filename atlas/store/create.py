@@ -18,7 +18,14 @@ from atlas.spec.spec import Spec
 from atlas.store.axes import ROOT, copies
 from atlas.store.host import HOSTS
 from atlas.store.metadata_backup import SPARE, encode_backup, remedy
-from atlas.store.object_backend import Given, LocalBackend, StoreBackend, open_backend, os_errors_as_input_errors
+from atlas.store.object_backend import (
+    Given,
+    LocalBackend,
+    StoreBackend,
+    open_backend,
+    os_errors_as_input_errors,
+    sibling_backend,
+)
 from atlas.store.origin import ALLOWANCES, Origin, budget_variables
 from atlas.store.record_format import TILES, create_arrays
 from atlas.store.schema import (
@@ -76,7 +83,9 @@ def check_run(
     if run_id and run_id != handle.run_id:
         raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
-        raise InputError(f"{place}: a store that was not made from {origin.store}; choose another path")
+        raise InputError(
+            f"{place}: a store that was not made from {sibling_backend(place, origin.store)}; choose another path"
+        )
 
 
 def _refuse_foreign(place: StoreBackend, spec: Spec) -> None:

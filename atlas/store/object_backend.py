@@ -118,9 +118,23 @@ def _place_of_object(store: Any, patience: float) -> StoreBackend:
     return _checked(ObjectBackend(*access_of(store), patience))
 
 
+def sibling_name(place: StoreBackend, other: StoreBackend) -> str:
+    """Return the name by which ``sibling_backend`` finds another store: its path from the folder of ``place``, or URL.
+
+    Two folders that are moved together still find each other.
+    """
+    name, here = str(other), str(place)
+    if is_url(name) or is_url(here) or Path(name).anchor != Path(here).anchor:
+        return name
+    return Path(os.path.relpath(name, here)).as_posix()
+
+
 def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
-    """Return the backend of another store, with the access of ``place`` if both are at URLs."""
-    other = open_backend(store)
+    """Return the backend of another store, with the access of ``place`` if both are at URLs.
+
+    A relative path begins in the folder of ``place``.
+    """
+    other = open_backend(store if is_url(store) or is_url(str(place)) else os.path.normpath(Path(str(place)) / store))
     if isinstance(other, ObjectBackend) and isinstance(place, ObjectBackend):
         return replace(other, access=place.access)
     return other

@@ -1,23 +1,19 @@
 """Compilation of the kernels into the cache on disk, once per host, by the first process that needs them."""
 
 import gc
-import json
 import os
+import subprocess
 import sys
-import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
 
-from atlas.platform import file_lock, processors
+from atlas.platform import file_lock
 from atlas.store.host import compiled_for
-from atlas.task.child_process import run_python_parallel
 from workers.model.system import DEFAULT, System, find_system
 from workers.settings import Settings
 
@@ -35,26 +31,6 @@ MODES        solve cells of machines with modes
 
 All other parts need the first or the last.
 """
-
-SECONDS = {CELLS: 45, ATTRACTORS: 5, ORBITS: 22, PATHS: 3, MEASURES: 20, OBSERVED: 15, MODES: 70}
-"""Approximate compile time of each part, in seconds; processors differ by a factor of two."""
-FUNCTIONS = {CELLS: 266, ATTRACTORS: 32, ORBITS: 175, PATHS: 30, MEASURES: 120, OBSERVED: 130, MODES: 330}
-"""Number of functions that each part compiles in a process that has compiled nothing else."""
-IN_PIECES = {CELLS: 390, MODES: 540}
-"""Number of functions that all processes together compile if a part is compiled in pieces: some
-functions in several.
-"""
-
-APART, BATCH, SETTLE = "apart", "batch", "settle"
-"""Pieces of the kernels that solve cells: first functions that are compiled once and called by symbol (APART); then, in
-parallel, the two largest kernels, for intervals of periods (BATCH) and for orbits (SETTLE).
-"""
-
-AT_A_TIME = 2
-"""Maximum number of pieces that are compiled in parallel, each by its own process."""
-
-SPARED = {CELLS: 10, MODES: 10}
-"""Approximate time, in seconds, that compiling in parallel saves."""
 
 ONE_ORBIT = {"omega": 1.643, "b": 0.52}
 """A cell of the default system whose initial states soon reach the same orbit."""
@@ -93,22 +69,10 @@ frequent searches would only take time.
 TICK = 1.0
 """Interval, in seconds, between two progress reports."""
 
-
-@dataclass(frozen=True)
-class CompileProgress:
-    """Progress of a compilation.
-
-    done      number of functions compiled
-    of        approximate number of all functions; 0 while another process compiles
-    seconds   seconds since the compilation began
-    """
-
-    done: int
-    of: int
-    seconds: float
-
-
-Report = Callable[[CompileProgress], None]
+Report = Callable[[int | None, float], None]
+"""Function that gets the progress of a compilation: the number of functions compiled, None while another process
+compiles, and the seconds since the compilation or the wait began.
+"""
 
 
 def kernels_for(record: System, *more: str, settings: Settings | None = None) -> tuple[str, ...]:
@@ -123,14 +87,10 @@ def kernels_for(record: System, *more: str, settings: Settings | None = None) ->
 
 
 def compile_notice(*more: str) -> str:
-    """Return a line of text that tells the waiting user what ``compile_once`` does and how long it takes."""
-    missing = _missing(more)
-    if not missing:
+    """Return a line of text that tells the waiting user what ``compile_once`` does."""
+    if not _missing(more):
         return "loading the kernels"
-    once = ", once for this version" if _cache() else ""
-    spared = sum(SPARED.get(part, 0) for part in missing) if _cache() and processors() >= AT_A_TIME else 0
-    seconds = sum(SECONDS[part] for part in missing) - spared
-    return f"compiling the kernels, about {seconds} s on an idle computer{once}"
+    return "compiling the kernels, once for this version" if _cache() else "compiling the kernels"
 
 
 def compile_once(*more: str, report: Report | None = None) -> None:
@@ -138,7 +98,7 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 
     The kernels serve every system, see ``kernels_for``, and all settings. Processes of one host, or with one cache
     folder, wait for the first of them. A child process compiles, since compiling takes twice the memory of solving.
-    ``report`` is called with the progress every second. Nothing is done without a cache folder.
+    ``report`` is called about every second. Nothing is done without a cache folder.
     """
     folder = _cache()
     if folder is None or not _missing(more):
@@ -155,90 +115,48 @@ def compile_once(*more: str, report: Report | None = None) -> None:
 
 
 def warm_up_in_child(parts: tuple[str, ...], report: Report | None = None) -> bool:
-    """Call ``warm_up`` in a child process; return True if it completed.
+    """Call ``warm_up`` in a child process that sees the same modules; return True if it completed.
 
-    Otherwise each process compiles the kernels that it needs. With two free processors, pieces of the cells' kernels
-    are first compiled in parallel.
+    Otherwise each process compiles the kernels that it needs.
     """
-    begin, done, functions = time.monotonic(), Counter[str](), FUNCTIONS
-    stages: list[Iterable[tuple[str, ...]]] = [[parts]]
-    cells = [part for part in parts if part in SPARED]
-    if cells and processors() >= AT_A_TIME:
-        functions = FUNCTIONS | IN_PIECES
-        stages = [*(pieces for part in cells for pieces in _pieces(part)), [parts]]
-    of = sum(functions[part] for part in parts)
-    for stage in stages:
-        stage_parts = [json.dumps(pieces) for pieces in stage]
-
-        def count(place: int, line: str, stage_parts: list[str] = stage_parts) -> None:
-            done[stage_parts[place]] = int(line)
-            if report is not None:
-                report(
-                    CompileProgress(min(done.total(), of - 1), of, time.monotonic() - begin)
-                )  # the estimate is reached only at the end
-
-        ended = run_python_parallel("from atlas.task.compile import main; main()", stage_parts, count)
-    return ended == [0]
-
-
-def _pieces(part: str) -> list[list[tuple[str, ...]]]:
-    """Return the stages in which the kernels of ``part`` are compiled.
-
-    The pieces of a stage are compiled in parallel.
-    """
-    return [[(APART, part)], [(BATCH, part), (SETTLE, part)]]
+    begin, path = time.monotonic(), os.pathsep.join(filter(None, sys.path))
+    with subprocess.Popen(
+        [sys.executable, "-c", "from atlas.task.compile import main; main()", *parts],
+        env=os.environ | {"PYTHONPATH": path},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as child:
+        try:
+            for line in child.stdout or ():
+                if report is not None:
+                    report(int(line), time.monotonic() - begin)
+        except BaseException:
+            child.kill()
+            raise
+        return child.wait() == 0
 
 
 def main() -> None:
-    """Call ``warm_up`` for parts given as JSON; write the number of compiled functions to stdout every second."""
+    """Call ``warm_up`` for the parts in the arguments; write the number of compiled functions about every second."""
     from numba.core import event
 
     class CompileCounter(event.Listener):
-        done = 0
+        done, told = 0, time.monotonic()
 
         def on_start(self, event: object) -> None:
             """Do nothing: a function is counted when its compilation ends."""
 
         def on_end(self, event: object) -> None:
             self.done += 1
-
-    counter = CompileCounter()
-
-    def tell() -> None:
-        while True:
-            time.sleep(TICK)
-            try:
-                os.write(1, f"{counter.done}\n".encode())
-            except OSError:  # the parent has ended
-                os._exit(1)
+            if time.monotonic() - self.told >= TICK:
+                self.told = time.monotonic()
+                print(self.done, flush=True)  # an error ends this process: the parent has ended
 
     gc.set_threshold(YOUNG_OBJECTS)
-    event.register("numba:compile", counter)
-    threading.Thread(target=tell, daemon=True).start()
-    first, *others = json.loads(sys.argv[1])
-    if first in (APART, BATCH, SETTLE):
-        compile_piece(first, *others)
-    else:
-        warm_up(first, *others)
-
-
-def compile_piece(piece: str, part: str = CELLS) -> None:
-    """Compile a piece of the kernels that solve cells of this part, CELLS or MODES, without solving cells."""
-    from workers.cell.interval import run
-    from workers.kernel.external import load
-    from workers.orbit.newton import no_orbits, settle_cells
-
-    load(modes=part == MODES)
-    if piece == APART:
-        return
-    batch, none = _a_batch(System.from_mapping(WITH_MODES) if part == MODES else find_system(DEFAULT))
-    if piece == BATCH:
-        run(batch, np.zeros(1, dtype=np.int64))  # of no periods
-    else:
-        n, periods, near = batch.oscillators.gap_row.shape[1], batch.periods, np.zeros(1)
-        settle_cells(
-            batch.oscillators, batch.motions, batch.sections, periods, near, 1, periods, none, no_orbits(1, n), periods
-        )
+    event.register("numba:compile", CompileCounter())
+    warm_up(*sys.argv[1:])
 
 
 def _a_batch(record: System) -> tuple[Any, Any]:
@@ -341,7 +259,7 @@ def _wait_for(lock: FileLock, report: Report | None) -> None:
             lock.acquire(timeout=TICK)
         except Timeout:
             if report is not None:
-                report(CompileProgress(0, 0, time.monotonic() - begin))
+                report(None, time.monotonic() - begin)
             continue
         except OSError:  # a file system without locks: each process compiles
             pass

@@ -123,7 +123,7 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     else:
         if origin.run_id == handle.origin.run_id:
             return origin
-        trouble = f"{handle.origin.store}: another store than the one that was {done}"
+        trouble = f"{origin.backend}: another store than the one that was {done}"
     raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 

@@ -22,7 +22,7 @@ from atlas.cell.trajectory import cell_orbit
 from atlas.cli.compare import compare
 from atlas.cli.main import main
 from atlas.cli.pictures import plot
-from atlas.errors import InputError
+from atlas.errors import ChunkError, InputError
 from atlas.query import queries as query
 from tests.query.test_query import plane
 from tests.synthetic import complete
@@ -89,6 +89,40 @@ import atlas.accessor
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "False", "1"]
+
+
+def test_xarray_has_the_engine_without_an_import_of_atlas(tmp_path: Path) -> None:
+    complete(tmp_path / "out.zarr")
+    program = (
+        "import sys, xarray; print(xarray.open_dataset(sys.argv[1], engine='atlas').atlas.fractions()['periodic'])"
+    )
+    command = [sys.executable, "-W", "error", "-c", program, str(tmp_path / "out.zarr")]
+    assert float(subprocess.run(command, capture_output=True, text=True, check=True).stdout) >= 0.0
+
+
+@pytest.mark.parametrize("chunks", [None, {}])
+def test_the_engine_of_xarray_opens_what_atlas_opens(tmp_path: Path, chunks: dict[str, int] | None) -> None:
+    complete(tmp_path / "out.zarr")
+    ours = atlas.open(tmp_path / "out.zarr", chunks)
+    theirs = xr.open_dataset(tmp_path / "out.zarr", engine="atlas", chunks=chunks, drop_variables=["period"])
+    xr.testing.assert_identical(theirs.compute(), ours.drop_vars("period").compute())
+    assert theirs.atlas.fractions() == ours.atlas.fractions()
+
+
+def test_the_engine_of_xarray_refuses_a_damaged_chunk_by_its_name(tmp_path: Path) -> None:
+    handle = complete(tmp_path / "out.zarr")
+    chunk = next(path for path in (handle.path / "largest" / "c").rglob("*") if path.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    with pytest.raises(ChunkError, match="largest"):
+        xr.open_dataset(handle.path, engine="atlas").largest.load()
+
+
+@pytest.mark.parametrize("chunks", [None, {}])
+def test_the_encoding_of_a_dataset_is_plain(tmp_path: Path, chunks: dict[str, int] | None) -> None:
+    handle = complete(tmp_path / "out.zarr")
+    encoding = atlas.open(handle.path, chunks).encoding
+    assert json.loads(json.dumps(encoding)) == encoding
+    assert (encoding["source"], encoding["run_id"]) == (str(handle.path), handle.run_id)
 
 
 def test_an_unknown_regime_is_refused_with_the_nearest() -> None:

@@ -16,7 +16,7 @@ from tests.paths import ROOT
 from tests.synthetic import complete
 
 PUBLIC = ["RunOptions", "Settings", "Spec", "__version__", "errors", "extend", "open", "pack", "point", "retry"]
-PUBLIC += ["attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
+PUBLIC += ["System", "attractors", "measure_attractors", "plan", "saddles", "stability", "status", "trace"]
 PUBLIC += ["CurveSettings", "branch", "find_curves", "label_attractors", "portrait", "run", "solve_tile", "verify"]
 
 

@@ -364,6 +364,20 @@ def test_the_origin_is_read_once_for_all_tiles_that_copy_from_it(
     assert max(Counter(read).values()) <= READS
 
 
+def test_no_attribute_has_an_absolute_path_and_stores_that_are_moved_together_find_each_other(
+    old: Path, tmp_path: Path, client: Client
+) -> None:
+    before, after = tmp_path / "before", tmp_path / "after"
+    shutil.copytree(old, before / "old.zarr")
+    extend(before / "old.zarr", before / "new.zarr", spec_of(b=(0.1, 0.2, 0.3, 0.5)), client=client)
+    assert str(before) not in (before / "new.zarr" / "zarr.json").read_text()
+    before.rename(after)
+    assert reuse_cells(open_store(after / "new.zarr"), (slice(0, 2), slice(0, 2))).source is None
+    (after / "old.zarr").rename(after / "away.zarr")
+    with pytest.raises(RunError, match=r"after.old.zarr: no such store"):
+        reuse_cells(open_store(after / "new.zarr"), (slice(0, 2), slice(0, 2)))
+
+
 def test_an_origin_that_another_store_has_replaced_is_noticed(old: Path, tmp_path: Path) -> None:
     spec = spec_of(b=(0.1, 0.2, 0.3, 0.5))
     handle = create_store(tmp_path / "new.zarr", spec, (2, 2), Origin(str(old), open_store(old).run_id))

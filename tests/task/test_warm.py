@@ -1,6 +1,7 @@
 """The kernels' compilation, by one process of a machine."""
 
 import io
+import itertools
 import json
 import os
 import re
@@ -8,7 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from atlas.cli.progress import LogReporter
 from atlas.service.progress import prepare_kernels
 from atlas.spec.examples import example_text
 from atlas.task import compile as warm
-from atlas.task.child_process import run_python_parallel
 from tests.paths import ROOT
 from tests.reference_machines import bouncing_ball, impact_pair
 from tests.support.faults import ATLAS
@@ -54,27 +53,20 @@ OF_ATTRACTORS = [
 OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 """Numba compiles for the oldest 64-bit processor of this architecture, without AVX and fused multiply-add."""
 
-COUNTED = """
-import hashlib, json, sys
+BITS = """
+import hashlib
 import numpy as np
-from numba.core import event
 from atlas.task import compile as warm
 from workers import Settings, solve_tile
-class Counter(event.Listener):
-    done = 0
-    def on_start(self, event): pass
-    def on_end(self, event): self.done += 1
-counter = Counter()
-event.register("numba:compile", counter)
-warm.warm_up(*sys.argv[1:])
+warm.warm_up()
 omega, b = np.meshgrid(np.linspace(2.0, 4.0, 12), np.linspace(0.05, 0.5, 8))
 found = solve_tile("two-mass", {"omega": omega, "b": b}, Settings(exponents="spectrum", survival=1000))
 bits = b"".join(np.ascontiguousarray(found[name]).tobytes() for name in sorted(found))
-print(json.dumps([counter.done, hashlib.sha256(bits).hexdigest()]))
+print(hashlib.sha256(bits).hexdigest())
 """
 WINDOW = {"A": (0.5, 4.0), "R": (0.3, 0.7)}
 
-COMPILING = "compiling the kernels, about 45 s on an idle computer, once for this version"
+COMPILING = "compiling the kernels, once for this version"
 LOADING = "loading the kernels"
 
 
@@ -90,7 +82,6 @@ def compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     monkeypatch.setattr(cache, "CACHE", tmp_path)
     monkeypatch.setattr(warm, "warm_up_in_child", slowly)
-    monkeypatch.setattr(warm, "processors", lambda: 1)
     monkeypatch.setattr(warm, "TICK", 0.01)
     return done
 
@@ -164,14 +155,6 @@ def test_the_user_reads_of_a_compilation_where_there_is_one(compiled: list[str])
     assert warm.compile_notice() == LOADING
 
 
-def test_with_two_processors_the_user_reads_of_a_shorter_compilation(
-    compiled: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(warm, "processors", lambda: 2)
-    spared = warm.SPARED[warm.CELLS]
-    assert warm.compile_notice() == COMPILING.replace("45", str(45 - spared))
-
-
 def test_without_a_folder_for_them_nothing_is_compiled_beforehand(
     compiled: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,88 +168,15 @@ def test_the_child_compiles_what_it_is_given() -> None:
     assert warm.warm_up_in_child((warm.CELLS,))
 
 
-COUNTING = "import json, sys; [print(n, flush=True) for n in range(1, 1 + len(json.loads(sys.argv[1])))]"
-"""A child that counts up to the number of the pieces that it is given, one a line."""
-
-
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[list[str]]]:
-    """The pieces that children which count instead of compiling were given, stage by stage."""
-    stages: list[list[list[str]]] = []
-
-    def counting(code: str, arguments: list[str], told: Callable[[int, str], None]) -> list[int]:
-        stages.append([json.loads(argument) for argument in arguments])
-        return run_python_parallel(COUNTING, arguments, told)
-
-    monkeypatch.setattr(warm, "run_python_parallel", counting)
-    return stages
-
-
-def test_who_waits_for_a_compilation_hears_of_it_every_tick(
-    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(warm, "processors", lambda: 1)
-    heard: list[warm.CompileProgress] = []
-    assert warm.warm_up_in_child((warm.CELLS, warm.ATTRACTORS, warm.ORBITS), heard.append)
-    assert asked == [[[warm.CELLS, warm.ATTRACTORS, warm.ORBITS]]]
-    of = sum(warm.FUNCTIONS[part] for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS))
-    assert [(step.done, step.of) for step in heard] == [(1, of), (2, of), (3, of)]
-
-
-@pytest.mark.parametrize("cells", [warm.CELLS, warm.MODES])
-def test_with_two_processors_the_largest_kernels_are_compiled_side_by_side(
-    cells: str, asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(warm, "processors", lambda: 2)
-    heard: list[warm.CompileProgress] = []
-    assert warm.warm_up_in_child((cells, warm.ORBITS), heard.append)
-    assert asked == [
-        [[warm.APART, cells]],
-        [[warm.BATCH, cells], [warm.SETTLE, cells]],
-        [[cells, warm.ORBITS]],
-    ]
-    assert [step.done for step in heard] == list(range(1, 9))
-
-
-def test_what_does_not_take_the_kernels_of_cells_is_compiled_by_one_process(
-    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(warm, "processors", lambda: 2)
-    assert warm.warm_up_in_child((warm.ORBITS,))
-    assert asked == [[[warm.ORBITS]]]
-
-
-def test_children_side_by_side_end_when_one_who_hears_of_them_gives_up() -> None:
-    """Each would count for an hour."""
-    code = "import time\nfor k in range(36000): print(k, flush=True); time.sleep(0.1)"
-
-    def give_up(place: int, line: str) -> None:
-        raise KeyboardInterrupt
-
-    begin = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        run_python_parallel(code, ["", ""], give_up)
-    assert time.monotonic() - begin < 60.0
-
-
-def test_pieces_are_the_kernels_that_cells_take() -> None:
-    for piece in (warm.APART, warm.BATCH, warm.SETTLE):
-        warm.compile_piece(piece)
-    before = {kernel: list(kernel.python_kernel.signatures) for kernel in (run.run_batch, newton.settle_cells)}
-    assert all(len(signatures) >= 1 for signatures in before.values())
-    warm.warm_up()
-    assert {kernel: list(kernel.python_kernel.signatures) for kernel in before} == before
-
-
 def test_who_waits_for_another_process_hears_of_it_too(compiled: list[str]) -> None:
-    heard: list[warm.CompileProgress] = []
+    heard: list[int | None] = []
     first = threading.Thread(target=warm.compile_once)
     first.start()
     time.sleep(0.05)
-    warm.compile_once(report=heard.append)
+    warm.compile_once(report=lambda functions, seconds: heard.append(functions))
     first.join()
     assert compiled == ["cells"]
-    assert heard and {(step.done, step.of) for step in heard} == {(0, 0)}
+    assert heard and set(heard) == {None}
 
 
 def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
@@ -274,14 +184,27 @@ def test_a_log_shows_how_far_a_compilation_is_and_how_long_it_has_taken(
 ) -> None:
     def reports(parts: tuple[str, ...], report: warm.Report) -> bool:
         for done in (43, 86):
-            report(warm.CompileProgress(done, 215, done / 4.3))
+            report(done, done / 4.3)
         return True
 
     monkeypatch.setattr(warm, "warm_up_in_child", reports)
     log = io.StringIO()
     with LogReporter(log, interval=0.0) as show:
         prepare_kernels(show)
-    assert log.getvalue().splitlines() == [COMPILING, f"{COMPILING}: 20 % after 10 s", f"{COMPILING}: 40 % after 20 s"]
+    assert log.getvalue().splitlines() == [
+        COMPILING,
+        f"{COMPILING}: 43 functions after 10 s",
+        f"{COMPILING}: 86 functions after 20 s",
+    ]
+
+
+HEARD = """
+import json
+from atlas.task import compile as warm
+heard = []
+assert warm.warm_up_in_child((warm.CELLS,), lambda functions, seconds: heard.append((functions, seconds)))
+print(json.dumps(heard))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -291,70 +214,39 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def compiled_in_turn(folder: Path) -> dict[str, tuple[int, str]]:
-    """Functions that each part compiles after those before it, from an empty folder on; the bits of cells then.
+def bits_in_turn(folder: Path) -> list[str]:
+    """The bits of cells in a process that compiles the kernels, into an empty folder, and in one that loads them.
 
     Compiled for another kind of processor than this one.
     """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": str(ROOT)} | OLDEST
-    found = {}
-    for part in (warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES):
-        command = [sys.executable, "-c", COUNTED, part]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        found[part] = tuple(json.loads(done.stdout))
-        environment |= {"NUMBA_OPT": "0"}  # all but the first are only counted: that takes half the time
+    command = [sys.executable, "-c", BITS]
+    found = [subprocess.run(command, env=environment, capture_output=True, check=True).stdout.decode() for _ in "12"]
     assert any(folder.rglob("*.nbc"))
     return found
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [warm.CELLS, warm.ATTRACTORS, warm.ORBITS, warm.MODES])
-def test_the_number_of_functions_of_a_part_is_about_that_which_is_compiled(
-    part: str, compiled_in_turn: dict[str, tuple[int, str]]
-) -> None:
-    assert compiled_in_turn[part][0] == pytest.approx(warm.FUNCTIONS[part], rel=0.25)
-
-
-IN_PIECES = """
-import sys
-from atlas.task import compile as warm
-warm.processors = lambda: warm.AT_A_TIME
-heard = []
-warm.warm_up_in_child((sys.argv[1],), heard.append)
-print(heard[-1].done / heard[-1].of)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", [warm.CELLS, warm.MODES])
-def test_a_compilation_in_pieces_counts_about_as_many_functions_as_it_has(part: str, tmp_path: Path) -> None:
-    """Some functions are compiled in several processes, which all count."""
+def test_who_waits_for_a_compilation_hears_of_it_every_tick_and_of_no_function_twice(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT), "NUMBA_OPT": "0"}
-    command = [sys.executable, "-c", IN_PIECES, part]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert float(done.stdout) == pytest.approx(1.0, abs=0.2)
-
-
-def test_no_compilation_is_complete_before_it_has_ended(
-    asked: list[list[list[str]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(warm, "FUNCTIONS", dict.fromkeys(warm.FUNCTIONS, 2))
-    monkeypatch.setattr(warm, "IN_PIECES", dict.fromkeys(warm.IN_PIECES, 2))
-    heard: list[warm.CompileProgress] = []
-    assert warm.warm_up_in_child((warm.CELLS,), heard.append)
-    assert {(step.done, step.of) for step in heard} == {(1, 2)}
+    command = [sys.executable, "-c", HEARD]
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    heard = json.loads(said)
+    counts, seconds = zip(*heard, strict=True)
+    assert len(set(counts)) == len(counts) >= 3 and list(counts) == sorted(counts)
+    assert all(later - earlier >= 0.5 for earlier, later in itertools.pairwise(seconds))
 
 
 @pytest.mark.slow
 def test_a_process_that_compiles_the_kernels_gets_the_bits_of_those_that_load_them(
-    compiled_in_turn: dict[str, tuple[int, str]],
+    bits_in_turn: list[str],
 ) -> None:
-    assert len({bits for _, bits in compiled_in_turn.values()}) == 1
+    assert bits_in_turn[0] == bits_in_turn[1]
 
 
 @pytest.mark.slow
 def test_kernels_compiled_for_another_kind_of_processor_give_the_same_bits(
-    compiled_in_turn: dict[str, tuple[int, str]], folder: Path, tmp_path: Path
+    bits_in_turn: list[str], folder: Path, tmp_path: Path
 ) -> None:
     """7 x 5 cells of the packaged plane."""
     spec = tmp_path / "plane.toml"
