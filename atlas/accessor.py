@@ -7,19 +7,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from atlas.errors import InputError
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves import queries
+from atlas.orbits.curves.queries import CurveFrames, curves_of, to_frames
 from atlas.query import connected_regions
 from atlas.query import queries as query
 from atlas.query.attractors import select_dominant
-from atlas.query.basins import basins
+from atlas.query.basins import basin_measures
 from atlas.query.cell import read_cell_spec
 from atlas.query.compare import Comparison
 from atlas.query.extremes import extremes
@@ -33,6 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from distributed import Client
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from atlas.explore.session import ExplorerSession
 
@@ -70,6 +69,13 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> "pd.DataFrame":
     return pd.DataFrame(list(rows))
 
 
+def _series(values: Mapping[str, Any], name: str, index: str, kind: type) -> "pd.Series[Any]":
+    """Return a series of values by the words of its index."""
+    import pandas as pd
+
+    return pd.Series(list(values.values()), pd.Index(list(values), name=index, dtype=object), kind, name)
+
+
 class AtlasAccessor:
     """Queries and pictures of an atlas that is opened as a dataset.
 
@@ -87,12 +93,13 @@ class AtlasAccessor:
         name = stored_name(self._ds.attrs) or "an unknown system"
         return f"<atlas of {name}: {cells} cells; help(ds.atlas) lists its methods>"
 
-    def at(self, given: Mapping[str, float] | None = None, /, **point: float) -> dict[str, Any]:
-        """Return all results of the cell nearest to a point, and its distance on each axis: ``at(omega=3, b=0.15)``.
+    def at(self, given: "Mapping[str, ArrayLike] | None" = None, /, **points: "ArrayLike") -> xr.Dataset:
+        """Return all results of the cells nearest to points, and their distances: ``at(omega=[3, 3.5], b=0.15)``.
 
-        In an atlas of all attractors ``coexisting`` lists the attractors of the cell. See ``queries.nearest_cell``.
+        Lists give the dimension ``point``. In an atlas of all attractors the results have the dimension ``attractor``.
+        See ``queries.nearest_cells``.
         """
-        return query.nearest_cell(self._whole, given_values(given, point))
+        return query.nearest_cells(self._whole, given_values(given, points))
 
     def is_(self, *regimes: str) -> xr.DataArray:
         """Return the mask of the cells of these regimes: ``ds.largest.where(ds.atlas.is_("chaotic"))``.
@@ -108,13 +115,13 @@ class AtlasAccessor:
         """
         return query.where_regime(self._ds, regimes)
 
-    def fractions(self, window: Window | None = None) -> dict[str, float]:
+    def fractions(self, window: Window | None = None) -> "pd.Series[float]":
         """Return the fraction of the area, in the units of the axes, of each regime. See ``queries.fractions``."""
-        return query.fractions(self._ds, window)
+        return _series(query.fractions(self._ds, window), "fraction", "regime", float)
 
-    def count_reasons(self, window: Window | None = None) -> dict[str, int]:
+    def count_reasons(self, window: Window | None = None) -> "pd.Series[int]":
         """Return the number of cells without a certain result, by reason. See ``queries.count_reasons``."""
-        return query.count_reasons(self._ds, window)
+        return _series(query.count_reasons(self._ds, window), "cells", "reason", int)
 
     def extremes(self, name: str, by: str = "regime", window: Window | None = None) -> "pd.DataFrame":
         """Return the smallest and largest values of a variable in each regime, period or impact pattern.
@@ -140,16 +147,17 @@ class AtlasAccessor:
         """Return the label of the region of each cell, 0 if it is in none. See ``connected_regions.labels``."""
         return connected_regions.labels(self._ds, by, value, window, min_cells)
 
-    def basin_measures(self, window: Window | None = None) -> dict[str, Any]:
-        """Return shares, entropy and dimension of the basins of a plane of initial states. See ``basins.basins``."""
-        return basins(self._ds, window)
+    def basin_measures(self, window: Window | None = None) -> xr.Dataset:
+        """Return shares, entropy and dimension of the basins of a plane of initial states.
 
-    def boundary(
-        self, regime: str, other: str | None = None, window: Window | None = None
-    ) -> list[NDArray[np.float64]]:
-        """Return the lines between a regime and another one, or any other.
+        The results of the attractors have the dimension ``label``. See ``basins.basins``.
+        """
+        return basin_measures(self._ds, window)
 
-        Each line is an array (points, 2) of (x, y). See ``queries.boundary``.
+    def boundary(self, regime: str, other: str | None = None, window: Window | None = None) -> "pd.DataFrame":
+        """Return the lines between a regime and another one, or any other: ``boundary("chaotic", "periodic")``.
+
+        Each row is a point of a line, with the regimes on both sides. See ``queries.boundary``.
         """
         return query.boundary(self._ds, regime, other, window)
 
@@ -157,12 +165,13 @@ class AtlasAccessor:
         """Return the atlas with exponents per unit time, not per forcing period. See ``queries.per_unit_time``."""
         return query.per_unit_time(self._ds)
 
-    def curves(self, kind: str | None = None) -> "pd.DataFrame":
-        """Return the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold")``.
+    def curves(self, kind: str | None = None) -> CurveFrames:
+        """Return the curves that ``atlas find curves`` found, of one kind or all: ``curves("fold").points``.
 
-        Each row is a point of a curve. See ``atlas.orbits.curves.queries.frame``.
+        ``points`` has a row for each point of a curve, ``corners`` for each point of codimension two. See
+        ``atlas.orbits.curves.queries.to_frames``.
         """
-        return queries.frame(queries.curves_of(self._ds), kind)
+        return to_frames(curves_of(self._ds), kind)
 
     def distance_to(
         self, given: Mapping[str, float] | None = None, /, *, kind: str | None = None, **point: float
@@ -235,7 +244,6 @@ class AtlasAccessor:
         scheduler: str | None = None,
         workers: int | None = None,
         tolerance: float | None = None,
-        keep: bool = True,
         folder: Path | None = None,
         port: int = 0,
         host: str = "127.0.0.1",
@@ -249,7 +257,6 @@ class AtlasAccessor:
         scheduler   address of a Dask cluster whose workers solve cells
         workers     number of local processes that solve cells, by default one per processor
         tolerance   standard error of the exponents of solved cells, by default 0.05
-        keep        whether solved cells are saved in the store
         folder      folder for the specs of new atlases, by default the working directory
         port        port of the page, by default any free one
         host        address on which the page is served
@@ -259,7 +266,7 @@ class AtlasAccessor:
 
         return explore_dataset(
             self._ds, TOLERANCE if tolerance is None else tolerance, client=client, scheduler=scheduler,
-            workers=workers, keep=keep, folder=folder, port=port, host=host,
+            workers=workers, folder=folder, port=port, host=host,
         )  # fmt: skip
 
     def to_html(self, path: str | Path) -> Path:

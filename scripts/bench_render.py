@@ -24,7 +24,7 @@ from atlas.overview.builder import OverviewBuilder
 from atlas.spec.spec import Spec
 from atlas.store.create import create_store
 from atlas.store.store import done_tiles, find_store
-from atlas.store.tile_records import compact_records
+from atlas.store.tile_records import complete_records
 from atlas.store.tiles import write_tile
 from atlas.store.tiling import Tile
 from scripts.measured import parsed, print_table
@@ -74,7 +74,7 @@ def make(path: Path, cells: int, tile: int) -> dict[str, float]:
         if count % 100 == 0:
             print(f"writing tile {count} of {len(missing)}", file=sys.stderr)
         write_tile(handle, due.index, synthetic(spec, due))
-    compact_records(handle)
+    complete_records(handle)
     middle = time.perf_counter()
     print("writing overviews", file=sys.stderr)
     overviews.finish()

@@ -25,7 +25,6 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -39,7 +38,6 @@ from atlas.service.progress import Progress
 from atlas.service.status import StatusReader
 from atlas.store.create import create_store
 from atlas.store.object_backend import open_backend
-from atlas.store.record_format import record_key
 from atlas.store.store import AtlasStore, chunk_key, open_store
 from atlas.store.tiles import write_tile
 from scripts.measured import parsed, print_table
@@ -206,18 +204,15 @@ HEAD = (
 
 
 def left_by_workers(handle: AtlasStore, indices: Iterable[tuple[int, ...]]) -> dict[str, bytes]:
-    """The objects by which tiles are done, as workers leave them: regime and record, all those of the first tile."""
+    """The objects by which tiles are done, as workers leave them: regimes, all those of the first tile."""
     first = (0,) * len(handle.spec.shape)
     states = handle.spec.extra_sizes
     arrays = empty_results(handle.spec.variables, handle.tiling.at(first).shape, states)
     arrays[REGIME.name][...] = PERIODIC
     write_tile(handle, first, arrays)
-    kept: dict[str, bytes] = {}
-    for key_of in (partial(chunk_key, handle.regime), record_key):
-        data = handle.backend.get(key_of(first))
-        assert data is not None
-        kept |= {key_of(index): data for index in indices}
-    return kept
+    data = handle.backend.get(chunk_key(handle.regime, first))
+    assert data is not None
+    return {chunk_key(handle.regime, index): data for index in indices}
 
 
 class Counted:
@@ -242,7 +237,7 @@ def measure_store(side: int, delay: float, folder: Path) -> list[tuple[str, str,
         tiles = [tile.index for tile in plan.tiling.tiles()]
         half, bucket = tiles[: len(tiles) // 2], "scale/plane.zarr/"
         objects = {bucket + key: data for key, data in left_by_workers(handle, tiles).items()}
-        done = {bucket + key for index in half for key in (chunk_key(handle.regime, index), record_key(index))}
+        done = {bucket + chunk_key(handle.regime, index) for index in half}
         server.put({key: data for key, data in objects.items() if key in done})
         server.delay(delay)
         print(f"store: {plan.tiling.count} tiles, {1e3 * delay:.0f} ms a request, half of them done", flush=True)

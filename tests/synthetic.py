@@ -1,6 +1,7 @@
 """Stores with made-up results, for tests of what is read and written and not of what is solved; and naive twins."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ import atlas
 from atlas.overview.builder import OverviewBuilder
 from atlas.query.resample import read_view
 from atlas.store import create, store
-from atlas.store.metadata_backup import SPARE, encode_backup
-from atlas.store.tiles import put_record, read_tile, record_of
+from atlas.store.metadata import seal, unsealed
+from atlas.store.record_format import Rows
+from atlas.store.schema import SPEC_KEY
+from atlas.store.tile_records import TileRecords, write_records
+from atlas.store.tiles import read_tile, record_of
 from workers.results import CHAOTIC, PENDING, PERIODIC, empty_results, result_variables
 
 Index = tuple[int, ...]
@@ -81,24 +85,18 @@ def complete(
 
 
 def set_attribute(path: Path, name: str, value: object) -> None:
-    """Change an attribute of a store's root and of its spare, and nothing else there."""
-    root = json.loads((path / "zarr.json").read_text())
-    root["attributes"][name] = value
-    (path / "zarr.json").write_text(json.dumps(root))
-    respare(path)
+    """Make a store one whose metadata were made with another value of an attribute."""
+    change_attributes(path, lambda attributes: attributes.update({name: value}))
 
 
-def respare(path: Path) -> None:
-    """Make a store one whose metadata were made as they are now."""
-    (path / SPARE).write_bytes(encode_backup((path / "zarr.json").read_bytes()))
-
-
-def change_root(path: Path, change: Any) -> None:
-    """Change the root's metadata, which ``change`` gets as plain JSON."""
-    root = json.loads((path / "zarr.json").read_text())
-    change(root)
-    (path / "zarr.json").write_text(json.dumps(root))
-    respare(path)
+def change_attributes(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Make a store one whose metadata were made with attributes that ``change`` has changed."""
+    for key in ("zarr.json", SPEC_KEY):
+        data = (path / key).read_bytes()
+        attributes = unsealed(data) or {}
+        change(attributes)
+        node = json.loads(data) | {"attributes": seal(attributes)}
+        (path / key).write_bytes(json.dumps(node).encode())
 
 
 def blocks(values: np.ndarray, level: int) -> list[list[np.ndarray]]:
@@ -134,7 +132,7 @@ def assert_view_is_true(handle: store.AtlasStore) -> None:
         assert np.isnan(shown.largest.values[pending]).all()
     naive = {code: share for code, share in naive_shares(codes).items()}
     names = dict(zip(base.regime.attrs["flag_values"], base.regime.attrs["flag_meanings"].split(), strict=True))
-    found = ds.atlas.fractions()
+    found = ds.atlas.fractions().to_dict()
     assert set(found) == {names[code] for code in naive}
     np.testing.assert_allclose([found[names[code]] for code in naive], list(naive.values()), rtol=1e-12)
 
@@ -171,6 +169,13 @@ def mean(block: np.ndarray) -> float:
 def arrays_of(path: Path, group: str | None = None) -> dict[str, bytes]:
     ds = xr.open_zarr(path, group=group)
     return {str(name): ds[name].values.tobytes() for name in ds.data_vars}
+
+
+def put_record(handle: store.AtlasStore, index: Index, row: Rows) -> None:
+    """Write the record of a tile into the table."""
+    rows = TileRecords(handle, store.done_tiles(handle)).columns().copy()
+    rows[index] = row
+    write_records(handle, rows)
 
 
 def record_again(path: Path) -> store.AtlasStore:

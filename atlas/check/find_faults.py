@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
 from atlas.check.foreign_keys import foreign_keys, leftovers
-from atlas.check.groups import check_groups
-from atlas.check.metadata import coordinate_faults, metadata_faults
+from atlas.check.groups import small_faults
+from atlas.check.metadata import RightObjects, metadata_faults, open_damaged_store
 from atlas.check.overviews import check_overviews
-from atlas.check.records import record_faults, tile_faults
-from atlas.check.report import COORDINATES, FOREIGN, METADATA, StoreFault, VerifyReport
+from atlas.check.records import record_faults
+from atlas.check.report import FOREIGN, StoreFault, VerifyReport
 from atlas.check.reproduce import (
     SampledCell,
     find_bit_differences,
@@ -26,35 +25,20 @@ from atlas.check.reproduce import (
     solve_again,
 )
 from atlas.check.rules import broken_rules
-from atlas.check.zoom import plane_faults
-from atlas.errors import ChunkError, InputError
+from atlas.errors import ChunkError
 from atlas.formatting import plural
 from atlas.service.progress import Progress
 from atlas.spec.spec import Spec
 from atlas.store.backend import StoreBackend
 from atlas.store.host import current_host
 from atlas.store.host_records import read_hosts
-from atlas.store.metadata_backup import SPARE, find_backup_faults, nodes_of, read_backup, remedy
 from atlas.store.object_backend import os_errors_as_input_errors
-from atlas.store.origin import ALLOWANCES
-from atlas.store.record_format import COVERED, RECORDS, Rows
-from atlas.store.store import (
-    READERS,
-    ROOT,
-    ZOOM,
-    AtlasStore,
-    chunk_key,
-    done_tiles,
-    handle_by,
-    open_arrays,
-    open_store,
-)
-from atlas.store.tile_records import TileRecords
+from atlas.store.record_format import DIGEST, RECORDS, Rows
+from atlas.store.store import READERS, AtlasStore, chunk_key, done_tiles
+from atlas.store.tile_records import EXCHANGED, TileRecords, is_exchanged
 from atlas.store.tiles import is_blank, read_tile, record_of
 from atlas.store.tiling import Index, Tiling
-from atlas.store.zoom import list_metatiles, metatile_backend
 from workers import SOLVER_VERSION
-from workers.results import REGIME
 
 
 @dataclass(frozen=True)
@@ -64,38 +48,20 @@ class VerifyFindings:
     handle  handle of the store
     report  the report for people
     rows    the tile records that sound tiles should have, from their cells
+    right   the right metadata and coordinates, by key
     """
 
     handle: AtlasStore
     report: VerifyReport
     rows: Mapping[Index, Rows] = field(default_factory=dict)
-
-    @property
-    def is_unreadable(self) -> bool:
-        """True if the metadata are damaged, so that nothing was read through them."""
-        return any(fault.part == (METADATA,) for fault in self.report.faults)
+    right: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
     """Read a whole store, and return all its faults; see ``verify.verify``. Raise InputError if there is no store."""
     with os_errors_as_input_errors(place, "read"):
-        spare = read_backup(place)
-    if spare is not None and (lost := find_backup_faults(place, spare)):
-        handle = handle_by(place, spare, nodes_of(spare)[f"{REGIME.name}/{ROOT}"])
-        return _unread(handle, seed, [f"{key} {damage}: {remedy(place)}" for key, damage in lost.items()])
-    findings = _read(open_store(place), sample, seed, notify)
-    if spare is not None:
-        return findings
-    fault = StoreFault(None, f"{SPARE} is missing or damaged: {remedy(place)}", (SPARE,))
-    return replace(findings, report=replace(findings.report, faults=(fault, *findings.report.faults)))
-
-
-def _unread(handle: AtlasStore, seed: int, damage: list[str]) -> VerifyFindings:
-    """Return the findings in a store with damaged metadata, through which nothing can be read."""
-    faults = tuple(StoreFault(None, text, (METADATA,)) for text in damage)
-    return VerifyFindings(
-        handle, replace(_empty_report(handle, seed), comparison="the metadata are damaged", faults=faults)
-    )
+        handle = open_damaged_store(place)
+    return _read(handle, sample, seed, notify)
 
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
@@ -107,13 +73,11 @@ def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
 
 
 def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
-    """Return the findings in a store whose metadata agree with their backup."""
+    """Return the findings in a store; metadata and coordinates are not needed to read its cells."""
     notify(Progress("listing the tiles"))
-    done = sorted(done_tiles(handle))
-    if damage := metadata_faults(handle):
-        return _unread(handle, seed, damage)
+    done, right = sorted(done_tiles(handle)), RightObjects(handle)
     records = TileRecords(handle, done)
-    faults = [StoreFault(None, text, (COORDINATES,)) for text in coordinate_faults(handle)]
+    faults = [*metadata_faults(handle, right), *right.faults]
     faults += [StoreFault(None, f"{key} is not a chunk of this atlas", (FOREIGN, key)) for key in foreign_keys(handle)]
 
     drawn = draw_cells(handle.tiling, done, sample, seed)
@@ -131,8 +95,7 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
     notify(Progress("checking tables and records"))
     rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
     contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
-    faults += [*wrong, *check_groups(handle), *contradictions]
-    metatile_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
+    faults += [*wrong, *small_faults(handle), *contradictions]
     report = replace(
         _empty_report(handle, seed),
         chunks=sum(tile.chunks for tile in tiles),
@@ -140,12 +103,11 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
         cells_solved=solved,
         comparison=comparison,
         overview_chunks=chunks,
-        metatiles=metatile_count,
-        faults=(*faults, *zoom_faults),
-        doubts=(*doubts, *zoom_doubts),
+        faults=tuple(faults),
+        doubts=tuple(doubts),
         leftovers=tuple(leftovers(handle.backend)),
     )
-    return VerifyFindings(handle, report, {index: row for index, row in rows.items() if index not in bad})
+    return VerifyFindings(handle, report, {index: row for index, row in rows.items() if index not in bad}, right)
 
 
 def _solve_again(
@@ -164,32 +126,6 @@ def _solve_again(
         )
         if different:
             yield StoreFault(one.tile, f"cell {place_in(spec, one.cell)}: {different}")
-
-
-def _check_zoom(
-    handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]
-) -> tuple[int, list[StoreFault], list[StoreFault]]:
-    """Return the number of metatiles of the zoom levels, which are stores themselves, and their faults and doubts.
-
-    In as many metatiles as the sample has cells, one cell each is solved again.
-    """
-    known = list_metatiles(handle)
-    damage = {} if handle.backend.read_only_reason else plane_faults(handle)
-    solved = set(random.Random(seed).sample(known, min(sample, len(known))))
-    faults, doubts = list[StoreFault](), list[StoreFault]()
-    faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
-    for k, (plane, metatile) in enumerate(known, 1):
-        notify(Progress(f"checking zoom levels: metatile {k} of {len(known)}", transient=True))
-        part = (ZOOM, plane, metatile)
-        try:
-            place = metatile_backend(handle, plane, metatile)
-            report = find_faults(place, int((plane, metatile) in solved), seed, lambda _: None).report
-        except InputError as error:
-            faults.append(StoreFault(None, str(error), part))
-            continue
-        faults += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.faults]
-        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.doubts]
-    return len(known), faults, doubts
 
 
 @dataclass(frozen=True)
@@ -220,8 +156,8 @@ def _read_tiles(
     notify: Callable[[Progress], None],
 ) -> Iterator[_TileCheckResult]:
     """Read and check the finished tiles, several at once, and yield the results."""
-    arrays, tiling = open_arrays(handle), handle.tiling
-    _ = records.rows  # before several threads read them
+    tiling = handle.tiling
+    _ = records.columns(DIGEST)  # before several threads read them
     sizes = [tiling.at(index).size for index in done]
     pending = tiling.cells - sum(sizes)  # counted as read, so that the time left is that of reading
     begin = time.perf_counter()
@@ -229,7 +165,7 @@ def _read_tiles(
     stage = Progress("reading", tiles=tiling.count, cells=tiling.cells, tiles_done=unfinished, cells_done=pending)
     notify(stage)
     with ThreadPoolExecutor(READERS) as readers:
-        checked = readers.map(lambda index: _check_tile(handle, arrays, records, index, drawn.get(index, [])), done)
+        checked = readers.map(lambda index: _check_tile(handle, records, index, drawn.get(index, [])), done)
         for read, (tile, cells) in enumerate(zip(checked, accumulate(sizes), strict=True), 1):
             seconds = time.perf_counter() - begin
             tiles = unfinished + read
@@ -237,15 +173,12 @@ def _read_tiles(
             yield tile
 
 
-def _check_tile(
-    handle: AtlasStore, arrays: dict[str, Any], records: TileRecords, index: Index, drawn: list[int]
-) -> _TileCheckResult:
+def _check_tile(handle: AtlasStore, records: TileRecords, index: Index, drawn: list[int]) -> _TileCheckResult:
     """Read a finished tile, and check its chunks, its cells and its record; ``drawn`` are cells to be solved again."""
     tile = handle.tiling.at(index)
-    needed = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | {*handle.record["attributes"][COVERED]}
-    stored = needed & arrays.keys()
+    stored = (*handle.variables, *handle.allowances)
     try:
-        values = read_tile(handle, index, needed, arrays)
+        values = read_tile(handle, index)
     except ChunkError as error:
         return _TileCheckResult(index, len(stored) - len(error.lines), 0, tuple(error.lines), ())
     broken = broken_rules(handle.spec, tile.slices, values)
@@ -254,14 +187,14 @@ def _check_tile(
         for text, mask in broken.items()
     )
     row = record_of(handle, index, values)
-    faults += tuple(tile_faults(records, index, row))
+    faults += (EXCHANGED,) * is_exchanged(records, index, row)
     samples = []
     for flat in drawn:
         inner = tuple(int(i) for i in np.unravel_index(flat, tile.shape))
         cell = tuple(part.start + i for part, i in zip(tile.slices, inner, strict=True))
         one = tuple(slice(i, i + 1) for i in inner)
         samples.append(SampledCell(cell, index, {name: array[one].copy() for name, array in values.items()}))
-    sparse = [v for v in (*handle.variables, *handle.allowances) if v.sparse and v.name in values]
+    sparse = [variable for variable in stored if variable.sparse]
     chunks = len(stored) - sum(is_blank(values[v.name], v) for v in sparse)
     return _TileCheckResult(index, chunks, tile.size, faults, tuple(samples), row)
 

@@ -1,155 +1,109 @@
-"""Checks of a store's metadata and coordinates against its spec, and of metadata against their copies."""
+"""Comparison of a store's metadata and coordinates, byte by byte, with the ones made anew from its spec."""
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from atlas.errors import ChunkError, message_of
+from atlas.check.report import GROUP, METADATA, StoreFault
+from atlas.errors import REBUILD_COMMANDS, ChunkError
 from atlas.overview.pyramid import Pyramid
 from atlas.spec.resolved import resolved_digest
-from atlas.spec.spec import Spec
-from atlas.store.groups import CURVES, TABLES
-from atlas.store.host import HOSTS
-from atlas.store.metadata_backup import form_fault, without_consolidated
-from atlas.store.record_format import RECORD, TILES
-from atlas.store.schema import OVERVIEWS
-from atlas.store.store import ROOT, ZOOM, AtlasStore, arrays_by, open_arrays, read_array_nodes
-from atlas.store.tiles import covered_variables, object_shape
+from atlas.store.backend import StoreBackend
+from atlas.store.groups import group_layout
+from atlas.store.metadata import ROOT, describe_difference, encode_node, encode_whole, members_of, unsealed
+from atlas.store.schema import FORMAT, OVERVIEWS, SPEC_KEY, chunk_of_whole, groups_of, remedy, root_with_groups
+from atlas.store.store import AtlasStore, handle_by, open_store
+
+ROUNDING = 1e-9
+"""Largest difference of numbers of overviews, relative or absolute: cells on log axes depend on the host."""
 
 
-def metadata_faults(handle: AtlasStore) -> list[str]:
-    """Return contradictions between a store's metadata and its spec, or within its metadata, a short line each."""
-    spec = handle.spec
-    faults = []
-    try:
-        if resolved_digest(handle.resolved) != handle.digest:
-            faults.append(f"{ROOT}: the digest does not match the spec")
-    except ChunkError as error:
-        return [_values_fault(key, fault) for key, fault in error.faults.items()]
-    if handle.outline["axes"]:
-        ends = [axis.outline() for axis in Spec.from_resolved(handle.resolved).axes]
-        faults += [
-            f"{ROOT}: axis {a['name']} differs from its coordinate" for a in handle.outline["axes"] if a not in ends
-        ]
-    try:
-        own, copied = arrays_by(handle, read_array_nodes(handle, handle.array_names)), arrays_by(handle, handle.nodes)
-    except ChunkError as error:
-        return [*faults, *error.lines]
-    sizes, variables = spec.extra_sizes, handle.variables
-    shapes = {name: coordinate.values.shape for name, coordinate in handle.coordinates.items()}
-    shapes |= {v.name: spec.shape + tuple(sizes[dim] for dim in v.extra_dims) for v in variables}
-    for name in [*shapes, *(own.keys() | copied.keys()) - shapes.keys()]:
-        where = f"{name}/{ROOT}"
-        if name not in own:
-            faults.append(f"{where} is missing")
-        elif name in shapes and own[name].shape != shapes[name]:
-            faults.append(f"{where}: shape {own[name].shape}, must be {shapes[name]}")
-        elif name not in copied or str(copied[name].metadata.to_dict()) != str(own[name].metadata.to_dict()):
-            faults.append(f"{ROOT}: its consolidated metadata differ from those of {where}")
-    groups = (TILES, HOSTS, OVERVIEWS, ZOOM, CURVES, *TABLES)  # copies of dropped groups may remain
-    tops = {name.partition("/")[0] for name in handle.nodes}.difference(handle.array_names, groups)
-    lost = sorted(top for top in tops if not handle.backend.exists(f"{top}/{ROOT}"))
-    faults += [f"{ROOT} has consolidated metadata of {top}, which is not in the store" for top in lost]
-    try:
-        covered_variables(handle, handle.record["attributes"])
-    except KeyError as error:
-        faults.append(f"{RECORD}/{ROOT}: covers {error}, which the store does not have")
-    for variable in variables:
-        array = own.get(variable.name)
-        if array is None:
-            continue
-        where = f"{variable.name}/{ROOT}"
-        stored = object_shape(array)
-        if (array.dtype, stored[: len(handle.tile)]) != (np.dtype(variable.dtype), handle.tile):
-            layout = f"{array.dtype} in chunks of {stored}"
-            faults.append(f"{where}: {layout}, must be {variable.dtype} in tiles of {handle.tile}")
-        if not np.array_equal(array.fill_value, variable.fill, equal_nan=np.dtype(variable.dtype).kind == "f"):
-            faults.append(f"{where}: fill value {array.fill_value}, must be {variable.fill}")
-    return faults
+def open_damaged_store(place: StoreBackend) -> AtlasStore:
+    """Return the handle of a store whose root may be lost or wrong, if the group ``spec`` has its attributes.
 
-
-def _values_fault(key: str, fault: str) -> str:
-    """Return the fault of values from which the spec is read: the values of an axis, or the root itself."""
-    if key == ROOT:
-        return f"{ROOT}: the digest does not match the spec"
-    return f"coordinate {key} {fault}: it cannot be computed again"
-
-
-def copy_faults(handle: AtlasStore) -> dict[str, dict[str, Any]]:
-    """Return copies of metadata that differ from their originals, by the keys of the originals.
-
-    The root, every level of an overview and every table hold copies of the metadata of their members. Among the copies
-    of the root, those of arrays are left to ``metadata_faults``, and those of groups that no longer exist are ignored.
-    A level or a table also counts as different if its copies and those of the root are of different arrays.
+    If both are sound but differ, those attributes are right from which more of the store's objects follow. Raise
+    InputError if there is no store.
     """
-    different: dict[str, dict[str, Any]] = {}
-    for where in ("", *(key.removesuffix(ROOT) for key in _groups_with_copies(handle))):
-        group = _json(handle, f"{where}{ROOT}")
-        copies = _copies_in(group)
-        known = {name.removeprefix(where) for name in handle.nodes if where and name.startswith(where)}
-        if group is not None and ((known and known != copies.keys()) or form_fault(group)):
-            different[f"{where}{ROOT}"] = group
-            continue
-        for name, copy in copies.items():
-            top = f"{where}{name}".partition("/")[0]
-            if (not where and "/" not in name and copy.get("node_type") == "array") or top == ZOOM:
-                continue
-            if not handle.backend.exists(f"{top}/{ROOT}") and top not in (TILES, HOSTS):
-                continue
-            own = _json(handle, f"{where}{name}/{ROOT}")
-            if not _same(own, copy, late="complete" if name == OVERVIEWS else ""):
-                different[f"{where}{name}/{ROOT}"] = copy
-    return different
+    stored = place.get_all([ROOT, SPEC_KEY])
+    sound = [attributes for key in (ROOT, SPEC_KEY) if (attributes := unsealed(stored.get(key))) is not None]
+    handles = [handle_by(place, attributes) for attributes in sound if attributes.get("format") == FORMAT]
+    if not handles or (len(handles) == 1 and unsealed(stored.get(ROOT)) is not None):
+        return open_store(place)
+    return handles[0] if handles[0].attributes == handles[-1].attributes else max(handles, key=_count_right)
 
 
-def _copies_in(group: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """Return the copies of metadata within the metadata of a group, by path; empty if they cannot be read."""
-    copies = (group or {}).get("consolidated_metadata")
-    nodes = copies.get("metadata") if isinstance(copies, dict) else None
-    return nodes if isinstance(nodes, dict) and all(isinstance(node, dict) for node in nodes.values()) else {}
+def _count_right(handle: AtlasStore) -> int:
+    stored = handle.backend.get_all(handle.layout)
+    return sum(data == handle.layout[key] for key, data in stored.items())
 
 
-def _groups_with_copies(handle: AtlasStore) -> list[str]:
-    """Return the keys of the metadata of tables and of levels of overviews."""
-    levels = [f"{OVERVIEWS}/{level}/{ROOT}" for level in range(1, Pyramid(handle).levels.count + 1)]
-    tables = (f"{table}/{ROOT}" for table in TABLES if table not in handle.array_names)  # ``attractors`` is both
-    return [key for key in (*tables, *levels) if handle.backend.exists(key)]
+class RightObjects(dict[str, bytes]):
+    """The right metadata and coordinates of a store, by key, and the ``faults`` of groups that cannot be restored."""
 
+    def __init__(self, handle: AtlasStore) -> None:
+        super().__init__(handle.layout)
+        self.faults: list[StoreFault] = []
+        root = handle.backend.get(ROOT)
+        groups = {name: data for name in (OVERVIEWS, *groups_of(handle.spec)) if (data := self._group(handle, name))}
+        listed = {name: data for name, data in groups.items() if name in members_of(root)}
+        # A killed write may have left a new group without its copy in the root.
+        for copied in (groups, listed):
+            self[ROOT] = root_with_groups(handle.attributes, handle.nodes, copied)
+            if root == self[ROOT]:
+                break
+        else:
+            self[ROOT] = root_with_groups(handle.attributes, handle.nodes, groups)
 
-def _json(handle: AtlasStore, key: str) -> dict[str, Any] | None:
-    """Return stored metadata; None if they are missing or cannot be read."""
-    try:
-        metadata = json.loads(handle.backend.get(key) or b"")
-    except (ValueError, RecursionError):
+    def _group(self, handle: AtlasStore, name: str) -> bytes | None:
+        """Add the metadata of a group, and return those of the group itself; None if it is absent or lost."""
+        key, copies = f"{name}/{ROOT}", members_of(handle.backend.get(ROOT))
+        stored = data = handle.backend.get(key)
+        if unsealed(data) is None and name in copies:
+            plain = {path: _without_copies(node) for path, node in copies.items()}
+            below = {path.removeprefix(f"{name}/"): n for path, n in plain.items() if path.startswith(f"{name}/")}
+            data = encode_node(plain[name], below)
+        fault = f"{key} is damaged" if stored is not None else f"{key} is missing"
+        if data is not None and unsealed(data) is not None:
+            try:
+                coarse = name == OVERVIEWS
+                self.update(Pyramid(handle, data=data).layout() if coarse else group_layout(handle, name, data))
+                return self[key]
+            except ChunkError as error:
+                self.faults += [_group_fault(handle, name, line) for line in error.lines]
+                return data
+        if stored is not None or any(handle.backend.list_keys(f"{name}/")):
+            self.faults.append(_group_fault(handle, name, fault))
         return None
-    return metadata if isinstance(metadata, dict) else None
 
 
-def _same(own: Mapping[str, Any] | None, copy: Mapping[str, Any], late: str) -> bool:
-    """Return True if metadata equal their copy; the attribute ``late`` may have been written after the copy."""
-    if own is None or not isinstance(own.get("attributes", {}), dict):
-        return False
-    one, other = without_consolidated(own), without_consolidated(copy)
-    attributes = [dict(metadata.get("attributes", {})) for metadata in (one, other)]
-    if late not in attributes[1]:
-        attributes[0].pop(late, None)
-    return one | {"attributes": attributes[0]} == other | {"attributes": attributes[1]}
-
-
-def coordinate_faults(handle: AtlasStore) -> list[str]:
-    """Return a line for each coordinate, or copy of one, that cannot be read or differs from the spec in any bit."""
-    arrays = open_arrays(handle)
-    faults = [f"{key} is damaged or missing" for key, data in handle.copies.items() if handle.backend.get(key) != data]
-    for name, coordinate in handle.coordinates.items():
-        try:
-            values = np.asarray(arrays[name][...])
-        except OSError:
-            raise
-        except Exception as error:  # a codec that meets bytes it never wrote may raise anything
-            faults.append(f"coordinate {name} is damaged ({message_of(error)})")
+def metadata_faults(handle: AtlasStore, right: Mapping[str, bytes]) -> Iterator[StoreFault]:
+    """Yield a fault for each object that differs from the ``right`` one."""
+    pyramid = Pyramid(handle)
+    coarse = pyramid.coordinates() if pyramid.made else {}
+    rounded = {chunk_of_whole(path, stored): stored.values for path, stored in coarse.items()}
+    stored = handle.backend.get_all(right)
+    for key, must in right.items():
+        own = stored.get(key)
+        if own == must or (key in rounded and _is_close(own, rounded[key])):
             continue
-        if not np.array_equal(values, coordinate.values):
-            faults.append(f"coordinate {name} is not the spec's, or missing")
-    return faults
+        yield StoreFault(None, f"{key} {describe_difference(own, must)}: {remedy(handle.backend)}", (METADATA, key))
+    if resolved_digest(handle.resolved) != handle.digest:
+        yield StoreFault(None, f"{ROOT}: the digest does not match the spec")
+
+
+def _is_close(stored: bytes | None, values: Any) -> bool:
+    """Return True if a stored chunk differs from values by rounding alone."""
+    if stored is None or values.dtype.kind != "f" or len(stored) != values.nbytes + 4:
+        return False
+    own = np.frombuffer(stored[:-4], dtype="<f8").reshape(values.shape)
+    return encode_whole(own) == stored and bool(np.allclose(own, values, rtol=ROUNDING, atol=ROUNDING))
+
+
+def _group_fault(handle: AtlasStore, group: str, text: str) -> StoreFault:
+    anew = f" ({REBUILD_COMMANDS[group]} {handle.backend} makes it anew)" if group in REBUILD_COMMANDS else ""
+    return StoreFault(None, text + anew, (GROUP, group))
+
+
+def _without_copies(node: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in node.items() if name != "consolidated_metadata"}

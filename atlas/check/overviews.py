@@ -7,20 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.check.report import CHUNK, GROUP, StoreFault
+from atlas.check.metadata import ROUNDING
+from atlas.check.report import CHUNK, StoreFault
 from atlas.errors import ChunkError
 from atlas.formatting import plural
-from atlas.overview.coarsen import CODES, coarsen
-from atlas.overview.coordinates import level_coordinates
+from atlas.overview.coarsen import coarsen
 from atlas.overview.levels import Index
 from atlas.overview.pyramid import MARKS, Pyramid, level_key
 from atlas.query.store_block import StoreBlock
-from atlas.store.schema import OVERVIEWS
-from atlas.store.store import READERS, ROOT, AtlasStore
+from atlas.store.store import READERS, AtlasStore
 from workers.results import REGIME
-
-ROUNDING = 1e-9
-"""Largest difference of numbers, relative or absolute: widths of cells on log axes depend on the host."""
 
 
 def check_overviews(
@@ -31,40 +27,12 @@ def check_overviews(
     handle    handle of the store
     bad       finished tiles with faults; chunks over them are not compared, since they are dropped with the tiles
     on_level  function called with each level before it is read
-
-    If metadata or coordinates are damaged, no chunk is read, and the group of all overviews is the faulty part.
     """
-    if damage := _form_faults(handle):
-        return 0, [StoreFault(None, text, (GROUP, OVERVIEWS)) for text in damage]
     chunks, faults = 0, list[StoreFault]()
     for whole, wrong in _checked(handle, bad, on_level):
         chunks += whole
         faults += wrong
     return chunks, faults
-
-
-def _form_faults(handle: AtlasStore) -> list[str]:
-    """Return the faults of the metadata and coordinates of overviews: unreadable, or unlike those of new overviews."""
-    pyramid, faults = Pyramid(handle), []
-    levels = pyramid.levels
-    for level in range(1, levels.count + 1) if pyramid.made else ():
-        cells = levels.shape_of(level)
-        shapes = {v.name: cells + (CODES.size,) * len(v.extra_dims) for v in pyramid.variables}
-        for name, expected in shapes.items():
-            try:
-                shape = pyramid.array(level, name).shape
-                if shape != expected:
-                    faults.append(f"{OVERVIEWS}/{level}/{name}/{ROOT}: shape {shape}, must be {expected}")
-            except ChunkError as error:
-                faults += error.lines
-        for name, coordinate in level_coordinates(handle, level).items():
-            try:
-                values = pyramid.read(level, name, tuple(slice(0, n) for n in coordinate.values.shape))
-                if not np.all(_same(values, coordinate.values)):
-                    faults.append(f"{OVERVIEWS}/{level}/{name} is not the spec's, or missing")
-            except ChunkError as error:
-                faults += error.lines
-    return faults
 
 
 def _checked(

@@ -4,7 +4,6 @@ Parts that no run computes are written again: metadata, coordinates and records 
 determine.
 """
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,63 +11,27 @@ from typing import Any
 import numpy as np
 
 from atlas.check.find_faults import VerifyFindings
-from atlas.check.metadata import copy_faults
-from atlas.check.report import CHUNK, COORDINATES, COPIES, COPY, FOREIGN, GROUP, MACHINE, PART, VerifyReport
+from atlas.check.report import CHUNK, FOREIGN, GROUP, MACHINE, METADATA, PART, VerifyReport
 from atlas.errors import REBUILD_COMMANDS
 from atlas.formatting import plural
-from atlas.overview.pyramid import Pyramid, drop_overviews
-from atlas.store.backend import StoreBackend
-from atlas.store.groups import ARRAYS, drop_group, group_attributes
+from atlas.overview.pyramid import Pyramid
+from atlas.store.groups import drop_group
 from atlas.store.host_records import mend_record, read_host
-from atlas.store.metadata_backup import (
-    SPARE,
-    copy_members,
-    copy_metadata,
-    encode_backup,
-    find_backup_faults,
-    read_backup,
-    restore_from_backup,
-    without_consolidated,
-)
+from atlas.store.metadata import ROOT
 from atlas.store.record_format import RECORDS, WIDTH
-from atlas.store.schema import OVERVIEWS
-from atlas.store.store import ROOT, ZOOM, open_arrays
-from atlas.store.tile_records import write_compaction
-from atlas.store.tiles import drop_tile, encode_chunks
-from atlas.store.zoom import describe_planes, drop_metatile
+from atlas.store.schema import PARTS
+from atlas.store.tile_records import forget_records, write_records
+from atlas.store.tiles import drop_tile
 
 Names = Sequence[tuple[Any, ...]]
 """The names of faulty parts of one kind, without the kind itself."""
 
 
-def repair(findings: VerifyFindings, again: Callable[[], VerifyFindings]) -> VerifyReport:
-    """Drop the faulty parts of a leased store, and return the report of the repair; without a fault nothing is written.
+def repair(findings: VerifyFindings) -> VerifyReport:
+    """Drop or restore the faulty parts of a leased store; return the report with the repairs.
 
-    Damaged metadata are written again, and then the store is read ``again``, since no cell was read through them.
+    Overviews are dropped before the tiles below them. Without a fault nothing is written.
     """
-    if not findings.is_unreadable:
-        return _repaired(findings)
-    written, first = _write_metadata(findings.handle.backend), findings.report.faults
-    findings = again()
-    if findings.is_unreadable:
-        faults = tuple(dict.fromkeys((*first, *findings.report.faults)))
-        return replace(findings.report, faults=faults, repaired=())
-    report = _repaired(findings)
-    return replace(report, faults=(*first, *report.faults), restored=(*written, *report.restored))
-
-
-def _write_metadata(place: StoreBackend) -> list[str]:
-    """Write metadata from their backup, else the root's copies from the arrays; return a line for each."""
-    spare = read_backup(place)
-    if spare is not None and (lost := find_backup_faults(place, spare)):
-        restore_from_backup(place, spare, lost)
-        return [f"{key} written again" for key in lost]
-    copy_metadata(place, json.loads(place.get(ROOT) or b"{}"))
-    return [f"{ROOT}: its consolidated metadata written again"]
-
-
-def _repaired(findings: VerifyFindings) -> VerifyReport:
-    """Drop or restore the faulty parts, overviews before the tiles below them; return the report with the repairs."""
     handle, faults = findings.handle, findings.report.faults
     tiles = sorted({fault.tile for fault in faults if fault.tile is not None})
     parts = list(dict.fromkeys(fault.part for fault in faults if fault.part))
@@ -78,6 +41,8 @@ def _repaired(findings: VerifyFindings) -> VerifyReport:
 
     pyramid = Pyramid(handle)
     dropped = pyramid.drop_chunks({*names(CHUNK), *((1, pyramid.levels.chunk_over(tile)) for tile in tiles)})
+    if tiles:
+        forget_records(handle, tiles)
     for index in tiles:
         drop_tile(handle, index)
     removed = (*(str(key) for (key,) in names(FOREIGN)), *findings.report.leftovers)
@@ -87,30 +52,18 @@ def _repaired(findings: VerifyFindings) -> VerifyReport:
     return replace(findings.report, repaired=tuple(tiles), dropped=dropped, removed=removed, restored=tuple(restored))
 
 
-def _mend_spare(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    place = findings.handle.backend
-    place.put(SPARE, encode_backup(place.get(ROOT) or b""))
-    yield f"{SPARE} written again"
-
-
-def _mend_coordinates(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    """Write the coordinates and their copies again, from the spec."""
-    handle = findings.handle
-    arrays, objects = open_arrays(handle), handle.copies
-    for name, coordinate in handle.coordinates.items():
-        objects |= encode_chunks(arrays[name], tuple(map(slice, coordinate.values.shape)), coordinate.values)
-    handle.backend.put_all(objects)
-    yield "coordinates written again"
+def _write_metadata(findings: VerifyFindings, names: Names) -> Iterator[str]:
+    """Write the right metadata and coordinates, those of the root at the end."""
+    for (key,) in sorted(names, key=lambda name: name == (ROOT,)):
+        findings.handle.backend.put(key, findings.right[key])
+        yield f"{key} written again"
 
 
 def _drop_groups(findings: VerifyFindings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (group,) in names:
-        if group == OVERVIEWS:
-            drop_overviews(handle)
-        else:
-            drop_group(handle, group)
-            handle.backend.remove_all(list(handle.backend.list_keys(f"{group}/")))
+        drop_group(handle, group)
+        handle.backend.remove_all(list(handle.backend.list_keys(f"{group}/")))
         command = f"{REBUILD_COMMANDS[group]} {handle.backend}" if group in REBUILD_COMMANDS else "the next run"
         yield f"{group} dropped: {command} makes them anew"
 
@@ -119,24 +72,7 @@ def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
     place = findings.handle.backend
     for (key,) in names:
         place.remove(key)
-        yield f"{key} dropped: {REBUILD_COMMANDS[key.split('/')[1]]} {place} finds it again"
-
-
-def _mend_copies(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Write metadata of groups again, from their copies."""
-    copies = copy_faults(findings.handle)
-    for (key,) in names:
-        if key in copies:
-            findings.handle.backend.put(key, json.dumps(without_consolidated(copies[key])).encode())
-        yield f"{key} written again, as its copy has it"
-
-
-def _mend_members(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Write the copies of the metadata of sound tables again."""
-    handle = findings.handle
-    for (group,) in names:
-        copy_members(handle.backend, group, (group_attributes(handle, group) or {})[ARRAYS])
-        yield f"the copies of the metadata of {group} written again"
+        yield f"{key} dropped: {REBUILD_COMMANDS[key.removeprefix(PARTS).split('/')[1]]} {place} finds it again"
 
 
 def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
@@ -148,43 +84,19 @@ def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
 
 
 def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
-    """Write the tile records of sound tiles from their cells, as one compaction."""
-    grid = findings.handle.tiling.grid
-    rows, settled = np.zeros((*grid, WIDTH)), np.zeros(grid, dtype=bool)
+    """Write the records of sound tiles, from their cells."""
+    rows = np.zeros((*findings.handle.tiling.grid, WIDTH))
     for index, row in findings.rows.items():
-        rows[index], settled[index] = row, True
-    write_compaction(findings.handle, rows, settled)
+        rows[index] = row
+    write_records(findings.handle, rows)
     yield f"records of {plural(len(findings.rows), 'tile')} written again"
 
 
-def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Remove metatiles, named (plane, metatile), and planes (plane,) with all their metatiles.
-
-    The metadata of the group of all planes, named (), are written again.
-    """
-    handle, folders = findings.handle, [name for name in names if name]
-    if () in names:
-        describe_planes(handle)
-        yield f"{ZOOM}/{ROOT} written again"
-    for plane, *metatiles in folders:
-        if not metatiles:
-            handle.backend.remove(f"{ZOOM}/{plane}/{ROOT}")
-            metatiles = sorted({key.split("/")[2] for key in handle.backend.list_keys(f"{ZOOM}/{plane}/")})
-        for metatile in metatiles:
-            drop_metatile(handle, plane, metatile)
-    if folders:
-        yield f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again"
-
-
 MENDERS: dict[str, Callable[[VerifyFindings, Names], Iterator[str]]] = {
-    SPARE: _mend_spare,
-    COORDINATES: _mend_coordinates,
+    METADATA: _write_metadata,
     GROUP: _drop_groups,
     PART: _drop_parts,
-    COPY: _mend_copies,
-    COPIES: _mend_members,
     MACHINE: _mend_machines,
     RECORDS: _write_records,
-    ZOOM: _drop_zoom,
 }
 """The function that drops or restores the faulty parts of a kind, in this order, and yields lines for the user."""

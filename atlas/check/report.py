@@ -10,9 +10,7 @@ from atlas.store.tiling import Index
 MAX_FAULTS_SHOWN = 50
 """Maximum number of faults that a terminal shows; ``--json`` lists all."""
 
-METADATA, COORDINATES, CHUNK, GROUP, COPY, COPIES, PART, FOREIGN, MACHINE = (
-    "metadata", "coordinates", "chunk", "group", "copy", "copies", "part", "foreign", "machine",
-)  # fmt: skip
+METADATA, CHUNK, GROUP, PART, FOREIGN, MACHINE = "metadata", "chunk", "group", "part", "foreign", "machine"
 """Kinds of faulty parts other than tiles, see ``repair.MENDERS``; others are named by their folder or object."""
 
 
@@ -51,7 +49,6 @@ class VerifyReport:
     dropped            number of faulty chunks of overviews that were removed
     removed            removed names among the chunks that belong to no chunk
     restored           other repairs, one line each
-    metatiles          number of metatiles of the zoom levels, each verified as a store
     leftovers          files of killed writes, which nothing reads: no faults, but a repair removes them
     """
 
@@ -70,7 +67,6 @@ class VerifyReport:
     dropped: int = 0
     removed: tuple[str, ...] = ()
     restored: tuple[str, ...] = ()
-    metatiles: int = 0
     leftovers: tuple[str, ...] = ()
 
     @property
@@ -105,8 +101,6 @@ class VerifyReport:
             ("cells", f"{self.cells_checked} checked against the rules"),
             ("sample", sample),
         ]
-        if self.metatiles:
-            counts.append(("zoom", f"{plural(self.metatiles, 'metatile')} of explored cells checked in the same way"))
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))

@@ -19,15 +19,15 @@ from atlas.explore.motion_panel import MotionPanel
 from atlas.explore.panel import Panel
 from atlas.explore.style import TEXT
 from atlas.explore.subject import Arrays, Subject
-from atlas.explore.text import first_compile_notice
+from atlas.explore.text import first_compile_notice, number
 from atlas.formatting import plural
-from atlas.query.attractors import attractors_listed
+from atlas.query.attractors import attractors_solved
 from atlas.query.queries import nearest_cell
 from atlas.render.class_maps import PALETTE
 from atlas.spec.system import impacts_of
 from atlas.task.compile import ATTRACTORS
 from workers.model.system import System
-from workers.results import ATTRACTOR, LARGEST, REGIME
+from workers.results import LARGEST, REGIME
 
 ALL = "<h4>all attractors of this cell</h4>"
 
@@ -68,7 +68,7 @@ def stored_attractors(subject: Subject, cell: CellResult) -> AttractorListing | 
     results = nearest_cell(
         subject.all_attractors, {axis.name: cell.parameters[axis.name] for axis in subject.spec.axes}
     )
-    return _answer(results["coexisting"], results, stored=True)
+    return _answer(results, stored=True)
 
 
 def attractor_computation(subject: Subject, cell: CellResult) -> Computation[AttractorListing]:
@@ -82,13 +82,12 @@ def _solved(subject: Subject, arrays: Arrays) -> AttractorListing:
     """Return the attractors of the only cell in these results."""
     variables = subject.system.variables(subject.settings, attractors=True)
     cell = {variable.name: arrays[variable.name][0] for variable in variables}
-    many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
-    return _answer(attractors_listed(cell, many), cell, stored=False)
+    return _answer(attractors_solved(cell, variables), stored=False)
 
 
-def _answer(listed: list[dict[str, Any]], numbers: dict[str, Any], stored: bool) -> AttractorListing:
+def _answer(numbers: Mapping[str, Any], stored: bool) -> AttractorListing:
     return AttractorListing(
-        tuple(listed), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
+        tuple(numbers["coexisting"]), int(numbers["attractors"]), int(numbers["starts"]), int(numbers["undecided"]),
         float(numbers["unseen_share"]), int(numbers["own_attractor"]), stored,
     )  # fmt: skip
 
@@ -168,7 +167,7 @@ def attractors_table(kept: AttractorListing, subject: Subject) -> str:
 def _attractor(attractor: Mapping[str, Any], own: bool, exponents: bool, system: System) -> list[str]:
     """Return the row of an attractor: class, orbit, exponent, and the share with its interval of 95 %."""
     orbit = f"{attractor['period']}-{impacts_of(system, attractor)}" if attractor["period"] else ""
-    largest = [f"{attractor[LARGEST.name]:.3g}".replace("-", "−")] if exponents else []
+    largest = [number(attractor[LARGEST.name], 3)] if exponents else []
     share, low, high = (100 * attractor[name] for name in ("share", "share_low", "share_high"))
     regime = attractor[REGIME.name].replace("_", " ")
     return ["►" if own else "", regime, orbit, *largest, f"{share:.0f} % ({low:.0f}–{high:.0f})"]

@@ -8,6 +8,8 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from atlas.cell.point_command import point_words
 from atlas.explore.cell_lookup import CellResult
 from atlas.explore.jobs import ServiceState
@@ -49,10 +51,17 @@ def _equation(symbol: str, value: str) -> str:
 
 
 def number(value: float, digits: int = 6) -> str:
-    """Return a number as text, with at most ``digits`` digits, a minus sign, and a power of ten if needed."""
-    mantissa, _, power = f"{value:.{digits}g}".partition("e")
-    text = mantissa.replace("-", "−")
-    return f"{text}·10{str(int(power)).translate(_ABOVE)}" if power else text
+    """Return a number as text, as ``number`` of ``front/words.mjs`` does: with at most ``digits`` digits, a minus sign,
+    and a power of ten below a thousandth.
+    """
+    if not math.isfinite(value):
+        return "none" if math.isnan(value) else "∞" if value > 0.0 else "−∞"
+    near = float(f"{value:.{digits - 1}e}")
+    if near != 0.0 and not 1e-3 <= abs(value) < 1e21:
+        mantissa, _, power = np.format_float_scientific(near, trim="-").partition("e")
+        text = "" if mantissa == "1" else f"{mantissa.replace('-', '−')}·"
+        return f"{text}10{str(int(power)).translate(_ABOVE)}"
+    return np.format_float_positional(near + 0.0, trim="-").replace("-", "−")
 
 
 class TickFormat(NamedTuple):

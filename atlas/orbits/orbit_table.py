@@ -22,6 +22,20 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+SAME_ORBIT = 1e-6
+"""Maximum distance of section states of one orbit, relative to the largest component of any; exact orbits agree to
+1e-12.
+"""
+
+
+def are_on_orbit(orbits: Array, states: Array) -> Mask:
+    """Return the mask (...) of states (..., n) that are section states of their orbits, which have states (..., q, n).
+
+    The distance from the nearest one must be at most SAME_ORBIT of the orbit's largest component.
+    """
+    away = np.abs(orbits - states[..., None, :]).max(axis=-1).min(axis=-1)
+    return np.asarray(away <= SAME_ORBIT * np.abs(orbits).max(axis=(-2, -1), initial=1e-300))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OrbitTable:

@@ -36,9 +36,20 @@ from atlas.overview.coordinates import level_coordinates, level_dims, multiscale
 from atlas.overview.levels import MIN_SIDE, SIDE, Index, OverviewLevels
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Slices
-from atlas.store.create import detached_root
-from atlas.store.schema import OVERVIEWS, codecs, consolidate, create_whole
-from atlas.store.store import ROOT, AtlasStore, chunk_key
+from atlas.store.groups import drop_group
+from atlas.store.metadata import (
+    CRC32C,
+    ROOT,
+    Node,
+    array_node,
+    encode_node,
+    encode_whole,
+    group_node,
+    sealed,
+    unsealed,
+)
+from atlas.store.schema import OVERVIEWS, StoredArray, chunk_of_whole, whole_node
+from atlas.store.store import AtlasStore, array_in, chunk_key, write_root
 from atlas.store.tiles import encode_chunks
 from atlas.store.tiling import chunk_index
 from workers.results import PENDING, REGIME, Variable
@@ -49,29 +60,29 @@ MARKS = (REGIME, REGIME_SHOWN)
 _LOOKS, _PAUSE = 10, 0.2
 """Number of reads, and seconds between them: a tile that an earlier run still writes is unfinished for a moment."""
 
-_SHAPES = ("side", "least", "classes", "complete")
-"""Attributes of the group of all levels: ``chunk_side`` and ``min_side`` of ``OverviewLevels``, the number of regimes,
-and completeness, which is written last.
+_SHAPES = ("side", "least", "classes")
+"""Attributes of the group of all levels: ``chunk_side`` and ``min_side`` of ``OverviewLevels``, the number of
+regimes.
 """
 
 
 class Pyramid:
     """The cells of a store, which are level 0, and its overviews: reading, writing, dropping.
 
-    root     the store's root group, for reading; reads raise ChunkError for missing or damaged chunks
     made     True if there are overviews
     levels   geometry of the levels; ``side`` and ``minimum`` apply to overviews that are not created yet
+
+    ``data`` are the metadata of the group of all levels, by default those in the store.
     """
 
-    def __init__(self, handle: AtlasStore, side: int = SIDE, minimum: int = MIN_SIDE) -> None:
-        import zarr
-
+    def __init__(
+        self, handle: AtlasStore, side: int = SIDE, minimum: int = MIN_SIDE, data: bytes | None = None
+    ) -> None:
         from atlas.overview.verifying_store import VerifyingStore  # imports Zarr, which is slow
 
-        self.handle = handle
-        self.root: Any = zarr.open_group(VerifyingStore(handle), mode="r", use_consolidated=False, zarr_format=3)
+        self.handle, self._store = handle, VerifyingStore(handle)
         self._arrays: dict[str, Any] = {}
-        stored = _stored_shapes(self.root)
+        stored = _stored_shapes(data or handle.backend.get(f"{GROUP}/{ROOT}"))
         self.made = stored is not None
         shapes = stored or {"side": side, "least": minimum}
         self.levels = OverviewLevels(
@@ -85,7 +96,7 @@ class Pyramid:
     @property
     def chunks_read(self) -> int:
         """Number of chunks read so far; missing chunks are not counted."""
-        return int(self.root.store.chunks_read)
+        return self._store.chunks_read
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
@@ -102,11 +113,11 @@ class Pyramid:
         return levels
 
     def array(self, level: int, name: str) -> Any:
-        """Return a variable of a level as a Zarr array. Raise ChunkError if its metadata are damaged."""
+        """Return a variable of a level as a Zarr array."""
         path = f"{GROUP}/{level}/{name}" if level else name
         if path not in self._arrays:
-            with _named(self.handle, f"{path}/{ROOT}"):
-                self._arrays[path] = self.root[path]
+            node = self.nodes[f"{level}/{name}"] if level else self.handle.nodes[name]
+            self._arrays[path] = array_in(self._store, path, node)
         return self._arrays[path]
 
     def read(self, level: int, name: str, block: Slices) -> NDArray[Any]:
@@ -129,17 +140,32 @@ class Pyramid:
         """Create the groups of all levels, without values, unless they exist."""
         if self.made:
             return
-        self._arrays.clear()
+        place, top = self.handle.backend, f"{GROUP}/{ROOT}"
+        drop_overviews(self.handle)
+        place.remove_all(place.list_keys(f"{GROUP}/"))
+        objects = self.layout()
+        place.put_all({key: data for key, data in objects.items() if key != top})
+        place.put(top, objects[top])
+        write_root(self.handle)  # xarray finds a level by the root's copy
+        self.made = True
+
+    def layout(self) -> dict[str, bytes]:
+        """Return all metadata and coordinates of overviews, by key."""
         shapes = {"side": self.levels.chunk_side, "least": self.levels.min_side, "classes": int(CODES.size)}
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
-        with detached_root(self.handle.backend, GROUP) as root:
-            top = root.create_group(GROUP, attributes=shapes | about)
-            for level in range(1, self.levels.count + 1):
-                self._create_level(top, level)
-            for level in range(1, self.levels.count + 1):
-                consolidate(root, f"{GROUP}/{level}")
-            top.attrs["complete"] = True
-        self.made = True
+        objects = {f"{GROUP}/{ROOT}": sealed(shapes | about, self.nodes)}
+        for path, node in self.nodes.items():
+            own = {name.removeprefix(f"{path}/"): n for name, n in self.nodes.items() if name.startswith(f"{path}/")}
+            objects[f"{GROUP}/{path}/{ROOT}"] = encode_node(node, own or None)
+        for path, stored in self.coordinates().items():
+            objects[chunk_of_whole(path, stored)] = encode_whole(stored.values)
+        return objects
+
+    def coordinates(self) -> dict[str, StoredArray]:
+        """Return the coordinates of all levels by path."""
+        levels = range(1, self.levels.count + 1)
+        by_level = {level: level_coordinates(self.handle, level) for level in levels}
+        return {f"{GROUP}/{level}/{name}": array for level in levels for name, array in by_level[level].items()}
 
     def build_chunk(self, level: int, index: Index) -> None:
         """Compute a chunk of a level from the previous level and write it, ``regime`` last.
@@ -203,36 +229,41 @@ class Pyramid:
                     dropped.add((level, index))
         return len(dropped)
 
-    def _create_level(self, top: Any, level: int) -> None:
-        spec, shape = self.handle.spec, self.levels.shape_of(level)
-        described = {
-            "title": f"{self.root.attrs['title']}, overview {level}",
+    @cached_property
+    def nodes(self) -> dict[str, Node]:
+        """Metadata of the groups of all levels and of their arrays, by path below the group of all levels."""
+        levels = range(1, self.levels.count + 1)
+        nodes: dict[str, Node] = {str(level): group_node(self._about(level)) for level in levels}
+        for path, stored in self.coordinates().items():
+            nodes[path.removeprefix(f"{GROUP}/")] = whole_node(stored, (CRC32C,))
+        for level in levels:
+            nodes |= {f"{level}/{v.name}": self._variable_node(level, v) for v in self.variables}
+        return nodes
+
+    def _about(self, level: int) -> dict[str, Any]:
+        return {
+            "title": f"{self.handle.attributes['title']}, overview {level}",
             "comment": f"a cell stands for {2**level} cells along each axis, fewer at the far ends",
             "level": level,
             "digest": self.handle.digest,
         }
-        group = top.create_group(str(level), attributes=described)
-        for name, coordinate in level_coordinates(self.handle, level).items():
-            create_whole(group, name, coordinate)
-        results = {variable.name for variable in self.handle.variables}
-        fixed = " ".join(spec.parameters)
-        for variable in self.variables:
-            stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
-            attributes = dict(self.root[stored].attrs) if stored in results else {}
-            attributes |= {"long_name": variable.long_name, "units": variable.units}
-            if fixed:
-                attributes["coordinates"] = fixed
-            extra = tuple(CODES.size for _ in variable.extra_dims)
-            group.create_array(
-                variable.name,
-                shape=shape + extra,
-                chunks=tuple(map(min, self.levels.chunk, shape)) + extra,
-                dtype=variable.dtype,
-                fill_value=variable.fill,
-                dimension_names=level_dims(spec) + variable.extra_dims,
-                compressors=codecs(),
-                attributes=attributes,
-            )
+
+    def _variable_node(self, level: int, variable: Variable) -> Node:
+        spec, shape = self.handle.spec, self.levels.shape_of(level)
+        stored = REGIME.name if variable.name == REGIME_SHOWN.name else variable.name
+        attributes = dict(self.handle.nodes[stored]["attributes"]) if stored in self.handle.nodes else {}
+        attributes |= {"long_name": variable.long_name, "units": variable.units}
+        if fixed := " ".join(spec.parameters):
+            attributes["coordinates"] = fixed
+        extra = tuple(CODES.size for _ in variable.extra_dims)
+        return array_node(
+            shape + extra,
+            variable.dtype,
+            level_dims(spec) + variable.extra_dims,
+            attributes,
+            fill=variable.fill,
+            block=tuple(map(min, self.levels.chunk, shape)) + extra,
+        )
 
 
 def pyramid_of(handle: AtlasStore) -> Pyramid:
@@ -247,7 +278,7 @@ def pyramid_of(handle: AtlasStore) -> Pyramid:
 
 def drop_overviews(handle: AtlasStore) -> None:
     """Drop all overviews: without its own metadata the group counts as absent."""
-    handle.backend.remove(f"{GROUP}/{ROOT}")
+    drop_group(handle, GROUP)
 
 
 @contextmanager
@@ -261,16 +292,12 @@ def _named(handle: AtlasStore, path: str) -> Iterator[None]:
         raise ChunkError(handle.backend, {path: f"is damaged ({message_of(error)})"}) from None
 
 
-def _stored_shapes(root: Any) -> dict[str, int] | None:
-    """Return the shapes of levels stated by a store's overviews; None without sound overviews of all regimes."""
-    try:
-        attributes = dict(root[GROUP].attrs) if GROUP in root else {}
-        shapes = {name: int(attributes[name]) for name in _SHAPES}
-    except OSError:
-        raise
-    except Exception:  # invalid JSON or metadata may raise anything
+def _stored_shapes(data: bytes | None) -> dict[str, int] | None:
+    """Return the shapes of levels in the metadata of their group; None without sound overviews of all regimes."""
+    attributes = unsealed(data)
+    if attributes is None or attributes.get("classes") != CODES.size:
         return None
-    return shapes if min(shapes.values()) > 0 and shapes["classes"] == CODES.size else None
+    return {name: int(attributes[name]) for name in _SHAPES}
 
 
 def level_key(level: int, variable: Variable, index: Index) -> str:

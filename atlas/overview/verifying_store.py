@@ -1,13 +1,13 @@
 """A Zarr store for reading that raises ChunkError, with the chunk's key, for every missing or damaged chunk.
 
 Zarr alone reads a missing chunk as fill values and does not name a chunk with a wrong checksum. Here chunks of finished
-tiles and current overviews must exist, and each checksum is compared when its chunk is read.
+tiles and current overviews must exist, and each checksum is compared when its chunk is read. Metadata and coordinates
+of the root are not read, since they follow from the spec.
 """
 
 import asyncio
 import atexit
 import errno
-import json
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,11 +22,9 @@ from zarr.storage import WrapperStore
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
 from atlas.store.backend import StoreBackend
-from atlas.store.groups import TABLES
-from atlas.store.metadata_backup import copy_difference
 from atlas.store.origin import ALLOWANCES
-from atlas.store.schema import OVERVIEWS, coordinate_names
-from atlas.store.store import ROOT, AtlasStore
+from atlas.store.schema import OVERVIEWS, TABLES
+from atlas.store.store import AtlasStore
 from atlas.store.zarr_stores import zarr_store
 from workers.results import REGIME
 
@@ -47,18 +45,18 @@ class VerifyingStore(WrapperStore[Any]):
         self.backend, self.chunks_read = handle.backend, 0
         self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra_dims)
         self._complete = {variable.name for variable in (*handle.variables, *levels) if not variable.sparse}
-        self._parts = {name: parts_of(array) for name, array in handle.arrays.items()}
-        self._sizes = {name: chunk_bytes(array) for name, array in handle.arrays.items()}
-        self._coordinates = {*coordinate_names(handle.spec)}
-        self._checked = {variable.name for variable in (*handle.variables, *ALLOWANCES)} | self._coordinates
-        own = ((name, node) for name, node in handle.nodes.items() if name.partition("/")[0] not in TABLES)
-        self._copies = {f"{name}/{ROOT}": node for name, node in own if node["node_type"] == "array"}
+        self._handle = handle
+        self._parts = {name: parts_of(node) for name, node in handle.nodes.items()}
+        self._sizes = {name: chunk_bytes(node) for name, node in handle.nodes.items()}
+        self._checked = {variable.name for variable in (*handle.variables, *ALLOWANCES)}
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
         """Return an object; None if it is absent and not required."""
+        if key in self._handle.layout:
+            return prototype.buffer.from_bytes(self._handle.layout[key])
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
-            return self._checked_metadata(key, await self._store.get(key, prototype, byte_range))
+            return await self._store.get(key, prototype, byte_range)
         array, asked = folder[1:], _asked.get()
         if asked is not None:
             asked.add((self.backend, array))
@@ -88,26 +86,10 @@ class VerifyingStore(WrapperStore[Any]):
             raise self._error(key, "is damaged (its checksum is wrong)")
         return data
 
-    def _checked_metadata(self, key: str, data: Any) -> Any:
-        """Return ``data``, the metadata of a key, or any other object unchanged.
-
-        Raise ChunkError if metadata differ from their copy, or are nested too deeply for Zarr's reader.
-        """
-        if data is not None and key.endswith(ROOT):
-            try:
-                own = json.loads(data.to_bytes())
-            except RecursionError:
-                raise self._error(key, "is damaged (nested too deeply)") from None
-            except ValueError:
-                return data  # Zarr reports the fault
-            if key in self._copies and (fault := copy_difference(own, self._copies[key])):
-                raise self._error(key, fault)
-        return data
-
     async def _must_exist(self, array: str, index: str) -> bool:
         """Return True if the object that is written after a chunk exists."""
         above, _, name = array.rpartition("/")
-        if above in TABLES or (not above and name in self._coordinates):  # single chunks, all of which exist
+        if above in TABLES:  # single chunks, all of which exist
             return True
         if name not in self._complete or name == REGIME.name:
             return False

@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from atlas.argument_checks import validate_atlas
 from atlas.errors import InputError
 from atlas.query.open import handle_of, open_table
 from atlas.store.groups import LABELS, group_attributes
-from workers.results import ATTRACTOR, LABEL, PENDING, REASON, REGIME, in_words
+from workers.results import ATTRACTOR, LABEL, PENDING, REASON, REGIME, Variable, in_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -83,6 +85,20 @@ def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict
     names = list(many)
     kept = min(int(cell["attractors"]), len(cell[REGIME.name]))
     return [attractor_in_words({name: cell[name][k].tolist() for name in names}) for k in range(kept)]
+
+
+def attractors_solved(cell: Mapping[str, Any], variables: Iterable[Variable]) -> dict[str, Any]:
+    """Return the results of a cell whose attractors were searched, with the list ``coexisting`` of the attractors.
+
+    ``variables`` are those of the cell. Without an attractor, the regime and the reason of the cell's own initial state
+    are added, in words.
+    """
+    many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
+    results = {name: np.asarray(values).tolist() for name, values in cell.items() if name not in many}
+    listed = attractors_listed(cell, many)
+    if not listed:
+        results |= in_words({name: cell[name][0] for name in (REGIME.name, REASON.name)})
+    return results | {"coexisting": listed}
 
 
 def attractor_in_words(values: Mapping[str, Any]) -> dict[str, Any]:

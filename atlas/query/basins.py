@@ -105,6 +105,17 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     return answer | {"boundary_dimension": dimension, "boundary_dimension_error": error, "attractors": entries}
 
 
+def basin_measures(ds: "xr.Dataset", window: Window | None = None) -> "xr.Dataset":
+    """Return the measures of ``basins`` as a dataset: numbers, and the results of the attractors along ``label``."""
+    import pandas as pd
+    import xarray
+
+    measures = basins(ds, window)
+    entries = [{k: v for k, v in entry.items() if not isinstance(v, list)} for entry in measures.pop("attractors")]
+    attractors = pd.DataFrame(entries).set_index(LABEL.name).to_xarray() if entries else xarray.Dataset()
+    return attractors.assign(measures)
+
+
 def basin_entropy(
     labels: Labels, solved: NDArray[np.bool_], box: int = BOX
 ) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -32,6 +32,35 @@ class CellSpec:
     settings: Settings
 
 
+@dataclass(frozen=True)
+class StoredCell:
+    """A cell of an atlas. In an atlas of all attractors, it has the selected one, by default of the largest share.
+
+    system      system of the cell
+    parameters  value of each parameter, the initial state included
+    results     results as ``queries.nearest_cell`` returns them
+    row         all results as the store has them, read when they are asked for
+    """
+
+    system: System
+    parameters: dict[str, float]
+    results: Mapping[str, Any]
+    row: "xr.Dataset"
+
+    @classmethod
+    def nearest(cls, ds: "xr.Dataset", point: Mapping[str, float], who: str = "") -> Self:
+        """Return the cell nearest to a point.
+
+        Raise InputError as ``queries.nearest_cell`` does, and, beginning with ``who``, if the dataset lacks the spec of
+        its atlas.
+        """
+        ds = select_dominant(ds)
+        cell, system = nearest_cell(ds, point), system_of(ds.attrs, who)
+        names = [parameter.name for parameter in system.parameters if parameter.name in ds.coords]
+        values = {name: float(cell[name] if name in cell else ds[name]) for name in names}
+        return cls(system, values, cell, ds.sel({name: cell[name] for name in axis_names(ds)}))
+
+
 def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
     """Return the specification of the cell nearest to a point.
 
@@ -39,22 +68,12 @@ def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
     share. The cell's own initial state may reach another attractor. Raise InputError as ``queries.nearest_cell`` does,
     and if the dataset lacks the spec of its atlas.
     """
-    ds = select_dominant(ds)
-    cell, who = nearest_cell(ds, point), "this dataset has no record of how it was solved"
-    system = system_of(ds.attrs, who)
+    who = "this dataset has no record of how it was solved"
+    cell = StoredCell.nearest(ds, point, who)
     try:
         settings = Settings(**stored_spec(ds.attrs)["solve"])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{who}: the table [solve] of its spec is missing or unknown to this version") from None
-    values = values_of(ds, system, cell)
-    if "attractors" in ds and "state" in ds:
-        state = ds["state"].sel({name: cell[name] for name in axis_names(ds)}).values
-        if np.isfinite(state).all():
-            values |= dict(zip(system.states, state.tolist(), strict=True))
-    return CellSpec(system, values, settings)
-
-
-def values_of(ds: "xr.Dataset", system: System, cell: Mapping[str, Any]) -> dict[str, float]:
-    """Return the parameters of a cell, as ``queries.nearest_cell`` returns it: from axes, from columns, or fixed."""
-    names = [parameter.name for parameter in system.parameters if parameter.name in ds.coords]
-    return {name: float(cell[name] if name in cell else ds[name]) for name in names}
+    state = cell.row["state"].values if "attractors" in cell.row and "state" in cell.row else np.full(1, np.nan)
+    own = dict(zip(cell.system.states, state.tolist(), strict=True)) if np.isfinite(state).all() else {}
+    return CellSpec(cell.system, cell.parameters | own, settings)

@@ -82,7 +82,7 @@ def _walk_part(part: StoreBlock, names: list[str], codes: Collection[int]) -> It
 def _states(part: StoreBlock, codes: Collection[int]) -> NDArray[np.int64]:
     """Return for every tile of a store the code of its only regime, _MIXED, or _NOTHING if nothing of it is needed."""
     known = part.records.known_mask
-    counts = part.records.rows[..., CELLS]
+    counts = part.records.columns(CELLS)
     states = np.where(
         np.count_nonzero(counts, axis=-1) == 1, np.array([r.code for r in REGIMES])[counts.argmax(axis=-1)], _MIXED
     )

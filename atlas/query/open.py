@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, InputError, message_of
-from atlas.spec.resolved import outline_names
-from atlas.store.axes import changed_values
-from atlas.store.groups import LABELS, STABILITY, group_attributes, read_group
+from atlas.store.groups import group_attributes, read_group
 from atlas.store.object_backend import Given
-from atlas.store.store import ROOT, AtlasStore, open_store
+from atlas.store.schema import LABELS, STABILITY
+from atlas.store.store import AtlasStore, open_store
 from workers.results import LABEL
 
 if TYPE_CHECKING:
@@ -46,24 +45,10 @@ def open_atlas(
     import xarray
 
     handle = open_store(store, storage_options)
-    try:
-        opened: Any = xarray.open_dataset(
-            _guarded(handle),
-            engine="zarr",
-            chunks=chunks,
-            consolidated=True,
-            zarr_format=3,
-        )
-    except (OSError, MemoryError, ChunkError):
-        raise
-    except Exception as error:  # damaged metadata may raise anything
-        raise ChunkError(handle.backend, {ROOT: f"is damaged ({message_of(error)})"}) from None
-    stored = {name: tuple(opened[name].values.tolist()) for name in outline_names(handle.outline)}
-    if changed := changed_values(handle.backend, handle.outline, stored, lambda: handle.values):
-        raise ChunkError(handle.backend, {f"coordinate {name}": "is not the spec's" for name in changed})
+    opened: Any = xarray.open_dataset(_guarded(handle), engine="zarr", chunks=chunks, consolidated=True, zarr_format=3)
     if handle.spec.coexistence and group_attributes(handle, LABELS) is not None:
         opened = opened.assign({LABEL.name: open_table(handle, LABELS)[LABEL.name]})
-    if STABILITY in handle.groups and group_attributes(handle, STABILITY) is not None:
+    if group_attributes(handle, STABILITY) is not None:
         opened = opened.assign(open_table(handle, STABILITY).data_vars)
     attach_store(opened, handle)
     if chunks is not None:

@@ -31,6 +31,7 @@ from atlas.query.window import (
 )
 from atlas.spec.axis import number
 from atlas.spec.laws import LawUse, law_names, law_uses, merged
+from atlas.spec.points import POINT
 from atlas.spec.system import stored_system
 from workers.model.parameter import OMEGA
 from workers.results import (
@@ -51,7 +52,9 @@ from workers.results import (
 )
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
+    from numpy.typing import ArrayLike
 
 _CODES = {regime.name: regime.code for regime in REGIME.codes}
 _EXPONENTS = (LARGEST.name, ERROR.name, AVERAGE.name, SPECTRUM.name, SUM_LAW_DEFECT.name)
@@ -80,11 +83,7 @@ def nearest_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]
     """
     every, ds = ds, select_dominant(ds)
     names = axis_names(ds)
-    for name in point:
-        check_axis(ds, name)
-    missing = [name for name in names if name not in point]
-    if missing:
-        raise InputError(f"point: found no {', '.join(missing)}, must have a value for each axis: {', '.join(names)}")
+    _check_axes(ds, point)
     index = {name: nearest(ds, name, number(name, point[name])) for name in names}
     whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
     cell = ds[whole].isel(index).load()
@@ -93,6 +92,51 @@ def nearest_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]
     results |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
     results |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
     return results | ({"coexisting": list_attractors(every.isel(index).load())} if has_all_attractors(every) else {})
+
+
+def nearest_cells(ds: "xr.Dataset", points: "Mapping[str, ArrayLike]") -> "xr.Dataset":
+    """Return the cells nearest to points, with all their values, as a loaded dataset.
+
+    ``points`` has a number or a list of numbers for each axis, see ``nearest_cell``. Lists have one length; the dataset
+    then has the dimension ``point``. The variables are those of the atlas, with ``regime`` and ``reason`` in words, and
+    ``distance_NAME`` for each axis, the absolute distance of the cell from the point. In an atlas of all attractors
+    results have the dimension ``attractor``, the largest share first. Raise InputError also for lists of different
+    lengths.
+    """
+    import xarray
+
+    names = axis_names(ds)
+    _check_axes(ds, points)
+    given = {name: np.asarray(points[name], dtype=object) for name in names}
+    shapes = {values.shape for values in given.values() if values.ndim}
+    if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
+        listed = ", ".join(f"{name} {list(values.shape)}" for name, values in given.items())
+        raise InputError(f"points: found the shapes {listed}, must be numbers, or lists of one length")
+    dims, shape = (POINT,) if shapes else (), next(iter(shapes), ())
+    index, distances = {}, {}
+    for name, values in given.items():
+        at = np.array([number(name, value) for value in np.broadcast_to(values, shape).ravel()]).reshape(shape)
+        places = np.array([nearest(ds, name, value) for value in at.ravel()], dtype=np.intp).reshape(shape)
+        index[name] = xarray.DataArray(places, dims=dims)
+        distances[f"distance_{name}"] = dims, np.abs(axis_values(ds, name)[places] - at)
+    cells = ds.isel(index).load().assign(distances)
+    names_of = {code.code: code.name for code in REGIME.codes}, {code.code: code.text for code in REASON.codes}
+    for variable, words in zip((REGIME, REASON), names_of, strict=True):
+        if variable.name in cells:
+            codes = cells[variable.name]
+            named = [words[code] if (variable, code) != (REASON, NO_REASON) else "" for code in codes.values.ravel()]
+            cells[variable.name] = codes.dims, np.array(named, dtype=str).reshape(codes.shape)
+    return cells
+
+
+def _check_axes(ds: "xr.Dataset", point: Mapping[str, object]) -> None:
+    """Raise InputError unless a point has values for all axes of an atlas, and for nothing else."""
+    names = axis_names(ds)
+    for name in point:
+        check_axis(ds, name)
+    missing = [name for name in names if name not in point]
+    if missing:
+        raise InputError(f"point: found no {', '.join(missing)}, must have a value for each axis: {', '.join(names)}")
 
 
 def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float]:
@@ -170,10 +214,15 @@ def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
     return ds.assign({name: array for name, array in masked.items() if name != REGIME.name})
 
 
-def boundary(
-    ds: "xr.Dataset", regime: str, other: str | None = None, window: Window | None = None
-) -> list[NDArray[np.float64]]:
-    """Return the lines between a regime and another one, by default any other, each an array (points, 2) of (x, y).
+def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Window | None = None) -> "pd.DataFrame":
+    """Return the lines between a regime and another one, by default any other: a frame with one row per point.
+
+    Its columns are:
+
+    line    number of the line, from 0; its points are in order
+    (axis)  position, for each axis
+    regime  the regime
+    other   the regime on the other side
 
     The lines are contours half way between neighbouring cells, in the units of the axes, known to half a cell. If
     ``other`` is given, cells of third regimes bound nothing; pending cells never do. Closed lines end at their first
@@ -181,6 +230,7 @@ def boundary(
     InputError for an unknown regime or axis, for a window without a cell, and for an atlas without exactly two axes.
     """
     import contourpy
+    import pandas as pd
 
     names = axis_names(ds)
     if len(names) != 2:
@@ -191,18 +241,33 @@ def boundary(
         if axis_values(seen, name).size > 1 and np.any(np.diff(axis_values(seen, name)) < 0):
             seen = seen.sortby(name)
     codes = seen[REGIME.name].transpose(*reversed(names)).values
+    columns = ["line", *names, "regime", "other"]
     if min(codes.shape) < 2:
-        return []
+        return pd.DataFrame(columns=columns)
     hidden = codes == PENDING if other is None else ~np.isin(codes, codes_of([regime, other]))
     z = np.ma.masked_array((codes == code).astype(np.float64), hidden)
     lines = contourpy.contour_generator(z=z, corner_mask=True).lines(0.5)
     # In cell indices, so that half way between two cells is the edge between the cells on any axis.
     edges = [cell_edges(seen, name) for name in names]
     along = [(edge, np.arange(edge.size) - 0.5) for edge in edges]
-    return [
-        np.stack([np.interp(line[:, i], numbers, edge) for i, (edge, numbers) in enumerate(along)], axis=1)
-        for line in map(np.asarray, lines)
-    ]
+    parts = [pd.DataFrame(columns=columns)] if not lines else []
+    for k, line in enumerate(map(np.asarray, lines)):
+        place = {name: np.interp(line[:, i], *along[i][::-1]) for i, name in enumerate(names)}
+        beyond = _beyond(np.where(hidden, PENDING, codes), code, line)
+        parts.append(pd.DataFrame({"line": k, **place, "regime": regime, "other": beyond}, columns=columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def _beyond(codes: NDArray[np.integer[Any]], code: int, line: NDArray[np.float64]) -> list[str]:
+    """Return the regime on the other side of a border of ``code`` at points (N, 2) in cell indices (x, y).
+
+    A point lies between two cells of an edge or of a diagonal. Of the two diagonals, that with a border counts.
+    """
+    (left, low), (right, high) = np.floor(line).astype(int).T, np.ceil(line).astype(int).T
+    one, two = codes[low, left], codes[high, right]
+    turned = ((one == code) == (two == code)) | (one == PENDING) | (two == PENDING)
+    one, two = np.where(turned, codes[low, right], one), np.where(turned, codes[high, left], two)
+    return [REGIME.meaning(int(other)).name for other in np.where(one == code, two, one)]
 
 
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":

@@ -66,7 +66,7 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     """
     from atlas.overview.verifying_store import skip_chunk_reads  # imports Zarr, which is slow
 
-    stored = handle.arrays.get(name)
+    stored = handle.nodes.get(name)
     if name not in ds or stored is None:
         return False
     variable = ds[name].variable

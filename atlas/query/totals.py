@@ -37,12 +37,12 @@ class StoreTotals:
         Reasons are read only from tiles that are cut by the border of the block or lack a tile record. A tile is not
         read either if its record counts no reason.
         """
-        rows, known = self._recorded
+        known = self._recorded[1]
         levels, cells = self.part.pyramid.levels, self.part.cells
         whole, met = np.zeros_like(known), np.zeros_like(known)
         within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
         whole[within], met[below] = known[within], self.part.done[below]
-        by_reason = rows[..., BY_REASON]
+        by_reason = self.part.records.columns(BY_REASON)
         none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
         total = by_reason[whole].sum(axis=0).astype(np.int64)
         for index in np.argwhere(met & ~whole & ~none).tolist():
@@ -54,10 +54,10 @@ class StoreTotals:
 
     @cached_property
     def _recorded(self) -> tuple[Rows, NDArray[np.bool_]]:
-        """The tile records as rows, and the mask of tiles with a row. Rows of unfinished tiles are all pending."""
-        rows, pending = self.part.records.rows.copy(), ~self.part.done
-        rows[pending, AREAS.start + PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
-        return rows, self.part.records.known_mask | pending
+        """Areas of tiles by regime, and the mask of tiles where they are known. Unfinished tiles are all pending."""
+        areas, pending = self.part.records.columns(AREAS).copy(), ~self.part.done
+        areas[pending, PENDING_SHARE] = _tile_areas(self.part.handle)[pending]
+        return areas, self.part.records.known_mask | pending
 
     def _pieces(self) -> Iterator[tuple[int, Slices]]:
         """Yield the block cut into pieces of whole cells of levels, as coarse as possible."""
@@ -104,8 +104,8 @@ class StoreTotals:
 
     def _added(self, tiles: Slices) -> NDArray[np.float64]:
         """Return the areas in those of the tiles that have a record."""
-        rows, known = self._recorded
-        return np.asarray(rows[tiles][known[tiles]][:, AREAS].sum(axis=0))
+        areas, known = self._recorded
+        return np.asarray(areas[tiles][known[tiles]].sum(axis=0))
 
     def _read_areas(self, piece: Slices) -> NDArray[np.float64]:
         return self._weighed(0, piece, self.part.read(0, piece, [REGIME.name, SHARE.name])[SHARE.name])

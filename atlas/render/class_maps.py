@@ -30,21 +30,22 @@ from atlas.store.schema import REGIME_COLORS
 from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED, Variable
 
 PERIODS: tuple[tuple[int, int, str], ...] = (
-    (1, 1, REGIME_COLORS[PERIODIC]),
-    (2, 2, "#38ad83"),
-    (3, 3, "#a467ff"),
-    (4, 4, "#06493b"),
-    (5, 5, "#5bedff"),
-    (6, 6, "#b5a3b7"),
-    (7, 8, "#594e6e"),
-    (9, 16, "#8faefc"),
-    (17, np.iinfo(np.int32).max, "#0314cf"),
+    (1, 1, "#013365"),
+    (2, 2, "#434944"),
+    (3, 3, "#6a516d"),
+    (4, 4, "#6e5dd1"),
+    (5, 5, "#588c5c"),
+    (6, 6, "#c879cb"),
+    (7, 8, "#aba9b3"),
+    (9, 16, "#a6c5a9"),
+    (17, np.iinfo(np.int32).max, "#9ae2ff"),
 )
 """First and last period of each class, and its colour, the same in every picture. Colours are cool, since chaos is
 warm.
 
-The colours, with those of the regimes and of chaos, maximize the smallest difference (CIEDE2000) between any two. It is
-above 20 among periods, and above 12 as seen without red, green or blue receptors.
+Lightness rises from class to class in even steps, so that neighbours differ in grey too, by luminance as by the weights
+of Rec. 601. The smallest difference (CIEDE2000) between any two is above 20, and above 12 as seen without red, green or
+blue receptors. One of the first eight periods is blue.
 """
 
 HUES = {

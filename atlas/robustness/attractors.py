@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
-from atlas.query.attractors import attractors_listed
+from atlas.query.attractors import attractors_solved
 from atlas.robustness.norm import weights_of
 from atlas.spec.attractors import cell_attractors, search_to_json
 from atlas.spec.spec import given_settings, given_values, validate_parameters
@@ -13,7 +13,6 @@ from atlas.spec.system import parse_system
 from workers import Settings
 from workers.attractors.initial_states import AttractorSettings
 from workers.model.system import DEFAULT, System
-from workers.results import ATTRACTOR, REASON, REGIME, in_words
 
 if TYPE_CHECKING:
     from workers.attractors.basins import AttractorTable
@@ -74,13 +73,7 @@ class AttractorSearch:
         variables, size = self.record.variables(self.settings, attractors=True), len(self.record.states)
         arrays = result_arrays(variables, self.settings, 1, size, self.starts.keep, self.record.exponents)
         self.table.write(arrays)
-        cell = {name: array[0] for name, array in arrays.items()}
-        many = [variable.name for variable in variables if ATTRACTOR in variable.extra_dims]
-        results = {name: values.tolist() for name, values in cell.items() if name not in many}
-        listed = attractors_listed(cell, many)
-        if not listed:
-            results |= in_words({name: cell[name][0] for name in (REGIME.name, REASON.name)})
-        return results | {"coexisting": listed}
+        return attractors_solved({name: array[0] for name, array in arrays.items()}, variables)
 
 
 def attractors(

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.orbit_table import are_on_orbit
 from atlas.robustness.fatal_shock import CHAOS_STATES, NO_MOTION, reached_labels
 from atlas.robustness.linear_measures import not_smooth
 from atlas.robustness.section_map import SectionMap
@@ -35,8 +36,6 @@ PARTS = 8
 """Number of parts into which an interval is divided at once."""
 MAX_ATTEMPTS, NEWTON, CLOSED = 12, 30, 1e-11
 """Maximum number of searches for an orbit, of Newton steps in each, and residual relative to the largest component."""
-SAME_ORBIT = 1e-6
-"""Maximum distance between states of one orbit, relative to its largest component."""
 ASIDE = 1e-5
 """Deviation along the unstable direction that shows which basins meet at a saddle, relative to its size."""
 
@@ -101,10 +100,7 @@ def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
 
 def _same(one: Saddle, other: Saddle) -> bool:
     """Return True if two saddles are one orbit."""
-    if one.period != other.period:
-        return False
-    away = np.abs(other.states - one.states[0]).max(axis=1).min()
-    return bool(away <= SAME_ORBIT * np.abs(one.states).max(initial=1e-300))
+    return one.period == other.period and bool(are_on_orbit(other.states, one.states[0]))
 
 
 class _Tracker:
@@ -187,7 +183,7 @@ class _Tracker:
         else:
             return None
         for turn in range(1, period):  # a rotating motion recurs after multiples of its orbit's period
-            if period % turn == 0 and np.abs(states[turn] - z).max() <= SAME_ORBIT * np.abs(states).max():
+            if period % turn == 0 and are_on_orbit(states[turn : turn + 1], z):
                 return self.orbit(z, turn, whole)
         multipliers = np.linalg.eigvals(jacobian).astype(np.complex128)
         if np.sum(np.abs(multipliers) > 1.0) != 1 or not_smooth(self.map.oscillator, states):

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.orbit_table import are_on_orbit
 from atlas.robustness.fatal_shock import shock_of
 from atlas.robustness.linear_measures import NO_ORBIT, UNMEASURED, measures_of
 from atlas.robustness.norm import weights_of
@@ -18,9 +19,6 @@ from workers.model.oscillator import Array, at_rows
 from workers.model.system import System
 from workers.results import BEYOND_TABLE, NO_REASON, UNKNOWN_LABEL
 from workers.settings import Settings
-
-SAME_ATTRACTOR = 1e-6
-"""Maximum distance between states of one attractor, relative to the largest component of any."""
 
 
 def linear_measures(
@@ -94,7 +92,6 @@ def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
     none.
     """
     state = np.asarray(attractor.result["state"])
-    away = np.abs(cell["state"] - state).max(axis=-1)
     same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))
-    here = np.flatnonzero(same & (away <= SAME_ATTRACTOR * np.abs(state).max(initial=1e-300)))
+    here = np.flatnonzero(same & are_on_orbit(cell["state"][:, None], state))
     return int(here[0]) if len(here) else UNKNOWN_LABEL

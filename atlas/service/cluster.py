@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 DASHBOARD = "127.0.0.1:8787"
 """Address of the dashboard: Dask's default port, so that a browser or a tunnel may stay open from run to run."""
+LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
+"""Loggers to which Dask gives a level and a handler of their own when it is imported; others have those of a parent."""
 CLUSTER_LOST_MESSAGE = "the cluster was lost; rerun the same command to resume from the stored tiles"
 
 
@@ -281,17 +283,15 @@ def leave_if_bootstrapping() -> None:
 
     The parent then explains the guard; an exception here would print a traceback for every worker.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
+    imported = sys.modules.get("__mp_main__")  # the module __main__, too, once its import has ended
+    if imported is not None and imported is not sys.modules["__main__"]:
         raise SystemExit(1)
 
 
 @contextmanager
 def _quiet(*more: str) -> Iterator[None]:
     """Keep the logs of Dask and of the packages ``more`` off the terminal, since outcomes and errors are values."""
-    # Importing distributed has given several of its loggers a level and a handler of their own.
-    packages = ("distributed", "tornado", *more)
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
-    before = {logger: logger.level for logger in map(logging.getLogger, names)}
+    before = {logger: logger.level for logger in map(logging.getLogger, (*LOGGERS, *more))}
     for logger in before:
         logger.setLevel(logging.CRITICAL)
     try:

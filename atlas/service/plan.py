@@ -97,7 +97,7 @@ class Plan:
         results = _chunks(spec, tiling.tile)
         sizes = {v.name: len(v.extra_dims) for v in spec.variables}
         total = sum(_array_bytes(tiling.grid, size, sizes[name]) for name, size in results.items())
-        total += _array_bytes(tiling.grid, 8 * WIDTH) + _array_bytes((1,), 8 * WIDTH * tiling.count)
+        total += _array_bytes((1,), 8 * WIDTH * tiling.count)
         coordinates = len(coordinate_names(spec))
         total += coordinates * _array_bytes((1,), 0) + 2 * 8 * sum(spec.shape) * (1 + len(spec.points))  # and copies
         levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
@@ -111,15 +111,19 @@ class Plan:
 
     @cached_property
     def objects(self) -> int:
-        """Approximate number of files or objects of the store: chunks and records of tiles, and chunks of overviews."""
+        """Approximate number of files or objects of the store: chunks of tiles and of overviews."""
         spec, tiling = self.spec, self.tiling
         levels = OverviewLevels(spec.shape, tiling.tile, n_uncoarsened=spec.n_uncoarsened_dims)
         chunks = sum(
             math.prod(-(-n // c) for n, c in zip(levels.shape_of(level), levels.chunk, strict=True))
             for level in range(1, levels.count + 1)
         )
-        stored = sum(not variable.sparse for variable in spec.variables)
-        return tiling.count * (stored + 1) + chunks * len(level_variables(spec.variables))
+        return tiling.count * self.objects_per_tile + chunks * len(level_variables(spec.variables))
+
+    @property
+    def objects_per_tile(self) -> int:
+        """Number of objects of a finished tile, one for each variable; a tile with reasons has one more."""
+        return sum(not variable.sparse for variable in self.spec.variables)
 
     @property
     def note(self) -> str:
@@ -156,6 +160,7 @@ class Plan:
             "tiles": self.tiling.count,
             "bytes": self.bytes,
             "objects": self.objects,
+            "objects_per_tile": self.objects_per_tile,
             "workers": self.workers,
             "seconds": self.seconds,
             "seconds_range": self.seconds_range,
@@ -172,7 +177,8 @@ class Plan:
     def rows(self) -> list[tuple[str, str]]:
         """The facts of the plan, by name."""
         shape, tile = (" x ".join(map(str, size)) for size in (self.tiling.shape, self.tiling.tile))
-        cost = f"at most {byte_size(self.bytes)} in about {count_of(self.objects)} files or objects"
+        objects = f"{count_of(self.objects)} files or objects, {self.objects_per_tile} a tile"
+        cost = f"at most {byte_size(self.bytes)} in about {objects}"
         if self.probe and self.seconds is not None and self.seconds_range is not None:
             low, high = self.seconds_range
             wide = high > CLEAR_RANGE * low

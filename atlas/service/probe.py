@@ -139,7 +139,7 @@ def brief(settings: Settings) -> Settings:
 def _solve(spec: Spec, starts: list[tuple[int, ...]], length: int) -> tuple[Array, Array, Array]:
     """Solve the cells, or the segments of lines, that begin at these starts, with brief settings.
 
-    Return arrays (starts, cells): the periods that the cells took, and the limits of those that they will take.
+    Return arrays (starts, cells): the periods used, and the least and the most periods with the full settings.
     """
     from workers.sweep import solve_lines
 

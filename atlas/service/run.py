@@ -142,7 +142,8 @@ class _Run:
                 check_free_space(totals.plan, self.handle.backend.local, int(self.due.sum()))
         self.report(stage)
         self.overviews = OverviewBuilder(self.handle)
-        self.records = RunTileRecords(self.handle, self.stored, self.due)
+        self.records = RunTileRecords(self.handle, self.stored)
+        self.records.write()
 
     @property
     def needs_workers(self) -> bool:
@@ -160,6 +161,7 @@ class _Run:
         self.report(f"solving tile {index} in this process")
         report = run_tile_job(RunJob(index, self.pool.store_ref))
         self.records.add(report.index, report.record)
+        self.records.write()
         self.totals.add(report)
 
     def hand_out(self) -> None:
@@ -178,12 +180,14 @@ class _Run:
             if handle.spec.basins:
                 self.stage = "labelling the attractors"
                 dispatcher.require_memory(dispatcher.memory + labelling_bytes(handle))
+                self.records.clear_table()
                 self._make([RunJob((), site, LABELS)])
             self.stage = "writing overviews"
             for level in self.overviews.levels:
                 self._make([RunJob(index, site, level) for index in self.overviews.missing_chunks(level)])
         except KeyboardInterrupt:
             self.report("interrupted, cancelling the tiles in flight")
+            self.records.write()
             raise
 
     def _make(self, jobs: list[RunJob]) -> None:
@@ -207,15 +211,16 @@ class _Run:
         self.pool.lease.check(lambda: self.report("waiting for the store: no response"))
         totals.workers, totals.refused = max(totals.workers, workers.threads), workers.excluded
         totals.trouble = workers.trouble
+        self.records.save()
         self.pool.lease.set_progress(totals.report(workers.threads) | {"holds": self.records.counts})
         self.report(
             workers.trouble or (self.stage if workers.threads else "no workers connected: waiting for one to join")
         )
 
     def finish(self) -> None:
-        """Build the overviews that no worker has built, and compact all tile records into one chunk."""
+        """Build the overviews that no worker has built, and write the records of all tiles."""
         self.overviews.finish(lambda done, of: self.report(f"writing overviews: {done} of {of} parts"))
-        self.records.compact(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
+        self.records.finish(lambda n: self.report(f"counting the cells of {plural(n, 'tile')}"))
 
     def report(self, stage: str) -> None:
         """Report the stage of the run."""

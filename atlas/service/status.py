@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from atlas.store.record_format import WIDTH
 from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore
 from atlas.store.tile_records import TileRecords, count_tiles, counts_by_name
+from atlas.store.tiling import Index
 from workers.results import REASONS, REGIMES
 
 
@@ -125,7 +126,7 @@ class StoreStatus:
             ],
             "parameters": spec.parameters,
             "columns": list(spec.points),
-            "solve": spec.outline()["solve"],
+            "solve": asdict(spec.settings),
             "tile": self.handle.tile,
             "tiles": self.handle.tiling.count,
             "tiles_done": self.tiles_done,
@@ -212,8 +213,11 @@ class StatusReader:
 
     def _count(self) -> StoreCounts:
         records = TileRecords(self.handle)
-        total = records.rows.reshape(-1, WIDTH).sum(axis=0)
-        unknown = [tuple(index) for index in np.argwhere(records.done & ~records.known_mask).tolist()]
+        total, unknown = np.zeros(WIDTH), list[Index]()
+        for block, rows in records.valid_blocks():
+            total += rows.reshape(-1, WIDTH).sum(axis=0)
+            without = np.argwhere(records.done[block] & ~rows.any(axis=-1)) + [part.start for part in block]
+            unknown += [tuple(index) for index in without.tolist()]
         self.tiles_read += len(unknown)
         for row in count_tiles(self.handle, unknown):
             if isinstance(row, ChunkError):

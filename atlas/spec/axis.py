@@ -2,9 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from numbers import Real
 from typing import Any
 
@@ -59,63 +58,10 @@ class Axis:
         continued = f", continued {self.continuation}" if self.continuation else ""
         return f"{self.name} {self.start:g}..{self.stop:g} ({len(self)} values{scale}{continued})"
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Axis):
-            return NotImplemented
-        one, another = ((axis.name, axis.scale, axis.continuation, len(axis)) for axis in (self, other))
-        return one == another and self.values == other.values
-
-    def outline(self) -> dict[str, Any]:
-        """Return the axis as plain JSON, without the values between the first and the last."""
-        ends = {"name": self.name, "scale": self.scale, "start": self.start, "stop": self.stop, "num": len(self)}
-        return ends | ({"continuation": self.continuation} if self.continuation else {})
-
-
-class StoredAxis(Axis):
-    """An axis from its outline, with values read at first use.
-
-    ``read`` returns the values of all axes by name. Raise InputError for an invalid outline.
-    """
-
-    def __init__(self, outline: Mapping[str, Any], read: Callable[[], Values]) -> None:
-        where = f"axes.{outline['name']}"
-        scale, continuation = _checked_kind(where, outline)
-        ends = number(f"{where}.start", outline["start"]), number(f"{where}.stop", outline["stop"])
-        known = {"name": str(outline["name"]), "scale": scale, "continuation": continuation}
-        for name, value in (known | {"_known": (*ends, validate_num(where, outline)), "_read": read}).items():
-            object.__setattr__(self, name, value)
-
-    _known: tuple[float, float, int]
-    _read: Callable[[], Values]
-
-    @cached_property
-    def values(self) -> tuple[float, ...]:
-        """The values, see Axis. Raise the errors of ``read``."""
-        return self._read()[self.name]
-
-    @property
-    def start(self) -> float:
-        """The first value."""
-        return self._known[0]
-
-    @property
-    def stop(self) -> float:
-        """The last value."""
-        return self._known[1]
-
-    def __len__(self) -> int:
-        return self._known[2]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Axis, (self.name, self.values, self.scale, self.continuation)
-
-
-def values_from_outline(outline: Mapping[str, Any]) -> tuple[float, ...]:
-    """Return the values of an axis with even spacing on its scale, from its outline.
-
-    Raise InputError for an invalid outline.
-    """
-    return _spaced(str(outline["name"]), outline, outline["scale"])
+    def to_resolved(self) -> dict[str, Any]:
+        """Return the axis as plain JSON."""
+        continued = {"continuation": self.continuation} if self.continuation else {}
+        return {"name": self.name, "scale": self.scale, **continued, "values": list(self.values)}
 
 
 def number(where: str, value: object) -> float:
@@ -145,8 +91,6 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
     A table may also have a scale and a continuation.
     """
     where = f"axes.{parameter.name}"
-    if isinstance(value, StoredAxis):
-        return value
     if isinstance(value, Axis):
         value = {"values": value.values, "scale": value.scale, "continuation": value.continuation}
     if isinstance(value, tuple):  # a tuple could mean start, stop and num
@@ -162,7 +106,7 @@ def read_axis(parameter: Parameter, value: object) -> Axis:
         )
     check_names(f"key in {where}", value, KEYS)
     scale, continuation = _checked_kind(where, value)
-    values = _listed(where, value) if "values" in value else _spaced(where, value, scale)
+    values = _listed(where, value) if "values" in value else spaced_values(where, value, scale)
     if scale == "log" and values[0] <= 0:
         raise InputError(f"{where}: found {values[0]!r} on a log scale, must be > 0")
     if not np.all(parameter.admits(np.array(values))):
@@ -183,7 +127,7 @@ def _checked_kind(where: str, table: Mapping[str, Any]) -> tuple[str, str | None
     return scale, continuation
 
 
-def validate_num(where: str, table: Mapping[str, Any]) -> int:
+def _validate_num(where: str, table: Mapping[str, Any]) -> int:
     """Return the number of values in a table; raise InputError unless it is an integer."""
     num = table["num"]
     if not is_integer(num):
@@ -206,11 +150,15 @@ def _listed(where: str, table: Mapping[str, Any]) -> tuple[float, ...]:
     return values
 
 
-def _spaced(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ...]:
+def spaced_values(where: str, table: Mapping[str, Any], scale: str) -> tuple[float, ...]:
+    """Return the values with even spacing on a scale of a table with start, stop and num.
+
+    Raise InputError, naming ``where``, for an invalid table.
+    """
     missing = [key for key in ("start", "stop", "num") if key not in table]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; give start, stop and num, or values")
-    num = validate_num(where, table)
+    num = _validate_num(where, table)
     check_count(f"{where}.num", num)
     start, stop = number(f"{where}.start", table["start"]), number(f"{where}.stop", table["stop"])
     if scale == "log" and min(start, stop) <= 0:

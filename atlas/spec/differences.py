@@ -1,5 +1,7 @@
 """The differences of two specs, as text."""
 
+from dataclasses import asdict
+
 from atlas.spec.points import describe_difference
 from atlas.spec.spec import Spec
 from workers.model.system import identity
@@ -30,8 +32,8 @@ def differences(stored: Spec, given: Spec) -> list[str]:
         texts.append(f"one attractor for each cell in the {one}, all attractors in the {all_of_them}")
     for before, after in (
         (stored.parameters, given.parameters),
-        (stored.outline()["solve"], given.outline()["solve"]),
-        (stored.outline().get("attractors", {}), given.outline().get("attractors", {})),
+        (asdict(stored.settings), asdict(given.settings)),
+        (stored.to_resolved().get("attractors", {}), given.to_resolved().get("attractors", {})),
     ):
         common = before.keys() & after.keys()
         texts += [

@@ -2,8 +2,7 @@
 
 import csv
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,35 +25,9 @@ Columns = Values
 """The columns of a table by name."""
 
 
-class StoredColumns(Columns):
-    """Columns with a number of rows; ``read`` reads all values at first use."""
-
-    def __init__(self, names: Iterable[str], rows: int, read: Callable[[], Columns]) -> None:
-        self._names, self.rows, self._read = tuple(names), rows, read
-
-    @cached_property
-    def _values(self) -> Columns:
-        return self._read()
-
-    def __getitem__(self, name: str) -> tuple[float, ...]:
-        return self._values[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return dict, (dict(self),)
-
-
 def row_count(points: Columns) -> int:
     """Return the number of rows of a table."""
-    return points.rows if isinstance(points, StoredColumns) else len(next(iter(points.values())))
+    return len(next(iter(points.values())))
 
 
 def parse_points(given: object, system: System, folder: Path | None = None) -> Columns:
@@ -64,9 +37,6 @@ def parse_points(given: object, system: System, folder: Path | None = None) -> C
     values of one length. Raise InputError with row and column for a value that is no number, or is outside its
     parameter's range. Rows are counted as in a spreadsheet: row 1 has the names.
     """
-    if isinstance(given, StoredColumns):
-        check_names("parameter", given, [parameter.name for parameter in system.parameters])
-        return given
     if isinstance(given, Mapping) and isinstance(given.get(FILE), str | Path):
         check_names("key in points", given, [FILE])
         path = Path(given[FILE])

@@ -1,4 +1,4 @@
-"""Resolved specs as plain JSON: with the values of their axes for the digest, without these values for stores."""
+"""Resolved specs as plain JSON: with the values of all axes for the digest, with evenly spaced axes shortened."""
 
 import hashlib
 import json
@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-from atlas.spec.axis import Values
+import numpy as np
+
 from workers import Settings
 from workers.model.system import identity
 
@@ -16,21 +17,39 @@ FIRST_SETTINGS = (
 """Settings of the first version, which enter every digest. Settings added since do not belong here."""
 
 
-def outline_names(outline: Mapping[str, Any]) -> list[str]:
-    """Return the names of the axes of an outline, or of the columns of its points."""
-    return list(outline["points"]["columns"]) if "points" in outline else [axis["name"] for axis in outline["axes"]]
+def pack_axes(resolved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a resolved spec in the form of a store.
+
+    An axis whose values ``start + k (stop - start) / (num - 1)`` gives to the bit has these three numbers in place of
+    the values.
+    """
+    return {**resolved, "axes": [_packed(axis) for axis in resolved["axes"]]}
 
 
-def with_values(outline: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """Return the resolved spec of an outline, with the values of its axes or of the columns of its points, by name."""
-    if "points" in outline:
-        return {**outline, "points": {name: list(values[name]) for name in outline_names(outline)}}
-    ends = ("start", "stop", "num")
-    axes = [
-        {key: value for key, value in axis.items() if key not in ends} | {"values": list(values[axis["name"]])}
-        for axis in outline["axes"]
-    ]
-    return {**outline, "axes": axes}
+def unpack_axes(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the resolved spec of its form in a store, the inverse of ``pack_axes``."""
+    return {**stored, "axes": [_unpacked(axis) for axis in stored["axes"]]}
+
+
+def _packed(axis: Mapping[str, Any]) -> Mapping[str, Any]:
+    values = axis["values"]
+    ends = {"start": values[0], "stop": values[-1], "num": len(values)}
+    same = len(values) > 1 and _evenly_spaced(**ends) == list(values)
+    return {key: value for key, value in axis.items() if key != "values"} | ends if same else axis
+
+
+def _unpacked(axis: Mapping[str, Any]) -> Mapping[str, Any]:
+    if "values" in axis:
+        return axis
+    ends = {key: axis[key] for key in ("start", "stop", "num")}
+    return {key: value for key, value in axis.items() if key not in ends} | {"values": _evenly_spaced(**ends)}
+
+
+def _evenly_spaced(start: float, stop: float, num: int) -> list[float]:
+    """Return evenly spaced values, by operations that are rounded in the same way on every host."""
+    values = np.arange(num, dtype=np.float64) * ((stop - start) / (num - 1)) + start
+    values[-1] = stop
+    return list(values.tolist())
 
 
 def resolved_digest(resolved: Mapping[str, Any], table: type[Settings] = Settings) -> str:

@@ -1,7 +1,7 @@
 """The spec of an atlas: everything that decides its numbers, checked once."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -12,10 +12,10 @@ import numpy as np
 from atlas.argument_checks import is_integer, validate_atlas, validate_path, validate_type
 from atlas.errors import InputError, brief_repr, check_names
 from atlas.spec.attractors import attractors_to_json, parse_attractors
-from atlas.spec.axis import Axis, StoredAxis, Values, read_axis, validate_in_range, validate_num
+from atlas.spec.axis import Axis, read_axis, validate_in_range
 from atlas.spec.examples import packaged_text
-from atlas.spec.points import FILE, Columns, StoredColumns, axis_of, describe_points, parse_points, row_count
-from atlas.spec.resolved import outline_names, resolved_digest, with_values
+from atlas.spec.points import FILE, Columns, axis_of, describe_points, parse_points
+from atlas.spec.resolved import resolved_digest, unpack_axes
 from atlas.spec.system import parse_system, resolved_system
 from workers import Settings
 from workers.attractors.initial_states import AttractorSettings
@@ -200,22 +200,13 @@ class Spec:
 
     def to_resolved(self) -> dict[str, Any]:
         """Return the spec as plain JSON, the source of its digest; ``from_resolved`` builds an equal spec from it."""
-        return with_values(self.outline(), self.points or {axis.name: axis.values for axis in self.axes})
-
-    def outline(self) -> dict[str, Any]:
-        """Return the resolved spec without the values of axes and points.
-
-        It has the names, the numbers of values, and the ends of axes.
-        """
-        cells: dict[str, Any]
-        if self.points:
-            cells = {"axes": [], "points": {"columns": [*self.points], "num": row_count(self.points)}}
-        else:
-            cells = {"axes": [axis.outline() for axis in self.axes]}
+        points = {"points": {name: list(values) for name, values in self.points.items()}} if self.points else {}
         many = {} if self.attractors is None else {"attractors": attractors_to_json(self.attractors)}
         return (
             self.system_def.to_resolved()
-            | {"parameters": self.parameters, **cells, "solve": asdict(self.settings)}
+            | {"parameters": self.parameters, "axes": [] if self.points else [axis.to_resolved() for axis in self.axes]}
+            | points
+            | {"solve": asdict(self.settings)}
             | many
         )
 
@@ -226,23 +217,23 @@ class Spec:
             axis["name"]: Axis(axis["name"], tuple(axis["values"]), axis["scale"], axis.get("continuation"))
             for axis in resolved["axes"]
         }
-        return cls._of(resolved, axes, resolved.get("points"))
+        parts = axes, resolved["parameters"], resolved["solve"]
+        many = resolved.get("attractors")
+        return cls(resolved_system(resolved), *parts, points=resolved.get("points"), attractors=many)
 
-    @classmethod
-    def from_outline(cls, outline: Mapping[str, Any], read: Callable[[], Values]) -> "Spec":
-        """Return the spec of an outline; ``read`` returns the values by name, at first use."""
-        points = outline.get("points")
-        columns = None if points is None else StoredColumns(points["columns"], validate_num("points", points), read)
-        return cls._of(outline, {axis["name"]: StoredAxis(axis, read) for axis in outline["axes"]}, columns)
+    @property
+    def values(self) -> Columns:
+        """Values of the axes, or of the columns of the points, by name."""
+        return self.points or {axis.name: axis.values for axis in self.axes}
 
     def check_stored_form(self) -> None:
-        """Raise InputError unless an equal spec can be read from its ``outline`` in a store."""
-        values: Values = self.points or {axis.name: axis.values for axis in self.axes}
+        """Raise InputError unless an equal spec can be read from its JSON in a store."""
+        own = json.loads(json.dumps(self.to_resolved()))
         try:
-            again = Spec.from_outline(json.loads(json.dumps(self.outline())), lambda: values)
+            again = Spec.from_resolved(own).to_resolved()
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"a store of this spec could not be read: {error}") from None
-        if again.outline() != self.outline():
+        if json.loads(json.dumps(again)) != own:
             raise InputError("a store of this spec could not be read: its spec would be another one")
 
     @classmethod
@@ -253,19 +244,15 @@ class Spec:
         """
         validate_atlas(ds)
         try:
-            kept, digest = json.loads(ds.attrs["spec"]), ds.attrs["digest"]
-            kept = with_values(kept, {name: ds[name].values.tolist() for name in outline_names(kept)})
+            spec = cls.from_resolved(unpack_axes(json.loads(ds.attrs["spec"])))
+            same = all(tuple(ds[name].values.tolist()) == values for name, values in spec.values.items())
+        except InputError:
+            raise
         except (KeyError, TypeError, ValueError):
             raise InputError("this dataset lacks the spec of its atlas, or a coordinate") from None
-        if resolved_digest(kept) != digest:
+        if not same or ds.attrs.get("digest") != spec.digest:
             raise InputError("this dataset lacks cells of its atlas, or its cells differ from its spec")
-        return cls.from_resolved(kept)
-
-    @classmethod
-    def _of(cls, resolved: Mapping[str, Any], axes: Mapping[str, Axis], points: Mapping[str, Any] | None) -> "Spec":
-        """Return the spec of a resolved spec or an outline, with these cells."""
-        parts = axes, resolved["parameters"], resolved["solve"]
-        return cls(resolved_system(resolved), *parts, points=points, attractors=resolved.get("attractors"))
+        return spec
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -6,7 +6,7 @@ from typing import Any
 import tomli_w
 
 from atlas.spec.attractors import attractors_to_json
-from atlas.spec.axis import Axis, values_from_outline
+from atlas.spec.axis import Axis, spaced_values
 from atlas.spec.spec import Spec
 from workers import Settings
 
@@ -29,8 +29,7 @@ def spec_toml(spec: Spec) -> str:
 
 def _axis_table(axis: Axis) -> dict[str, Any]:
     """Return an axis by its ends if it is evenly spaced on its scale, else by its values."""
-    outline = axis.outline()
-    keys = ("start", "stop", "num") if values_from_outline(outline) == tuple(axis.values) else ()
-    table = {key: outline[key] for key in keys} or {"values": list(axis.values)}
-    kept = {key: outline[key] for key in ("scale", "continuation") if key in outline}
-    return table | {key: value for key, value in kept.items() if value != "linear"}
+    ends = {"start": axis.start, "stop": axis.stop, "num": len(axis)}
+    table = ends if spaced_values(axis.name, ends, axis.scale) == axis.values else {"values": list(axis.values)}
+    kept = {"scale": axis.scale, "continuation": axis.continuation}
+    return table | {key: value for key, value in kept.items() if value not in ("linear", None)}

@@ -1,7 +1,7 @@
 """Groups of arrays beside the results of a store, such as curves and tables; each group is written whole.
 
-The metadata of a group are written last, with a checksum of its contents. A kill at any moment therefore leaves the
-group whole or absent.
+The metadata of a group are sealed and written after its arrays, whose metadata they repeat, with a digest of all
+values. A kill at any moment therefore leaves the group whole or absent.
 """
 
 import hashlib
@@ -14,23 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.errors import ChunkError, InputError, message_of
-from atlas.store.schema import LARGEST_CHUNK, StoredArray, consolidate, coordinates, create_whole
-from atlas.store.store import ROOT, AtlasStore, open_group
+from atlas.store.metadata import COMPRESSED, ROOT, Node, encode_node, encode_whole, members_of, sealed, unsealed
+from atlas.store.schema import ATTRACTORS as ATTRACTORS
+from atlas.store.schema import CURVES as CURVES
+from atlas.store.schema import LABELS as LABELS
+from atlas.store.schema import LARGEST_CHUNK, StoredArray, chunk_of_whole, coordinates, whole_node
+from atlas.store.schema import STABILITY as STABILITY
+from atlas.store.store import AtlasStore, array_by, write_root
+from atlas.store.tiles import encode_chunks
 from workers.results import Variable
 
-CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
-"""Names of the groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors;
-stability measures of cells. All but the first are tables.
-"""
-TABLES = (ATTRACTORS, LABELS, STABILITY)
-ARRAYS, CHECKSUM = "arrays", "checksum"
-"""Attributes of a group: the names of its arrays, and its checksum."""
-
-
-def groups_of(handle: AtlasStore) -> tuple[str, ...]:
-    """Return the names of the groups that a store with this spec may have."""
-    spec = handle.spec
-    return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
+ARRAYS, CONTENT = "arrays", "content"
+"""Attributes of a group: the names of its arrays, and the digest of their metadata and values."""
 
 
 def check_table_size(handle: AtlasStore, variables: Iterable[Variable]) -> None:
@@ -52,19 +47,19 @@ def write_group(
     handle: AtlasStore, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]
 ) -> None:
     """Write a group, replacing an existing one."""
+    place = handle.backend
     drop_group(handle, group)
-    root = open_group(handle.backend, "r+")
-    for name in set(_names(handle, group)).difference(arrays):
-        del root[f"{group}/{name}"]  # readers read every array of a group
+    nodes = {name: whole_node(array, COMPRESSED) for name, array in arrays.items()}
+    objects = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
     for name, array in arrays.items():
-        create_whole(root, f"{group}/{name}", array)
-    own = {**attributes, ARRAYS: list(arrays)}
-    whole = {
-        "zarr_format": 3,
-        "node_type": "group",
-        "attributes": own | {CHECKSUM: _checksum(handle, group, arrays, own)},
-    }
-    handle.backend.put(f"{group}/{ROOT}", json.dumps(whole).encode())
+        if array.values.size:
+            whole = tuple(map(slice, array.values.shape))
+            objects |= encode_chunks(array_by(place, f"{group}/{name}", nodes[name]), whole, array.values)
+    place.remove_all([key for key in place.list_keys(f"{group}/") if key not in objects])
+    place.put_all(objects)
+    own = {**attributes, ARRAYS: list(arrays), CONTENT: _content(nodes, {n: a.values for n, a in arrays.items()})}
+    place.put(f"{group}/{ROOT}", sealed(own, nodes))
+    write_root(handle)  # xarray finds the group by the root's copy
 
 
 def write_table(
@@ -74,24 +69,19 @@ def write_table(
     dims = {dim for column in columns.values() for dim in column.dims}
     known = {name: array for name, array in coordinates(handle.spec).items() if name in dims and array.dims == (name,)}
     write_group(handle, table, known | dict(columns), {**attributes, "digest": handle.digest})
-    root = open_group(handle.backend, "r+")
-    consolidate(root, table)
-    consolidate(root)  # xarray finds the group by the root's copy
 
 
 def drop_group(handle: AtlasStore, group: str) -> None:
-    """Make a group count as absent, by removing its metadata."""
-    handle.backend.remove(f"{group}/{ROOT}")
+    """Make a group count as absent, by removing its metadata, after their copies in the root."""
+    if handle.backend.exists(f"{group}/{ROOT}"):
+        write_root(handle, without=group)
+        handle.backend.remove(f"{group}/{ROOT}")
 
 
 def group_attributes(handle: AtlasStore, group: str) -> dict[str, Any] | None:
     """Return the attributes of a group; None if it does not exist. Raise ChunkError if they are damaged."""
-    key = f"{group}/{ROOT}"
-    stored = handle.backend.get(key)
-    try:
-        return None if stored is None else dict(json.loads(stored)["attributes"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ChunkError(handle.backend, {key: f"is damaged ({message_of(error)})"}) from None
+    stored = handle.backend.get(f"{group}/{ROOT}")
+    return None if stored is None else _attributes_in(handle, group, stored)
 
 
 def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
@@ -99,53 +89,77 @@ def read_group(handle: AtlasStore, group: str) -> tuple[dict[str, NDArray[Any]],
 
     Raise ChunkError, which names the missing or damaged objects, if the arrays were not written together.
     """
-    attributes = group_attributes(handle, group)
-    if attributes is None:
-        return None
-    names = attributes.get(ARRAYS) or _names(handle, group)
-    arrays: dict[str, NDArray[Any]] = {}
+    data = handle.backend.get(f"{group}/{ROOT}")
+    return None if data is None else _find_group(handle, group, data)[:2]
+
+
+def group_layout(handle: AtlasStore, group: str, data: bytes) -> dict[str, bytes]:
+    """Return the right metadata of a group and of its arrays, by key, from ``data``, the metadata of the group.
+
+    Raise errors like ``read_group``.
+    """
+    _, attributes, nodes = _find_group(handle, group, data)
+    arrays = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
+    return {f"{group}/{ROOT}": sealed(attributes, nodes), **arrays}
+
+
+def _find_group(
+    handle: AtlasStore, group: str, data: bytes
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str, Node]]:
+    """Return the arrays, the attributes, and the metadata of the arrays of a group with these metadata.
+
+    The metadata of the arrays stand in those of the group and once more with each array: the digest tells which of the
+    two are right.
+    """
+    attributes = _attributes_in(handle, group, data)
     faults: dict[str, str] = {}
-    for name in names:
-        values = _read(handle, f"{group}/{name}")
-        if isinstance(values, np.ndarray):
-            arrays[name] = values
-        else:
-            faults |= values
-    own = {name: value for name, value in attributes.items() if name != CHECKSUM}
-    if not faults and attributes.get(CHECKSUM) != _checksum(handle, group, names, own):
-        faults[f"{group}/{ROOT}"] = "is damaged or belongs to other arrays"
-    if faults:
-        raise ChunkError(handle.backend, faults)
-    return arrays, attributes
+    names = list(attributes.get(ARRAYS, ()))
+    for nodes in (members_of(data), _own_nodes(handle, group, names)):
+        arrays = {name: _read(handle, f"{group}/{name}", nodes.get(name)) for name in names}
+        values = {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        if len(values) == len(names) and _content({name: nodes[name] for name in names}, values) == attributes[CONTENT]:
+            return values, attributes, {name: nodes[name] for name in names}
+        for result in arrays.values():
+            faults |= {} if isinstance(result, np.ndarray) else result
+    raise ChunkError(handle.backend, faults or {f"{group}/{ROOT}": "is damaged or belongs to other arrays"})
 
 
-def _names(handle: AtlasStore, group: str) -> list[str]:
-    """Return the names of the arrays of a group, from a listing of its objects."""
-    keys = (key.split("/") for key in handle.backend.list_keys(f"{group}/"))
-    return sorted({parts[1] for parts in keys if len(parts) > 2 and parts[-1] == ROOT})
+def _attributes_in(handle: AtlasStore, group: str, data: bytes) -> dict[str, Any]:
+    if (attributes := unsealed(data)) is None:
+        raise ChunkError(handle.backend, {f"{group}/{ROOT}": "is damaged (its checksum is wrong)"})
+    return attributes
 
 
-def _read(handle: AtlasStore, path: str) -> NDArray[Any] | dict[str, str]:
+def _own_nodes(handle: AtlasStore, group: str, names: Iterable[str]) -> dict[str, Any]:
+    nodes = {}
+    for key, data in handle.backend.get_all(f"{group}/{name}/{ROOT}" for name in names).items():
+        try:
+            nodes[key.split("/")[1]] = json.loads(data)
+        except (ValueError, RecursionError):
+            continue
+    return nodes
+
+
+def _read(handle: AtlasStore, path: str, node: Node | None) -> NDArray[Any] | dict[str, str]:
     """Return the values of an array of one chunk; if it is missing or damaged, return its fault by key."""
     key = f"{path}/{ROOT}"
+    if node is None:
+        return {key: "is missing"}
     try:
-        array: Any = open_group(handle.backend, "r")[path]
-        key = "/".join([path, "c", *("0" for _ in array.shape)])
+        array = array_by(handle.backend, path, node)
+        key = chunk_of_whole(path, StoredArray(array, (), {}))
         if array.size and not handle.backend.exists(key):
             return {key: "is missing"}
         return np.asarray(array[...])
     except OSError:
         raise
-    except KeyError:
-        return {key: "is missing"}
     except Exception as error:  # damaged metadata, or a codec that reads damaged bytes, may raise anything
         return {key: f"is damaged ({message_of(error)})"}
 
 
-def _checksum(handle: AtlasStore, group: str, names: Iterable[str], attributes: Mapping[str, Any]) -> str:
-    """Return a digest of the attributes of a group and of all objects of its arrays."""
-    digest = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
-    for name in names:
-        for key in sorted(handle.backend.list_keys(f"{group}/{name}/")):
-            digest.update(f"{key} ".encode() + hashlib.sha256(handle.backend.get(key) or b"").digest())
+def _content(nodes: Mapping[str, Node], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the digest of the metadata and the values of arrays."""
+    digest = hashlib.sha256(json.dumps(nodes, sort_keys=True).encode())
+    for name in sorted(arrays):
+        digest.update(encode_whole(np.asarray(arrays[name])))
     return digest.hexdigest()

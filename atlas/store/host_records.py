@@ -1,14 +1,12 @@
 """Records of the hosts that solved tiles of a store; a record is an empty group named by a digest of its facts."""
 
 import json
-from contextlib import suppress
 from functools import lru_cache
-from typing import Any
 
 from atlas.store.host import HOSTS, UNKNOWN, HostInfo, host_from_facts
-from atlas.store.metadata_backup import FORM, form_fault
+from atlas.store.metadata import ROOT, encode_node, group_node
 from atlas.store.object_backend import StoreBackend
-from atlas.store.store import ROOT, AtlasStore
+from atlas.store.store import AtlasStore
 
 
 def record_host(handle: AtlasStore, machine: HostInfo) -> None:
@@ -18,16 +16,7 @@ def record_host(handle: AtlasStore, machine: HostInfo) -> None:
 
 @lru_cache(maxsize=64)  # once for each process and store
 def _recorded(place: StoreBackend, run_id: str, machine: HostInfo) -> None:
-    import zarr
-    from zarr.errors import ContainsGroupError
-
-    from atlas.store.zarr_stores import zarr_store  # loads Zarr, which takes a while
-
-    path = f"{HOSTS}/{machine.name}"
-    if place.exists(f"{path}/{ROOT}"):
-        return
-    with suppress(ContainsGroupError):  # another worker on this kind of host was faster
-        zarr.create_group(zarr_store(place, read_only=False), path=path, zarr_format=3, attributes=dict(machine.facts))
+    place.put_new(f"{HOSTS}/{machine.name}/{ROOT}", _record(machine))
 
 
 def read_hosts(handle: AtlasStore) -> tuple[HostInfo, ...]:
@@ -43,9 +32,9 @@ def host_keys(handle: AtlasStore) -> list[str]:
 
 def read_host(place: StoreBackend, key: str) -> HostInfo | None:
     """Return the host of a record; None if the record is damaged."""
-    group = _group(place, key)
-    machine = _machine(group, key)
-    return None if form_fault(group) else machine
+    data = place.get(key)
+    machine = _host_in(data, key)
+    return machine if machine is not None and _record(machine) == data else None
 
 
 def mend_record(handle: AtlasStore, key: str) -> bool:
@@ -53,25 +42,22 @@ def mend_record(handle: AtlasStore, key: str) -> bool:
 
     If the facts are damaged, replace the record by that of the unknown host and return False.
     """
-    if (machine := _machine(_group(handle.backend, key), key)) is not None:
-        handle.backend.put(key, json.dumps({**FORM, "attributes": machine.facts}).encode())
+    if (machine := _host_in(handle.backend.get(key), key)) is not None:
+        handle.backend.put(key, _record(machine))
         return True
     record_host(handle, UNKNOWN)  # verification still has to know that there was another host
     handle.backend.remove(key)
     return False
 
 
-def _group(place: StoreBackend, key: str) -> Any:
-    """Return the metadata of a record; None if they are not JSON."""
-    with suppress(ValueError, RecursionError):
-        return json.loads(place.get(key) or b"")
-    return None
+def _record(machine: HostInfo) -> bytes:
+    return encode_node(group_node(machine.facts))
 
 
-def _machine(group: Any, key: str) -> HostInfo | None:
-    """Return the host with the facts of a record; None if the key has another name than the facts give."""
+def _host_in(data: bytes | None, key: str) -> HostInfo | None:
+    """Return the host with the facts of a record; None unless the facts give the name in the key."""
     try:
-        machine = host_from_facts(group["attributes"])
-    except (KeyError, TypeError):
+        machine = host_from_facts(json.loads(data or b"")["attributes"])
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
     return machine if machine.name == key.split("/")[1] else None

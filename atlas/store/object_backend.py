@@ -123,10 +123,10 @@ def sibling_name(place: StoreBackend, other: StoreBackend) -> str:
 
     Two folders that are moved together still find each other.
     """
-    name, here = str(other), str(place)
-    if is_url(name) or is_url(here) or Path(name).anchor != Path(here).anchor:
-        return name
-    return Path(os.path.relpath(name, here)).as_posix()
+    if is_url(str(other)) or is_url(str(place)):
+        return str(other)
+    name, here = Path(os.path.realpath(str(other))), Path(os.path.realpath(str(place)))
+    return (name if name.anchor != here.anchor else Path(os.path.relpath(name, here))).as_posix()
 
 
 def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
@@ -134,7 +134,8 @@ def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
 
     A relative path begins in the folder of ``place``.
     """
-    other = open_backend(store if is_url(store) or is_url(str(place)) else os.path.normpath(Path(str(place)) / store))
+    is_relative = not (is_url(store) or os.path.isabs(store) or is_url(str(place)))
+    other = open_backend(os.path.normpath(os.path.join(os.path.realpath(str(place)), store)) if is_relative else store)
     if isinstance(other, ObjectBackend) and isinstance(place, ObjectBackend):
         return replace(other, access=place.access)
     return other

@@ -1,29 +1,28 @@
 """Parts of a search in progress: intermediate results kept in the store, each with a checksum.
 
-Parts lie outside the groups, whose readers expect arrays.
+Parts lie in the folder of an array without values, which readers of Zarr groups do not list.
 """
 
-import hashlib
+import base64
 from collections.abc import Iterator
 
+from atlas.store.metadata import sealed, unsealed
+from atlas.store.schema import PARTS
 from atlas.store.store import AtlasStore
 
-PARTS = "parts"
 DIGEST = "digest"
 """Name of the part that holds the digest of the search."""
-_CHECKSUM_BYTES = 32
 
 
 def put_part(handle: AtlasStore, group: str, name: str, data: bytes) -> None:
     """Store a finished part of a search; the part appears whole or not at all."""
-    handle.backend.put(f"{PARTS}/{group}/{name}", hashlib.sha256(data).digest() + data)
+    handle.backend.put(f"{PARTS}/{group}/{name}", sealed({"data": base64.b64encode(data).decode()}))
 
 
 def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:
     """Return the bytes of a part; None if it is missing or damaged and has to be computed again."""
-    stored = handle.backend.get(f"{PARTS}/{group}/{name}") or b""
-    checksum, data = stored[:_CHECKSUM_BYTES], stored[_CHECKSUM_BYTES:]
-    return data if hashlib.sha256(data).digest() == checksum else None
+    part = unsealed(handle.backend.get(f"{PARTS}/{group}/{name}"))
+    return None if part is None else base64.b64decode(part["data"])
 
 
 def part_names(handle: AtlasStore, group: str) -> Iterator[str]:

@@ -1,9 +1,8 @@
 """The format of a tile record: digest of the tile's index and contents, and counts of its cells by regime and reason.
 
-A record is a row of numbers, the chunk of its tile in the array ``tiles/record``. Digests reveal swapped tiles. The
-counts tell what an atlas contains without reading its cells. Columns have fixed positions, with room for regimes and
-reasons of later versions. A row with such codes does not add up to its tile in this version, which then counts the tile
-from its chunks.
+A record is a row of numbers in the array ``tiles/records``. Digests reveal swapped tiles. The counts tell what an atlas
+contains without reading its cells. Columns have fixed positions, with room for regimes and reasons of later versions. A
+row with such codes does not add up to its tile in this version, which then counts the tile from its chunks.
 """
 
 import hashlib
@@ -11,19 +10,19 @@ from collections.abc import Iterable, Mapping
 from functools import reduce
 from typing import Any
 
-import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
 from atlas.spec.cells import widths_along
 from atlas.spec.spec import Spec
-from atlas.store.tiling import chunk_index
+from atlas.store.metadata import array_node
+from atlas.store.origin import ALLOWANCES
 from workers.results import PENDING, REASON, REASONS, REGIME, REGIMES, Variable
 
 TILES = "tiles"
-RECORD, RECORDS = f"{TILES}/record", f"{TILES}/records"
-COVERED = "variables"
-"""Attribute with the names of the variables in a digest, in their order."""
+RECORDS = f"{TILES}/records"
+TILES_PER_CHUNK = 4096
+"""Maximum number of tiles whose records share a chunk."""
 _ROOM = {"cells": 16, "area": 16, "reason": 64}
 DIGEST = slice(0, 2)
 CELLS = slice(2, 2 + len(REGIMES))
@@ -76,61 +75,25 @@ def add_up(rows: Rows, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray((by_regime == sizes) & (by_reason == sizes))
 
 
-def encode_row(row: Rows) -> bytes:
-    """Return a row as the chunk of its tile, in the form that ``create_arrays`` declares."""
-    data = row.astype("<f8").tobytes()
-    return data + google_crc32c.value(data).to_bytes(4, "little")
-
-
-def decode_row(data: bytes) -> Rows | None:
-    """Return the row of a chunk written by ``encode_row``; None for any other bytes."""
-    inner, checksum = data[:-4], data[-4:]
-    if len(inner) != 8 * WIDTH or google_crc32c.value(inner) != int.from_bytes(checksum, "little"):
-        return None
-    return np.frombuffer(inner, dtype="<f8").astype(np.float64)
-
-
-def record_key(index: Index) -> str:
-    """Return the key of a tile's record.
-
-    All records are in one folder, so that removing them leaves no empty folders.
-    """
-    return f"{RECORD}/{'.'.join(['c', *map(str, index), '0'])}"
-
-
-def record_index(key: str, grid: Index) -> Index | None:
-    """Return the index of the tile whose record has this key; None for any other key."""
-    begin = f"{RECORD}/c."
-    index = chunk_index(key.removeprefix(begin).replace(".", "/"), (*grid, 1)) if key.startswith(begin) else None
-    return None if index is None else index[:-1]
-
-
-def create_arrays(
-    root: Any, variables: Iterable[Variable], dims: tuple[str, ...], grid: Index, codecs: list[Any]
-) -> None:
-    """Create the arrays of the tile records of a store: one with a chunk per tile, and one with a single chunk."""
-    from zarr.codecs import Crc32cCodec
-
+def record_node(variables: Iterable[Variable], dims: tuple[str, ...], grid: Index) -> dict[str, Any]:
+    """Return the metadata of the array of the tile records."""
     columns = [""] * WIDTH
     columns[DIGEST] = "digest, upper half", "digest, lower half"
     columns[CELLS] = [f"cells {regime.name}" for regime in REGIMES]
     columns[AREAS] = [f"area {regime.name}" for regime in REGIMES]
     columns[BY_REASON] = [f"reason {reason.name}" for reason in REASONS]
-    described: dict[str, Any] = {"units": "1", "columns": columns, COVERED: [variable.name for variable in variables]}
-    group = root.require_group(TILES)
-    for name, chunk, packing, meant in (
-        ("record", (1,) * len(grid), [Crc32cCodec()], "digest and counts of a tile, as its worker wrote them"),
-        ("records", grid, codecs, "digests and counts of all tiles, as the last run put them together"),
-    ):
-        group.create_array(
-            name,
-            shape=(*grid, WIDTH),
-            chunks=(*chunk, WIDTH),
-            dtype="float64",
-            fill_value=0.0,
-            dimension_names=(*(f"tile_{dim}" for dim in dims), "column"),
-            chunk_key_encoding={"name": "default", "separator": "."},
-            compressors=packing,
-            attributes={"long_name": meant, **described},
-            overwrite=True,
-        )
+    described: dict[str, Any] = {
+        "long_name": "digests and counts of tiles, as the workers sent them; 0 if unknown",
+        "units": "1",
+        "columns": columns,
+        "variables": [variable.name for variable in (*variables, *ALLOWANCES)],
+    }
+    dimensions = (*(f"tile_{dim}" for dim in dims), "column")
+    block = (*record_block(grid), WIDTH)
+    return array_node((*grid, WIDTH), "float64", dimensions, described, block=block, separator=".")
+
+
+def record_block(grid: Index) -> Index:
+    """Return the number of tiles along each dimension whose records share a chunk."""
+    side = round(TILES_PER_CHUNK ** (1 / len(grid)))
+    return tuple(min(n, side) for n in grid)

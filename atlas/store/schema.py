@@ -1,17 +1,36 @@
-"""The schema of a store: how its coordinates, attributes and arrays are created."""
+"""The schema of a store: the attributes and arrays that the spec of an atlas decides, and ``layout``, their objects.
+
+``layout`` gives all metadata and coordinates of a store as bytes. Creation writes them, a verification compares them,
+and a repair writes the different ones. The attributes from which they follow, the spec among them, are those of the
+root and once more those of the group ``spec``: either makes the other again.
+"""
 
 import json
 import uuid
-import warnings
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from atlas.errors import REPACK_HINT
 from atlas.spec.points import POINT
+from atlas.spec.resolved import pack_axes
 from atlas.spec.spec import Spec
-from atlas.store.host import package_version
-from atlas.store.origin import Origin
+from atlas.store.backend import StoreBackend
+from atlas.store.host import HOSTS, package_version
+from atlas.store.metadata import (
+    CRC32C,
+    ROOT,
+    Node,
+    array_node,
+    encode_node,
+    encode_whole,
+    group_node,
+    members_of,
+    sealed,
+)
+from atlas.store.origin import Origin, budget_variables
+from atlas.store.record_format import RECORDS, TILES, record_node
 from atlas.store.tiling import Tiling, part_side
 from workers import SOLVER_VERSION
 from workers.model.parameter import Parameter
@@ -30,18 +49,22 @@ from workers.results import (
     Variable,
 )
 
-if TYPE_CHECKING:
-    import zarr
-
 FORMAT = "impact-atlas"
-FORMAT_VERSION = 2
-"""The only version of the format that this program reads."""
+FORMAT_VERSION = 3
+"""The only version of the format that this program reads. It rises whenever ``layout`` gives other bytes."""
+SPEC_KEY = f"spec/{ROOT}"
+"""Key of the metadata of the group that repeats the attributes of the root."""
 OVERVIEWS = "overviews"
 """Name of the group of the overview levels."""
+CURVES, ATTRACTORS, LABELS, STABILITY = "curves", "attractors", "labels", "stability"
+"""Names of the groups: curves of a plane; the attractors of an atlas of basins; labels of coexisting attractors;
+stability measures of cells. All but the first are tables.
+"""
+PARTS = "searches/parts"
+"""Path of the array without values in whose folder the parts of searches in progress lie."""
+TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
-ZOOM = "zoom"
-"""Name of the group of explored cells, see ``store.zoom``."""
 COMPONENT = "component"
 REGIME_COLORS = {
     PENDING: "#ffffff", NO_IMPACT: "#dddddd", PERIODIC: "#4477aa", QUASIPERIODIC: "#228833", CHAOTIC: "#cc3311",
@@ -90,8 +113,8 @@ def coordinates(spec: Spec) -> dict[str, StoredArray]:
     return cells | fixed | {COMPONENT: StoredArray(np.array(record.states, dtype="T"), (COMPONENT,), names)}
 
 
-def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict[str, Any]:
-    """Return the attributes of a store's root; a run identifier is drawn if ``run_id`` is empty.
+def root_attributes(spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str = "") -> dict[str, Any]:
+    """Return the attributes of a new store's root; a run identifier is drawn if ``run_id`` is empty.
 
     There are at least ten attributes, so a notebook shows them folded, and the spec does not fill the screen.
     """
@@ -107,11 +130,70 @@ def root_attributes(spec: Spec, origin: Origin | None, run_id: str = "") -> dict
         "run_id": run_id or uuid.uuid4().hex,
         "digest": spec.digest,
         # As text, since netCDF attributes cannot nest.
-        "spec": json.dumps(spec.outline()),
+        "spec": json.dumps(pack_axes(spec.to_resolved())),
+        "tile": json.dumps(list(map(min, tile, spec.shape))),
         "software": "; ".join(f"{package} {package_version(package)}" for package in packages),
         **references,
         **(origin.attributes() if origin else {}),
     }
+
+
+def layout_nodes(spec: Spec, tile: tuple[int, ...], retried: bool) -> dict[str, Node]:
+    """Return the metadata of all arrays and groups of a new store but the root and ``spec``, by path.
+
+    spec     spec of the atlas
+    tile     cells of a tile along each dimension
+    retried  True if a retry makes the store, which then has budgets of cells
+    """
+    tiling = Tiling(spec.shape, tile)
+    nodes: dict[str, Node] = {name: whole_node(array, (CRC32C,)) for name, array in coordinates(spec).items()}
+    nodes |= {v.name: _variable_node(v, spec, tiling) for v in (*spec.variables, *retried * budget_variables(spec))}
+    nodes[HOSTS] = group_node({"long_name": "processors and software that solved this atlas"})
+    nodes[TILES] = group_node({})
+    nodes[PARTS.partition("/")[0]] = group_node({"long_name": "searches in progress"})
+    nodes[PARTS] = array_node((0,), "uint8", ("byte",), {"long_name": "finished parts, which lie in this folder"})
+    return nodes | {RECORDS: record_node(spec.variables, spec.dims, tiling.grid)}
+
+
+def layout(attributes: Mapping[str, Any], spec: Spec) -> dict[str, bytes]:
+    """Return all metadata and coordinates of a new store, by key, from the attributes of its root.
+
+    ``spec`` is the spec in these attributes.
+    """
+    nodes = layout_nodes(spec, tuple(json.loads(attributes["tile"])), "origin_retry" in attributes)
+    objects = {f"{path}/{ROOT}": encode_node(node) for path, node in nodes.items()}
+    chunks = {chunk_of_whole(name, array): encode_whole(array.values) for name, array in coordinates(spec).items()}
+    return {ROOT: sealed(attributes, nodes), SPEC_KEY: sealed(attributes), **objects, **chunks}
+
+
+def root_with_groups(attributes: Mapping[str, Any], nodes: Mapping[str, Node], groups: Mapping[str, bytes]) -> bytes:
+    """Return the metadata of a root with ``nodes`` and with copies of the metadata of whole groups.
+
+    ``groups`` are the stored metadata of the groups by name. xarray opens a group by its copy in the root.
+    """
+    members = dict(nodes)
+    for name, data in groups.items():
+        own = json.loads(data)
+        members[name] = {key: own[key] for key in ("zarr_format", "node_type", "attributes")}
+        members |= {f"{name}/{path}": node for path, node in members_of(data).items()}
+    return sealed(attributes, members)
+
+
+def groups_of(spec: Spec) -> tuple[str, ...]:
+    """Return the names of the groups that a store with this spec may have besides overviews."""
+    return (CURVES, STABILITY, *[ATTRACTORS] * spec.basins, *[LABELS] * spec.coexistence)
+
+
+def whole_node(stored: StoredArray, codecs: Iterable[Node]) -> dict[str, Any]:
+    """Return the metadata of an array of one chunk, with these codecs after its encoding as bytes."""
+    values, dims, attributes = stored
+    dtype = "string" if values.dtype.kind == "T" else values.dtype.name
+    return array_node(values.shape, dtype, dims, attributes, codecs=codecs)
+
+
+def chunk_of_whole(path: str, stored: StoredArray) -> str:
+    """Return the key of the chunk of an array of one chunk."""
+    return "/".join([path, "c", *("0" for _ in stored.values.shape)])
 
 
 def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[str, Any]:
@@ -127,56 +209,23 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
     return attributes
 
 
-def create_whole(group: "zarr.Group", name: str, stored: StoredArray) -> None:
-    """Create an array of one chunk with its values, replacing an existing one."""
-    values, dims, attributes = stored
-    array: Any = group.create_array(
-        name,
-        shape=values.shape,
-        chunks=tuple(max(1, size) for size in values.shape),
-        dtype="str" if values.dtype.kind == "T" else values.dtype,
-        dimension_names=dims,
-        compressors=codecs(),
-        attributes=attributes,
-        overwrite=True,
-    )
-    if values.size:
-        array.with_config({"write_empty_chunks": True})[...] = values
+def remedy(place: StoreBackend) -> str:
+    """Return the remedy for missing, damaged or wrong metadata, for a message."""
+    return REPACK_HINT if str(place).lower().endswith(".zip") else f"atlas verify --repair {place} restores them"
 
 
-def create_variable(group: "zarr.Group", variable: Variable, spec: Spec, tiling: Tiling) -> None:
-    """Create the array of a result with one object per tile: a chunk, or for a large tile a shard of smaller chunks."""
+def _variable_node(variable: Variable, spec: Spec, tiling: Tiling) -> dict[str, Any]:
+    """Return the metadata of a result with one object per tile: a chunk, or for a large tile a shard of chunks."""
     extra = tuple(spec.extra_sizes[dim] for dim in variable.extra_dims)
-    part = tuple(map(part_side, tiling.tile))
-    group.create_array(
-        variable.name,
-        shape=tiling.shape + extra,
-        chunks=part + extra,
-        shards=tiling.tile + extra if part != tiling.tile else None,
-        dtype=variable.dtype,
-        fill_value=variable.fill,
-        dimension_names=spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra_dims),
-        compressors=codecs(),
-        attributes=variable_attributes(variable, [*spec.parameters, *spec.points]),
+    return array_node(
+        tiling.shape + extra,
+        variable.dtype,
+        spec.dims + tuple(DIMENSIONS.get(dim, dim) for dim in variable.extra_dims),
+        variable_attributes(variable, [*spec.parameters, *spec.points]),
+        fill=variable.fill,
+        block=tiling.tile + extra,
+        chunk=tuple(map(part_side, tiling.tile)) + extra,
     )
-
-
-def consolidate(group: "zarr.Group", path: str = "") -> None:
-    """Copy the metadata of all arrays below a group into the metadata of the group: xarray reads no others."""
-    import zarr
-
-    with warnings.catch_warnings():
-        # Zarr warns that consolidated metadata are an extension; xarray warns where they are missing.
-        warnings.filterwarnings("ignore", message="Consolidated metadata")
-        warnings.filterwarnings("ignore", message="Object at parts is not")  # parts of an unfinished search
-        zarr.consolidate_metadata(group.store, path=path or None)
-
-
-def codecs() -> list[Any]:
-    """Return the codecs of every chunk."""
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    return [ZstdCodec(), Crc32cCodec()]  # the checksum finds a chunk that a disk has damaged
 
 
 def _described(parameter: Parameter) -> dict[str, Any]:

@@ -7,30 +7,34 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, TypeVar
 
-from atlas.errors import ChunkError, InputError, RunError, brief_repr, message_of
-from atlas.spec.axis import Values
-from atlas.spec.resolved import with_values
+from atlas.errors import InputError, RunError, brief_repr
+from atlas.spec.resolved import unpack_axes
 from atlas.spec.spec import Spec
-from atlas.store.axes import ROOT as ROOT
-from atlas.store.axes import copies, read_values
-from atlas.store.metadata_backup import SPARE, copy_difference, decode_backup, form_fault, remedy, root_fault
+from atlas.store.metadata import ROOT as ROOT
+from atlas.store.metadata import Node, members_of, unsealed
 from atlas.store.object_backend import Given, StoreBackend, open_backend, os_errors_as_input_errors
 from atlas.store.origin import BudgetVariable, Origin, budget_variables
-from atlas.store.record_format import RECORD
-from atlas.store.schema import FORMAT, FORMAT_VERSION, StoredArray, coordinate_names, coordinates
-from atlas.store.schema import ZOOM as ZOOM
+from atlas.store.record_format import TILES
+from atlas.store.schema import (
+    FORMAT,
+    FORMAT_VERSION,
+    SPEC_KEY,
+    StoredArray,
+    coordinate_names,
+    coordinates,
+    groups_of,
+    layout,
+    layout_nodes,
+    remedy,
+    root_with_groups,
+)
+from atlas.store.schema import OVERVIEWS as OVERVIEWS
 from atlas.store.tiling import Tiling, chunk_index
-from atlas.store.zip_backend import ZipBackend
-from workers.results import ATTRACTOR, REGIME, Variable, leading
-
-if TYPE_CHECKING:
-    import zarr
+from workers.results import REGIME, Variable, leading
 
 _T = TypeVar("_T")
-FIRST_RELEASED = 13
-"""First solver version that was released; stores of earlier versions may have another layout."""
 COPY_BY_XARRAY = (
     "a copy made by xarray's to_zarr, which is no store of an atlas: open it with xarray.open_zarr; "
     "ds.atlas answers queries and draws pictures; no run or repair can complete it"
@@ -63,23 +67,25 @@ class SharedCachedProperty(cached_property[_T]):
 class AtlasStore:
     """The handle of a store: its backend, spec, solver version and contents.
 
+    All metadata of arrays follow from the ``attributes``; their objects in the store are for other programs.
+
     backend          backend of the store
-    outline          outline of the spec, without the values of axes and points
+    attributes       attributes of the root, without their checksum
     digest           digest of the resolved spec
     run_id           identifier of the run that created the store
     solver_version   solver version of its cells
-    nodes            consolidated metadata of the root: those of its arrays and groups, by path
+    tile             cells of a tile along each dimension
     origin           store whose cells it took over, None if there is none
     state            digest of the root's metadata when they were read
     cache            everything else, read or opened at its first use and kept in this process
     """
 
     backend: StoreBackend
-    outline: Mapping[str, Any]
+    attributes: Mapping[str, Any] = field(repr=False)
     digest: str
     run_id: str
     solver_version: int
-    nodes: Mapping[str, Mapping[str, Any]] = field(repr=False)
+    tile: tuple[int, ...]
     origin: Origin | None = None
     state: str = field(default="", repr=False, compare=False)
     cache: _SharedCache = field(default_factory=_SharedCache, init=False, repr=False, compare=False)
@@ -115,65 +121,28 @@ class AtlasStore:
             raise RunError(f"{self.backend}: not a local folder")
         return self.backend.local
 
-    @SharedCachedProperty
-    def arrays(self) -> Mapping[str, Mapping[str, Any]]:
-        """Metadata of the root's arrays, by name."""
-        return {name: node for name, node in self.nodes.items() if node["node_type"] == "array" and "/" not in name}
-
     @property
-    def record(self) -> Mapping[str, Any]:
-        """Metadata of the array of the tile records."""
-        return self.nodes[RECORD]
-
-    @property
-    def groups(self) -> frozenset[str]:
-        """Names of the root's groups."""
-        return frozenset(name for name, node in self.nodes.items() if node["node_type"] == "group" and "/" not in name)
+    def resolved(self) -> dict[str, Any]:
+        """The resolved spec of the store, as it was written."""
+        return unpack_axes(json.loads(self.attributes["spec"]))
 
     @SharedCachedProperty
     def spec(self) -> Spec:
-        """The spec of the store.
-
-        The values of its axes are read at their first use, with ChunkError if they are damaged. Raise InputError if
-        this version cannot read the spec, or if the store has other cells than the spec.
-        """
+        """The spec of the store. Raise InputError if this version cannot read it."""
         try:
-            spec = Spec.from_outline(self.outline, lambda: self.values)
+            return Spec.from_resolved(self.resolved)
         except (InputError, KeyError, TypeError) as error:
             raise InputError(f"{self.backend}: its spec cannot be read by this version: {error}") from None
-        shape = self.arrays[REGIME.name].get("shape")
-        if not isinstance(shape, list | tuple) or tuple(shape[: len(spec.shape)]) != spec.shape:
-            damage = f"{REGIME.name} has shape {brief_repr(shape)}, must be {spec.shape}"
-            raise InputError(f"{self.backend}: its metadata are damaged: {damage}: {remedy(self.backend)}")
-        return spec
 
     @SharedCachedProperty
-    def values(self) -> Values:
-        """Values of the axes, or of the columns of the points, by name. Raise ChunkError if they are damaged."""
-        return read_values(self.backend, self.outline, self.digest)
+    def nodes(self) -> Mapping[str, Node]:
+        """Metadata of the arrays and groups that every store of the spec has, by path."""
+        return layout_nodes(self.spec, self.tile, "origin_retry" in self.attributes)
 
-    @property
-    def copies(self) -> dict[str, bytes]:
-        """Copies of coordinates in the store, by key; see ``store.axes``."""
-        return copies(self.spec)
-
-    @property
-    def resolved(self) -> Mapping[str, Any]:
-        """The resolved spec of the store. Raise ChunkError if its values are damaged."""
-        return with_values(self.outline, self.values)
-
-    @property
-    def tile(self) -> tuple[int, ...]:
-        """Cells of a tile along each dimension. Raise ValueError if the metadata have no valid numbers."""
-        regime = self.arrays[REGIME.name]
-        sizes = regime["chunk_grid"]["configuration"]["chunk_shape"]
-        cells = zip(regime["dimension_names"], sizes, regime["shape"], strict=True)
-        if not all(type(size) is int and 1 <= size <= max(1, count) for _, size, count in cells):
-            raise ValueError(
-                f"{REGIME.name} has chunks of {brief_repr(sizes)} in a shape of {brief_repr(regime['shape'])}"
-            )
-        named = zip(regime["dimension_names"], sizes, strict=True)
-        return tuple(size for name, size in named if name != ATTRACTOR)
+    @SharedCachedProperty
+    def layout(self) -> Mapping[str, bytes]:
+        """The metadata and coordinates that the store had at its creation, by key."""
+        return layout(self.attributes, self.spec)
 
     @SharedCachedProperty
     def tiling(self) -> Tiling:
@@ -200,14 +169,9 @@ class AtlasStore:
         return leading(self.spec.variables, arrays, len(self.spec.shape))
 
     @SharedCachedProperty
-    def readable(self) -> Mapping[str, Any]:
-        """Zarr arrays of cells and coordinates by name, opened once. Raise errors like ``open_arrays``."""
-        return open_arrays(self)
-
-    @SharedCachedProperty
-    def declared(self) -> Mapping[str, Any]:
-        """The same arrays by the consolidated metadata of the root, without a request; they encode chunks to write."""
-        return arrays_by(self, self.nodes)
+    def arrays(self) -> Mapping[str, Any]:
+        """Zarr arrays of cells and coordinates by name, for reading, without a request; they encode chunks to write."""
+        return {name: array_by(self.backend, name, self.nodes[name]) for name in self.array_names}
 
     @property
     def array_names(self) -> list[str]:
@@ -234,66 +198,73 @@ def open_store(store: "Given | AtlasStore", storage_options: Mapping[str, Any] |
 
 
 def _open_handle(place: StoreBackend) -> AtlasStore:
-    regime = f"{REGIME.name}/{ROOT}"
-    objects = place.get_all([ROOT, regime, SPARE])
-    if SPARE not in objects:
-        objects |= place.get_all([f"{RECORD}/{ROOT}"])
-    content = objects.get(ROOT)
-    spare = decode_backup(place, content, objects.get(SPARE))
-    if spare is not None and (fault := root_fault(content, spare)):
-        raise InputError(f"{place}: {ROOT} {fault}: {remedy(place)}")
-    try:
-        root = json.loads(content or b"")
-        attrs = root["attributes"]
-        ours = attrs.get("format") == FORMAT
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
-        path = place.path if isinstance(place, ZipBackend) else place.local
-        if content is None and not (path is not None and path.exists()):
-            raise InputError(f"{place}: no such store") from None
-        ours = False
-    if not ours:
-        raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
-    if attrs.get("format_version") != FORMAT_VERSION:
-        layout = brief_repr(attrs.get("format_version"))
-        raise InputError(f"{place}: format version {layout}, this program reads version {FORMAT_VERSION}")
-    version = attrs.get("solver_version")
-    if SPARE not in objects and f"{RECORD}/{ROOT}" not in objects:
-        if type(version) is int and version < FIRST_RELEASED:
-            old = (
-                f"made by solver version {version}, before the first release, in a layout that this version cannot read"
-            )
-            raise InputError(f"{place}: {old}")
+    content = place.get(ROOT)
+    attributes = unsealed(content)
+    whole = attributes is not None and TILES in members_of(content)
+    other = None if whole else unsealed(place.get(SPEC_KEY))
+    if attributes is None and other is not None and other.get("format") == FORMAT:
+        damage = "is missing" if content is None else "is damaged (its checksum is wrong)"
+        raise InputError(f"{place}: {ROOT} {damage}: {remedy(place)}")
+    if not whole and other is None and _is_copy(place, content):
         raise InputError(f"{place}: {COPY_BY_XARRAY}")
-    if spare is None and (fault := form_fault(root)):
-        raise InputError(f"{place}: {ROOT} {fault}, and its backup, {SPARE}, is missing or damaged, too")
-    if regime not in objects:
-        raise InputError(f"{place}: {regime} is missing: {remedy(place)}")
+    return replace(handle_by(place, attributes or _attributes(place, content)), state=_state(content))
+
+
+def _attributes(place: StoreBackend, content: bytes | None) -> dict[str, Any]:
+    """Return the attributes of a root without a right checksum. Raise InputError if it is not that of an atlas."""
+    path = getattr(place, "path", None)
+    if content is None and not (path is not None and path.exists()):
+        raise InputError(f"{place}: no such store")
     try:
-        return replace(handle_by(place, root, json.loads(objects[regime])), state=_state(content))
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise InputError(f"{place}: its metadata are damaged: {message_of(error)}: {remedy(place)}") from None
+        attributes = dict(json.loads(content or b"")["attributes"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        attributes = {}
+    if attributes.get("format") == FORMAT and attributes.get("format_version") == FORMAT_VERSION:
+        raise InputError(f"{place}: {ROOT} is damaged, and its copy {SPEC_KEY} is missing or damaged, too")
+    return attributes
+
+
+def _is_copy(place: StoreBackend, content: bytes | None) -> bool:
+    """Return True if the root is that of an atlas, but without the groups that every store has."""
+    return unsealed(content) is not None and not place.exists(f"{TILES}/{ROOT}")
 
 
 def _state(content: bytes | None) -> str:
     return hashlib.sha256(content or b"").hexdigest()
 
 
-def handle_by(place: StoreBackend, root: Mapping[str, Any], regime: Mapping[str, Any]) -> AtlasStore:
-    """Return the handle of a store from the metadata of its root and of its regimes."""
-    attrs, nodes = root["attributes"], (root.get("consolidated_metadata") or {"metadata": {}})["metadata"]
-    if fault := copy_difference(regime, nodes[REGIME.name]):
-        raise ValueError(f"{REGIME.name}/{ROOT} {fault}")
-    handle = AtlasStore(
+def handle_by(place: StoreBackend, attributes: Mapping[str, Any]) -> AtlasStore:
+    """Return the handle of a store with these attributes of its root.
+
+    Raise InputError if they are not those of an atlas, or have an unknown format.
+    """
+    if attributes.get("format") != FORMAT:
+        raise InputError(f"{place}: not an atlas (no {FORMAT} attributes)")
+    if attributes.get("format_version") != FORMAT_VERSION:
+        version = brief_repr(attributes.get("format_version"))
+        raise InputError(f"{place}: format version {version}, this program reads version {FORMAT_VERSION}")
+    return AtlasStore(
         backend=place,
-        outline=json.loads(attrs["spec"]),
-        digest=attrs["digest"],
-        run_id=attrs["run_id"],
-        solver_version=attrs["solver_version"],
-        nodes=nodes,
-        origin=Origin.from_attributes(attrs),
+        attributes=attributes,
+        digest=attributes["digest"],
+        run_id=attributes["run_id"],
+        solver_version=attributes["solver_version"],
+        tile=tuple(json.loads(attributes["tile"])),
+        origin=Origin.from_attributes(attributes),
     )
-    _ = handle.tile, handle.record
-    return handle
+
+
+def read_groups(handle: AtlasStore) -> dict[str, bytes]:
+    """Return the metadata of the whole groups of a store, by name: overviews, tables, curves."""
+    names = (OVERVIEWS, *groups_of(handle.spec))
+    stored = handle.backend.get_all(f"{name}/{ROOT}" for name in names)
+    return {key.partition("/")[0]: data for key, data in stored.items() if unsealed(data) is not None}
+
+
+def write_root(handle: AtlasStore, without: str = "") -> None:
+    """Write the metadata of the root, with copies of the metadata of all whole groups but ``without``."""
+    groups = {name: data for name, data in read_groups(handle).items() if name != without}
+    handle.backend.put(ROOT, root_with_groups(handle.attributes, handle.nodes, groups))
 
 
 def find_store(store: Given) -> AtlasStore | None:
@@ -332,64 +303,17 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
     return "/".join([variable.name, "c", *map(str, index), *("0" for _ in variable.extra_dims)])
 
 
-def open_arrays(handle: AtlasStore, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Return Zarr arrays of the root for reading, results and coordinates, by name: all, or those named.
+def array_by(place: StoreBackend, path: str, node: Node) -> Any:
+    """Return a Zarr array of a store, for reading, that the metadata ``node`` describe."""
+    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
 
-    Raise ChunkError if their metadata are missing or damaged, or differ from the root's copy.
-    """
-    asked = handle.array_names if names is None else [name for name in handle.array_names if name in {*names}]
-    own, faults = read_array_nodes(handle, asked), dict[str, str]()
-    for name in asked:
-        if fault := copy_difference(own.get(name), handle.nodes.get(name)):
-            faults[f"{name}/{ROOT}"] = fault if name in own else "is missing"
-    if faults:
-        raise ChunkError(handle.backend, faults)
-    return arrays_by(handle, own)
+    return array_in(zarr_store(place, read_only=True), path, node)
 
 
-def arrays_by(handle: AtlasStore, nodes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the Zarr arrays of the root that these metadata describe, by name.
-
-    Raise ChunkError for damaged metadata.
-    """
-    arrays = {}
-    for name in handle.array_names:
-        try:
-            if name in nodes:
-                arrays[name] = array_by(handle.backend, name, nodes[name])
-        except Exception as error:  # Zarr may raise anything for damaged metadata
-            raise ChunkError(handle.backend, {f"{name}/{ROOT}": f"is damaged ({message_of(error)})"}) from None
-    return arrays
-
-
-def array_by(place: StoreBackend, path: str, node: Any) -> Any:
-    """Return a Zarr array of a store, for reading, that the metadata ``node`` describe.
-
-    Damaged metadata may raise anything.
-    """
+def array_in(store: Any, path: str, node: Node) -> Any:
+    """Return an array of a Zarr store object that the metadata ``node`` describe. Wrong ones may raise anything."""
     from zarr import Array, AsyncArray
     from zarr.storage import StorePath
 
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
-
-    return Array(AsyncArray(node, StorePath(zarr_store(place, read_only=True), path)))
-
-
-def read_array_nodes(handle: AtlasStore, names: Iterable[str]) -> dict[str, Any]:
-    """Return the own metadata of arrays of the root, by name. Raise ChunkError if they are damaged."""
-    nodes = {}
-    for key, data in handle.backend.get_all(f"{name}/{ROOT}" for name in names).items():
-        try:
-            nodes[key.removesuffix(f"/{ROOT}")] = json.loads(data)
-        except (ValueError, RecursionError) as error:
-            raise ChunkError(handle.backend, {key: f"is damaged ({message_of(error)})"}) from None
-    return nodes
-
-
-def open_group(place: StoreBackend, mode: Literal["r", "r+"]) -> "zarr.Group":
-    """Return the root group of a store, with the present metadata of each array instead of the root's copies."""
-    import zarr
-
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
-
-    return zarr.open_group(zarr_store(place, mode == "r"), mode=mode, use_consolidated=False, zarr_format=3)
+    metadata: Any = dict(node)
+    return Array(AsyncArray(metadata, StorePath(store, path)))

@@ -1,21 +1,21 @@
-"""The records of the finished tiles of a store: one per tile, and one chunk with all of them, the compaction.
+"""The records of the finished tiles of a store: one table, ``tiles/records``, which the coordinator of a run writes.
 
-A worker writes the record of a tile right before its ``regime``, which makes the tile finished. At its end a run
-compacts all records into one chunk and removes the single records, so that a few objects describe a finished atlas. No
+A worker returns the record of a tile once it has written ``regime``, which makes the tile finished. The coordinator
+keeps all records in memory, writes the chunks of the table that have changed now and then, and the rest at its end. No
 kill leaves a wrong record of a finished tile:
 
 - A record without a ``regime`` belongs to an unfinished tile, and is not read.
-- Before a damaged tile is dropped, an empty record replaces its record; likewise before a tile of basins gets its final
-  labels. The empty record takes precedence over the tile's row in the compaction. After a kill there the tile is
-  unchanged, and is counted from its chunks.
-- A single record takes precedence over the compaction, so a kill between writing the compaction and removing single
-  records does no harm. A record is removed only if no worker of the run may still write its tile. Readers list the
-  single records first, and start again if one has been removed meanwhile.
-- If a compaction has rows of all tiles, and there is no single record, all tiles are finished.
+- After a kill the records of the last tiles are missing. Such a tile is counted from its chunks, and the next run
+  writes its record again.
+- Before a damaged tile is dropped its record is removed from the table; likewise all records before the tiles of basins
+  get their final labels.
+- If the table has records of all tiles, all tiles are finished.
 
-A tile whose row is missing, damaged or does not add up to its cells is counted from its chunks.
+A tile whose record is missing, damaged or does not add up to its cells is counted from its chunks.
 """
 
+import itertools
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -24,137 +24,122 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from atlas.errors import ChunkError, UnlistedError, message_of
+from atlas.errors import ChunkError, message_of
 from atlas.store.record_format import (
     BY_REASON,
     CELLS,
     DIGEST,
-    RECORD,
     RECORDS,
     WIDTH,
     Index,
     Rows,
     add_up,
     count_row,
-    decode_row,
-    record_index,
-    record_key,
+    record_block,
 )
-from atlas.store.store import READERS, AtlasStore, array_by, done_tiles, is_done, open_arrays
-from atlas.store.tiles import encode_chunks, read_tile
+from atlas.store.store import READERS, AtlasStore, array_by, done_tiles, is_done
+from atlas.store.tiles import encode_chunks, read_tile, record_of
 from workers.results import NO_REASON, REASON, REASONS, REGIME, REGIMES
 
-_LOOKS = 10
+SAVE_SECONDS = 30.0
+"""Seconds between writes of the table during a run; a run that is killed loses the records of this time at most."""
+SAVE_SHARE = 100
+"""The pause after a write is at least this many times as long as the write took."""
+Block = tuple[slice, ...]
 
 
 class TileRecords:
     """The tile records of a store at one moment, read at their first use.
 
     done         mask (grid) of the finished tiles: those of ``listed``, by default from a listing of the store
-    rows         rows of all tiles, zeros for a tile without a valid row
     known_mask   mask of the tiles with a valid row
-    damaged      faults of records, by key
-    lost         tiles that are finished according to the compaction, but not by their chunks
-    single       tiles with a record of their own, finished or not
+    damaged      faults of chunks of the table, by key
+    lost         tiles that are finished according to the table, but not by their chunks
 
-    Reading ``rows`` sets the last three.
+    Reading rows sets the last two.
     """
 
     def __init__(self, handle: AtlasStore, listed: Iterable[Index] | None = None) -> None:
-        self.handle, self.damaged = handle, dict[str, str]()
-        self.lost, self.single = list[Index](), list[Index]()
+        self.handle, self.damaged, self.lost = handle, dict[str, str](), list[Index]()
+        self._columns: dict[tuple[int, int], Rows] = {}
         self._sizes, self._listed = handle.tiling.sizes(), listed
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
-        """See the class. Two objects are enough for a finished atlas; otherwise a listing is needed."""
-        if self._whole is not None:
-            return np.ones(self.handle.tiling.grid, dtype=bool)
+        """See the class. The table is enough for a finished atlas on a server; otherwise a listing is needed."""
+        if self.handle.backend.local is None and self._listed is None:
+            checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
+            if all(checks):
+                return np.ones(self.handle.tiling.grid, dtype=bool)
         done = np.zeros(self.handle.tiling.grid, dtype=bool)
         for index in done_tiles(self.handle) if self._listed is None else self._listed:
             done[index] = True
         return done
 
-    @cached_property
-    def rows(self) -> Rows:
-        """See the class."""
-        rows = self._read() if self._whole is None else self._whole
-        self.lost = _indices(add_up(rows, self._sizes) & ~self.done)
-        rows[~(add_up(rows, self._sizes) & self.done)] = 0.0
-        return rows
+    def valid_blocks(self) -> Iterator[tuple[Block, Rows]]:
+        """Yield the rows chunk by chunk, with zeros for tiles without a valid row, and which tiles they are of.
+
+        Memory does not grow with the atlas.
+        """
+        done, self.lost = self.done, []
+        for block, rows in self._blocks():
+            whole = add_up(rows, self._sizes[block])
+            begins = [part.start for part in block]
+            self.lost += [tuple(index) for index in (np.argwhere(whole & ~done[block]) + begins).tolist()]
+            rows[~(whole & done[block])] = 0.0
+            yield block, rows
+
+    def columns(self, part: slice = slice(0, WIDTH)) -> Rows:
+        """Return some columns of the rows of all tiles, by default all; zeros for a tile without a valid row."""
+        kept = self._columns.get((part.start, part.stop))
+        if kept is None:
+            kept = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
+            for block, rows in self.valid_blocks():
+                kept[block] = rows[..., part]
+            self._columns[part.start, part.stop] = kept
+        return kept
 
     @cached_property
     def known_mask(self) -> NDArray[np.bool_]:
         """See the class."""
-        return np.asarray(self.rows.any(axis=-1))
+        return np.asarray(self.columns(CELLS).any(axis=-1))
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
         """Return the mask of the tiles without a cell of these regimes, according to their records."""
         asked = np.isin([regime.code for regime in REGIMES], list(codes))
-        return self.known_mask & (self.rows[..., CELLS][..., asked].sum(axis=-1) == 0)
+        return self.known_mask & (self.columns(CELLS)[..., asked].sum(axis=-1) == 0)
 
-    @cached_property
-    def _whole(self) -> Rows | None:
-        """The compaction, if it has all tiles and no record is newer; None on a disk, where listing is cheap."""
-        on_disk = self.handle.backend.local is not None
-        if on_disk or self._listed is not None or single_records(self.handle):
-            return None
-        rows = self._compacted()
-        return rows if add_up(rows, self._sizes).all() else None
-
-    def _compacted(self) -> Rows:
-        none = np.zeros((*self.handle.tiling.grid, WIDTH))
-        try:
-            rows = np.asarray(_compaction(self.handle)[...], dtype=np.float64)
-        except OSError:
-            raise
-        except Exception as error:  # a codec that reads damaged bytes may raise anything
-            self.damaged[RECORDS] = f"is damaged ({message_of(error)})"
-            return none
-        return rows if rows.shape == none.shape else none
-
-    def _read(self) -> Rows:
-        """Return the rows of the compaction, replaced by single records where they exist."""
-        done = self.done  # read before the records: every finished tile then has a record
-        for _ in range(_LOOKS):
-            self.single = single_records(self.handle)
-            rows = self._compacted()
-            empty, without = not rows.any(), done & ~rows.any(axis=-1)
-            for index in self.single:
-                rows[index], without[index] = 0.0, False
-            wanted = {record_key(index): index for index in self.single if done[index]}
-            stored = self.handle.backend.get_all(wanted)
-            if stored.keys() == wanted.keys():
-                break
-        if empty and without.any():
-            self.damaged.setdefault(RECORDS, "is missing")
-        for key, data in stored.items():
-            row = decode_row(data)
-            if row is None:
-                self.damaged[key] = "is damaged"
-            else:
-                rows[wanted[key]] = row
-        return rows
+    def _blocks(self) -> Iterator[tuple[Block, Rows]]:
+        """Yield the rows of each chunk of the table, and the tiles that they are of."""
+        table, grid = _table(self.handle), self.handle.tiling.grid
+        for block in _blocks_of(grid):
+            try:
+                yield block, np.asarray(table[block], dtype=np.float64)
+            except OSError:
+                raise
+            except Exception as error:  # a codec that reads damaged bytes may raise anything
+                self.damaged[_chunk_key(block, grid)] = f"is damaged ({message_of(error)})"
+                yield block, np.zeros((*(part.stop - part.start for part in block), WIDTH))
 
 
 class RunTileRecords:
     """The tile records of a store during a run, in the memory of the coordinator.
 
-    They are the earlier ``records``, and the records of reports. ``unfinished`` is a mask of the tiles that workers may
-    write.
+    They are the earlier ``records``, and the records of reports.
     """
 
-    def __init__(self, handle: AtlasStore, records: TileRecords, unfinished: NDArray[np.bool_]) -> None:
-        self._handle, self._rows, self._open = handle, records.rows.copy(), unfinished.copy()
-        self._new = bool(records.single)
-        self._done = records.done.copy()
+    def __init__(self, handle: AtlasStore, records: TileRecords) -> None:
+        self._handle, self._rows, self._done = handle, records.columns().copy(), records.done.copy()
+        grid, self._next = handle.tiling.grid, time.monotonic() + SAVE_SECONDS
+        self._changed = {_block_index(index, grid) for index in records.lost}  # solved again, they may differ in bits
         self._total = self._rows.reshape(-1, WIDTH).sum(axis=0)
 
     def add(self, index: Index, row: Sequence[float]) -> None:
-        """Add the record of a finished tile; an empty ``row`` if the record is unknown."""
-        new = np.array(row) if len(row) == WIDTH else np.zeros(WIDTH)
+        """Add the record of a finished tile."""
+        new = np.array(row)
         self._total += new - self._rows[index]
-        self._rows[index], self._done[index], self._open[index], self._new = new, True, False, True
+        self._rows[index], self._done[index] = new, True
+        self._changed.add(_block_index(index, self._handle.tiling.grid))
 
     @property
     def counts(self) -> dict[str, Any] | None:
@@ -168,32 +153,61 @@ class RunTileRecords:
     def _uncounted(self) -> NDArray[np.bool_]:
         return self._done & ~self._rows.any(axis=-1)
 
-    def compact(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
-        """Compact all records into one chunk.
+    def save(self) -> None:
+        """Write the changed chunks of the table, if the last write was long enough ago."""
+        begin = time.monotonic()
+        if begin >= self._next and self._changed:
+            self.write()
+            end = time.monotonic()
+            self._next = end + max(SAVE_SECONDS, SAVE_SHARE * (end - begin))
 
-        Tiles without a record are counted from their chunks; ``on_wait`` is called with their number.
-        """
-        uncounted = _indices(self._uncounted & ~self._open)
+    def clear_table(self) -> None:
+        """Remove all records from the table, but not from memory: tiles are about to change."""
+        keys = [_chunk_key(block, self._handle.tiling.grid) for block in _blocks_of(self._handle.tiling.grid)]
+        self._handle.backend.remove_all(keys)
+        self._changed.update(itertools.product(*map(range, _table_grid(self._handle.tiling.grid))))
+
+    def finish(self, on_wait: Callable[[int], None] = lambda _tiles: None) -> None:
+        """Write the table, with missing records made from the tiles; ``on_wait`` is called with their number."""
+        uncounted = [tuple(index) for index in np.argwhere(self._uncounted).tolist()]
         if uncounted:
             on_wait(len(uncounted))
-        for index, row in zip(uncounted, count_tiles(self._handle, uncounted), strict=True):
-            if not isinstance(row, ChunkError):
-                self._rows[index] = row
-        if self._new or uncounted:
-            write_compaction(self._handle, self._rows, ~self._open)
+        for index in uncounted:
+            try:
+                self.add(index, record_of(self._handle, index, read_tile(self._handle, index)).tolist())
+            except ChunkError:
+                continue  # a verification reports it
+        self.write()
+
+    def write(self) -> None:
+        """Write the changed chunks of the table."""
+        if self._changed:
+            write_records(self._handle, self._rows, self._changed)
+            self._changed.clear()
 
 
-def compact_records(handle: AtlasStore) -> None:
-    """Compact all records of a store that no run writes."""
-    none = np.zeros(handle.tiling.grid, dtype=bool)
-    RunTileRecords(handle, TileRecords(handle, done_tiles(handle)), none).compact()
+def complete_records(handle: AtlasStore) -> None:
+    """Write the records that the table of a store lacks; no run may write the store."""
+    RunTileRecords(handle, TileRecords(handle, done_tiles(handle))).finish()
 
 
-def write_compaction(handle: AtlasStore, rows: Rows, settled: NDArray[np.bool_]) -> None:
-    """Write all rows as one chunk, then remove the single records of ``settled`` tiles with a row in the chunk."""
-    handle.backend.put_all(encode_chunks(_compaction(handle), tuple(map(slice, rows.shape)), rows))
-    counts = settled & add_up(rows, handle.tiling.sizes())
-    handle.backend.remove_all([record_key(index) for index in single_records(handle) if counts[index]])
+def write_records(handle: AtlasStore, rows: Rows, chunks: Iterable[Index] | None = None) -> None:
+    """Write the rows of these chunks of the table, by default of all; chunks without a record are removed."""
+    table, grid = _table(handle), handle.tiling.grid
+    for block in _blocks_of(grid):
+        if chunks is None or _block_index(tuple(part.start for part in block), grid) in chunks:
+            if rows[block].any():
+                handle.backend.put_all(encode_chunks(table, (*block, slice(0, WIDTH)), rows[block]))
+            else:
+                handle.backend.remove(_chunk_key(block, grid))
+
+
+def forget_records(handle: AtlasStore, tiles: Iterable[Index]) -> None:
+    """Remove the records of these tiles from the table, before the tiles are dropped."""
+    rows = TileRecords(handle).columns()
+    for index in tiles:
+        rows[index] = 0.0
+    write_records(handle, rows)
 
 
 EXCHANGED = "its digest does not match: its chunks were swapped with another tile's, or altered"
@@ -204,27 +218,8 @@ def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
 
     ``row`` is the record computed from the cells of the tile.
     """
-    digest = records.rows[index][DIGEST]
+    digest = records.columns(DIGEST)[index]
     return bool(digest.any()) and not np.array_equal(digest, row[DIGEST])
-
-
-def read_record(handle: AtlasStore, index: Index) -> Rows | None:
-    """Return the single record of a tile; None if it is missing or damaged."""
-    data = handle.backend.get(record_key(index))
-    return None if data is None else decode_row(data)
-
-
-def single_records(handle: AtlasStore) -> list[Index]:
-    """Return the indices of the tiles with a record of their own, finished or not, from one listing.
-
-    Return an empty list for a server without listings: a finished atlas has no single records, and no other atlas can
-    be counted there.
-    """
-    try:
-        indices = [record_index(key, handle.tiling.grid) for key in handle.backend.list_keys(f"{RECORD}/")]
-    except UnlistedError:
-        return []
-    return sorted(index for index in indices if index is not None)
 
 
 def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
@@ -232,13 +227,10 @@ def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | C
 
     The row of a tile that is no longer finished is zero.
     """
-    if not tiles:
-        return
-    arrays = open_arrays(handle)
 
     def count_one(index: Index) -> Rows | ChunkError:
         try:
-            classes = read_tile(handle, index, (REGIME.name, REASON.name), arrays)
+            classes = read_tile(handle, index, (REGIME.name, REASON.name))
         except ChunkError as error:
             return error if is_done(handle, index) else np.zeros(WIDTH)
         return count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(classes))
@@ -255,9 +247,27 @@ def counts_by_name(total: Rows) -> tuple[dict[str, int], dict[str, int]]:
     return regimes, named
 
 
-def _compaction(handle: AtlasStore) -> Any:
+def _table(handle: AtlasStore) -> Any:
     return array_by(handle.backend, RECORDS, handle.nodes[RECORDS])
 
 
-def _indices(mask: NDArray[np.bool_]) -> list[Index]:
-    return [tuple(index) for index in np.argwhere(mask).tolist()]
+def _table_grid(grid: Index) -> Index:
+    """Return the number of chunks of the table along each dimension of the tiles."""
+    return tuple(-(-n // side) for n, side in zip(grid, record_block(grid), strict=True))
+
+
+def _blocks_of(grid: Index) -> Iterator[Block]:
+    """Yield the tiles of each chunk of the table."""
+    ends = record_block(grid)
+    for place in itertools.product(*map(range, _table_grid(grid))):
+        yield tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in zip(place, ends, grid, strict=True))
+
+
+def _block_index(index: Index, grid: Index) -> Index:
+    """Return the index of the chunk of the table with the record of a tile."""
+    return tuple(i // side for i, side in zip(index, record_block(grid), strict=True))
+
+
+def _chunk_key(block: Block, grid: Index) -> str:
+    place = _block_index(tuple(part.start for part in block), grid)
+    return f"{RECORDS}/{'.'.join(['c', *map(str, place), '0'])}"

@@ -12,26 +12,22 @@ from atlas.store.host import current_host
 from atlas.store.host_records import record_host
 from atlas.store.origin import ALLOWANCES, BudgetVariable
 from atlas.store.record_format import (
-    COVERED,
     DIGEST,
-    WIDTH,
     Rows,
     count_row,
     digest_of,
-    encode_row,
     halves,
-    record_key,
 )
-from atlas.store.store import AtlasStore, chunk_key, open_arrays
+from atlas.store.store import AtlasStore, chunk_key
 from workers.results import LABEL, REGIME, Variable
 
 
 def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
-    """Write a tile as whole objects and return its record. The record and then ``regime`` come last.
+    """Write a tile as whole objects and return its record. ``regime`` comes last.
 
     The tile is finished once ``regime`` exists. Another attempt at the tile writes the same bits.
     """
-    to, whole = handle.declared, _with_allowances(handle, index, arrays)
+    to, whole = handle.arrays, _with_allowances(handle, index, arrays)
     objects, done = dict[str, bytes](), dict[str, bytes]()
     for variable in _written(handle):
         array, values = to[variable.name], whole[variable.name]
@@ -39,7 +35,6 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
         (done if variable.name == REGIME.name else objects).update(made)
     row = _begin_tile(handle, index, whole)
     handle.backend.put_all(objects)
-    put_record(handle, index, row)
     handle.backend.put_all(done)
     return row
 
@@ -52,7 +47,6 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
     handle.backend.copy_all(origin.backend, keys)
-    put_record(handle, index, row)
     handle.backend.copy_all(origin.backend, [last])
     return row
 
@@ -77,15 +71,14 @@ def _written(handle: AtlasStore) -> list[Variable]:
     return [*handle.allowances, *handle.variables]
 
 
-def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write the labels in ``arrays`` into a tile of basins, once all tiles are finished; other arrays stay as stored.
+def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
+    """Write the labels in ``arrays`` into a tile of basins, once all tiles are finished, and return its new record.
 
-    Meanwhile its record is empty, so a kill leaves no record that contradicts the tile.
+    Other arrays stay as stored. The table of the records must not have an earlier record of the tile.
     """
-    array = handle.declared[LABEL.name]
-    put_record(handle, index, np.zeros(WIDTH))
+    array = handle.arrays[LABEL.name]
     handle.backend.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
-    put_record(handle, index, record_of(handle, index, arrays))
+    return record_of(handle, index, arrays)
 
 
 def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) -> dict[str, bytes]:
@@ -105,22 +98,12 @@ def encode_chunks(array: Any, block: Slices, values: Any, sparse: bool = False) 
 def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> Rows:
     """Return the record of a tile with these arrays, including those of ``ALLOWANCES``."""
     row = count_row(handle.spec, handle.tiling.at(index).slices, handle.dominant_arrays(arrays))
-    covered = covered_variables(handle, handle.record["attributes"])
-    row[DIGEST] = halves(digest_of(index, covered, arrays))
+    row[DIGEST] = halves(digest_of(index, (*handle.variables, *ALLOWANCES), arrays))
     return row
 
 
-def put_record(handle: AtlasStore, index: tuple[int, ...], row: Rows) -> None:
-    """Write the record of a tile."""
-    handle.backend.put(record_key(index), encode_row(row))
-
-
 def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
-    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten.
-
-    First an empty record replaces its own; it takes precedence over the row of the tile in the compaction.
-    """
-    put_record(handle, index, np.zeros(WIDTH))
+    """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
     handle.backend.remove(chunk_key(handle.regime, index))
 
 
@@ -128,19 +111,17 @@ def read_tile(
     handle: AtlasStore,
     index: tuple[int, ...],
     names: Iterable[str] | None = None,
-    arrays: Mapping[str, Any] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the arrays of a finished tile: those named, or all results and ``ALLOWANCES``.
 
     handle   handle of the store
     index    index of the tile
     names    names of the variables, None for all
-    arrays   Zarr arrays to read, see ``open_arrays``; None to open them
 
     Raise ChunkError, which names every damaged chunk, or OSError if the backend cannot be read at all.
     """
     wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
-    arrays = open_arrays(handle, wanted) if arrays is None else arrays
+    arrays = handle.arrays
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*handle.variables, *ALLOWANCES):
@@ -161,15 +142,6 @@ def read_tile(
     if faults:
         raise ChunkError(handle.backend, faults)
     return values
-
-
-def covered_variables(handle: AtlasStore, attributes: Mapping[str, Any]) -> list[Variable]:
-    """Return the variables in digests, by the attributes of the records' array.
-
-    Raise KeyError for an unknown variable.
-    """
-    known = {variable.name: variable for variable in (*handle.variables, *ALLOWANCES)}
-    return [known[name] for name in attributes[COVERED]]
 
 
 def block(array: Any, index: tuple[int, ...]) -> Slices:

@@ -17,8 +17,8 @@ from atlas.task.tile_job import (
     label_basins,
     make_chunk,
     make_report,
+    record_in_report,
     solve_and_write,
-    stored_record,
     stored_tile,
 )
 
@@ -49,8 +49,8 @@ def run_tile_job(job: RunJob) -> TileReport:
         notes = sidecar_of(handle.backend)
         if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
-            report = make_report(handle, job.index, stored_tile(handle, job.index), solved)
-            return replace(report, record=stored_record(handle, job.index))
+            arrays = stored_tile(handle, job.index)
+            return make_report(handle, job.index, arrays, solved, record_in_report(handle, job.index, arrays))
         attempt = start_attempt(notes, job.attempt_key, job.store_ref.lease, MAX_DEATHS)
     try:
         job = replace(job, attempt=attempt.token)

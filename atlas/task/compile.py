@@ -143,15 +143,15 @@ def main() -> None:
     from numba.core import event
 
     class CompileCounter(event.Listener):
-        done, told = 0, time.monotonic()
+        done, reported = 0, time.monotonic()
 
         def on_start(self, event: object) -> None:
             """Do nothing: a function is counted when its compilation ends."""
 
         def on_end(self, event: object) -> None:
             self.done += 1
-            if time.monotonic() - self.told >= TICK:
-                self.told = time.monotonic()
+            if time.monotonic() - self.reported >= TICK:
+                self.reported = time.monotonic()
                 print(self.done, flush=True)  # an error ends this process: the parent has ended
 
     gc.set_threshold(YOUNG_OBJECTS)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from atlas.store.groups import ATTRACTORS, group_attributes, write_table
+from atlas.store.record_format import Index, Rows
 from atlas.store.schema import DIMENSIONS, StoredArray, variable_attributes
 from atlas.store.store import AtlasStore, done_tiles
 from atlas.store.tiles import read_tile, relabel_tile
@@ -25,8 +26,8 @@ BYTES_OF_LABEL = 64
 """Memory, in bytes, per cell to be labelled, besides its state: labels, position and order."""
 
 
-def complete_basins(handle: AtlasStore) -> None:
-    """Give every initial state its final label and write the table of the attractors.
+def complete_basins(handle: AtlasStore) -> dict[Index, Rows]:
+    """Give every initial state its final label, write the table of the attractors, and return changed tile records.
 
     Cells are labelled in the order of the plane, so labels do not depend on tiles, workers and interruptions. They are
     labelled by bands of tiles, so memory does not grow with the plane, see ``labelling_bytes``. Nothing is done while
@@ -36,10 +37,10 @@ def complete_basins(handle: AtlasStore) -> None:
 
     spec, tiles = handle.spec, sorted(done_tiles(handle))
     if len(tiles) < handle.tiling.count:
-        return
+        return {}
     complete = group_attributes(handle, ATTRACTORS) is not None
     if complete and not any((_labels(handle, index) == BEYOND_TABLE).any() for index in tiles):
-        return
+        return {}
     assert spec.attractors is not None
     params = spec.cell_params(tuple(slice(0, n) for n in spec.shape))
     defaults = {p.name: p.default for p in spec.system_def.parameters}
@@ -47,13 +48,15 @@ def complete_basins(handle: AtlasStore) -> None:
     table = AttractorTable(spec.system_def, values, spec.settings, spec.attractors)
     reference, solved = len(table.attractors), 0
     hits: Counter[int] = Counter()
+    records: dict[Index, Rows] = {}
     for _, band in itertools.groupby(tiles, lambda index: index[: _leading(handle.tile)]):
-        for index, labels in _label_band(handle, table, reference, list(band)):
+        for index, labels in _label_band(handle, table, reference, list(band), records):
             present, counts = np.unique(labels, return_counts=True)
             hits.update(dict(zip(present.tolist(), counts.tolist(), strict=True)))
             solved += int((read_tile(handle, index, [REGIME.name])[REGIME.name] != INVALID).sum())
     columns = _columns(handle, table, hits, solved)
     write_table(handle, ATTRACTORS, columns, {"title": "attractors by their labels"})
+    return records
 
 
 def labelling_bytes(handle: AtlasStore) -> int:
@@ -79,9 +82,9 @@ def _labels(handle: AtlasStore, index: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def _label_band(
-    handle: AtlasStore, table: "AttractorTable", reference: int, band: list[tuple[int, ...]]
-) -> Iterator[tuple[tuple[int, ...], NDArray[np.int64]]]:
-    """Yield the tiles of a band and their final labels, once written.
+    handle: AtlasStore, table: "AttractorTable", reference: int, band: list[Index], records: dict[Index, Rows]
+) -> Iterator[tuple[Index, NDArray[np.int64]]]:
+    """Yield the tiles of a band and their final labels, once written, and add the changed tile records to ``records``.
 
     Cells beyond the ``reference`` attractors are labelled, also cells that a dead attempt has labelled before.
     """
@@ -100,7 +103,7 @@ def _label_band(
             labels[index][mask] = new
             arrays = read_tile(handle, index)
             arrays[LABEL.name][mask] = new
-            relabel_tile(handle, index, arrays)
+            records[index] = relabel_tile(handle, index, arrays)
     yield from labels.items()
 
 

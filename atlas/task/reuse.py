@@ -84,7 +84,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
             first = False
             for machine in read_hosts(origin):
                 record_host(handle, machine)
-        known = read_tile(origin, index, arrays=origin.readable)
+        known = read_tile(origin, index)
         if is_exchanged(cached_records(origin), index, record_of(origin, index, known)):
             raise ChunkError(origin.backend, {chunk_key(origin.regime, index): EXCHANGED})
         if not handle.allowances:  # a cell with a higher budget than the spec's has other results here

@@ -11,8 +11,7 @@ from atlas.platform import peak_memory
 from atlas.spec.laws import LawUse, law_names, law_uses
 from atlas.spec.spec import Slices, Spec
 from atlas.store.store import AtlasStore, is_done
-from atlas.store.tile_records import read_record, single_records
-from atlas.store.tiles import copy_tile, read_tile, write_tile
+from atlas.store.tiles import copy_tile, read_tile, record_of, write_tile
 from atlas.store.tiling import INNER_CHUNK, Tiling
 from atlas.task.compile import compile_once
 from atlas.task.label_basins import complete_basins
@@ -68,7 +67,7 @@ class TileReport:
     reused              number of cells copied from the origin of the store
     processor_seconds   processor time of the solver's thread, in seconds
     changed             number of cells solved again whose regime changed
-    record              record of the whole tile, see ``store.record_format``; empty if unknown
+    record              record of the whole tile, see ``store.record_format``
     laws                use of the laws that are expressions, in the cells solved
     """
 
@@ -118,11 +117,8 @@ def label_basins(job: RunJob) -> DerivedReport:
     """Give the cells of an atlas of basins their final labels, and write the table of its attractors."""
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
-        complete_basins(handle)
-        # All tiles: a dead attempt may have rewritten one.
-        return DerivedReport(
-            job.index, tuple((index, stored_record(handle, index)) for index in single_records(handle))
-        )
+        records = complete_basins(handle)
+        return DerivedReport(job.index, tuple((index, tuple(row.tolist())) for index, row in records.items()))
 
 
 def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
@@ -137,7 +133,8 @@ def solve_and_write(job: RunJob, handle: AtlasStore) -> TileReport:
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()  # the store may have been replaced
         if is_done(handle, job.index):  # another attempt has finished it: the stored tile stays
-            arrays, record = stored_tile(handle, job.index), stored_record(handle, job.index)
+            arrays = stored_tile(handle, job.index)
+            record = record_in_report(handle, job.index, arrays)
         else:
             record = commit(handle, job, arrays, known.source if not known.missing.any() else None)
     before, after = known.regime[known.missing], handle.dominant_arrays(arrays)[REGIME.name][known.missing]
@@ -181,10 +178,9 @@ def stored_tile(handle: AtlasStore, index: tuple[int, ...]) -> Arrays:
     return read_tile(handle, index)
 
 
-def stored_record(handle: AtlasStore, index: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the record of a tile that was finished before, in the form of a report; empty if it is unknown."""
-    record = read_record(handle, index)
-    return () if record is None else tuple(record.tolist())
+def record_in_report(handle: AtlasStore, index: tuple[int, ...], arrays: Arrays) -> tuple[float, ...]:
+    """Return the record of a tile with these arrays in the form of a report."""
+    return tuple(record_of(handle, index, arrays).tolist())
 
 
 def make_report(

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import atlas
 from workers import Settings, System, solve_tile
@@ -44,7 +45,7 @@ def curves_of(example: str) -> Any:
         store = Path(folder) / "plane.zarr"
         atlas.run(atlas.Spec.from_toml(example), store)
         atlas.find_curves(store)
-        return atlas.open(store).atlas.curves()
+        return pd.concat(atlas.open(store).atlas.curves())  # points, and points of codimension two
 
 
 def largest_difference(ours: Any, published: Any) -> float:

@@ -18,9 +18,10 @@ from atlas.check.verify import verify
 from atlas.cli.main import main
 from atlas.query import queries as query
 from atlas.store.store import open_store
-from atlas.store.tiles import put_record, read_tile, record_of
+from atlas.store.tiles import read_tile, record_of
 from tests.oscillators import mass_spring
 from tests.planes import plane_of
+from tests.synthetic import put_record
 from workers import solve_tile
 from workers.cell import cell_batch
 from workers.results import (
@@ -146,7 +147,7 @@ def test_query_of_an_atlas_without_such_cells_reports_only_fractions(store: Path
 
 def test_reasons_in_a_window_are_those_of_its_cells(store: Path) -> None:
     part = atlas.open(store).isel(omega=slice(1, 6), b=slice(1, 4))
-    assert part.atlas.count_reasons() == query.count_reasons(part.load().copy()) == {BEYOND: 5}
+    assert part.atlas.count_reasons().to_dict() == query.count_reasons(part.load().copy()) == {BEYOND: 5}
 
 
 def test_query_counts_chaotic_cells_whose_averages_differ(store: Path) -> None:

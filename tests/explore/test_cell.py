@@ -16,7 +16,7 @@ from atlas.explore.cell_lookup import CellResult
 from atlas.explore.motion import motion_of, motions
 from atlas.explore.static.about import meanings
 from atlas.explore.subject import Subject, subject_of
-from atlas.explore.text import cell_given, cell_line, cell_text
+from atlas.explore.text import cell_given, cell_line, cell_text, number
 from tests.explore.modules import run
 from workers.results import REASONS
 
@@ -61,6 +61,24 @@ def test_a_number_has_four_to_six_digits_and_its_error_two(browser: Any, value: 
         {}, {"omega": 2.0, "b": 0.1, "largest": value, "error": error, "regime": "chaotic"}, of_atlas=False
     )
     assert results_shown(browser, cell_given(cell, subject_of("omega-b")))["largest exponent"] == text
+
+
+NUMBERS = {
+    (0.0, 6): "0", (1.0, 6): "1", (-2.5, 6): "−2.5", (0.001, 6): "0.001", (1e-4, 6): "10⁻⁴",
+    (-1.25e-7, 6): "−1.25·10⁻⁷",
+    (1234567.0, 6): "1234570", (2.99999999, 6): "3", (0.0009999999, 6): "10⁻³", (0.123456, 3): "0.123",
+    (float("nan"), 6): "none", (float("-inf"), 6): "−∞", (float("inf"), 6): "∞",
+}  # fmt: skip
+"""Numbers with their digits, and the text that Python and the page's script write."""
+
+
+def test_the_script_and_python_write_a_number_in_the_same_way(browser: Any) -> None:
+    given = [[str(value).replace("inf", "Infinity"), digits] for value, digits in NUMBERS]
+    script = """
+        const { number } = await import("/front/words.mjs")
+        return given.map(([value, digits]) => number(Number(value), digits))
+    """
+    assert run(browser, script, given) == [number(*case) for case in NUMBERS] == [*NUMBERS.values()]
 
 
 def test_the_page_names_variables_in_words_and_gets_all_digits_for_the_pointer(browser: Any, subject: Subject) -> None:

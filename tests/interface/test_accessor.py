@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from click.testing import CliRunner
@@ -37,19 +38,35 @@ def with_units(ds: xr.Dataset) -> xr.Dataset:
     return ds
 
 
-def test_at_takes_the_axes_by_name() -> None:
+def test_at_takes_the_axes_by_name_and_gives_the_cell_of_the_query() -> None:
     ds = plane([1, 2, 3], [0.1, 0.2])
-    assert ds.atlas.at(omega=2.9, b=0.2) == query.nearest_cell(ds, {"omega": 2.9, "b": 0.2})
+    found, cell = ds.atlas.at(omega=2.9, b=0.2), query.nearest_cell(ds, {"omega": 2.9, "b": 0.2})
+    away = {f"distance_{name}": value for name, value in cell.pop("distance").items()}
+    assert {name: found[name].item() for name in (*cell, *away)} == cell | away
+
+
+def test_at_takes_lists_of_points_and_gives_each_cell_once_for_each() -> None:
+    ds = plane([1, 2, 3], [0.1, 0.2], [[P, C, Q], [P, P, N]])
+    found = ds.atlas.at(omega=[1, 2.1, 3, 2], b=[0.1, 0.1, 0.2, 0.1])
+    assert found["regime"].dims == ("point",)
+    assert found["regime"].values.tolist() == ["periodic", "chaotic", "pending", "chaotic"]
+    assert found["omega"].values.tolist() == [1.0, 2.0, 3.0, 2.0]
+    assert ds.atlas.at(omega=[1, 2], b=0.2)["distance_omega"].values.tolist() == [0.0, 0.0]
+
+
+def test_lists_of_points_of_different_lengths_are_refused() -> None:
+    with pytest.raises(InputError, match=r"points: found the shapes omega \[2\], b \[3\], must be numbers"):
+        plane([1, 2, 3], [0.1, 0.2]).atlas.at(omega=[1, 2], b=[0.1, 0.1, 0.1])
 
 
 def test_fractions_take_a_window() -> None:
     ds = plane([1, 2], [0.1, 0.2], [[P, C], [P, P]])
-    assert ds.atlas.fractions({"omega": (2, 2)}) == {"periodic": 0.5, "chaotic": 0.5}
+    assert ds.atlas.fractions({"omega": (2, 2)}).to_dict() == {"periodic": 0.5, "chaotic": 0.5}
 
 
 def test_the_accessor_answers_of_a_selection() -> None:
     ds = plane([1, 2], [0.1, 0.2], [[P, C], [P, P]])
-    assert ds.isel(b=0).atlas.fractions() == {"periodic": 0.5, "chaotic": 0.5}
+    assert ds.isel(b=0).atlas.fractions().to_dict() == {"periodic": 0.5, "chaotic": 0.5}
 
 
 def test_where_regime_takes_the_other_results_out_and_keeps_the_regimes() -> None:
@@ -73,7 +90,7 @@ def test_a_store_opened_by_xarray_has_the_attributes_and_the_accessor_of_one_ope
     ours, plain = atlas.open(tmp_path / "out.zarr"), xr.open_zarr(tmp_path / "out.zarr")
     assert ours.largest.attrs["units"] == "1"
     assert all(ours[name].attrs == plain[name].attrs for name in plain.variables)
-    assert plain.atlas.fractions() == ours.atlas.fractions()
+    assert plain.atlas.fractions().to_dict() == ours.atlas.fractions().to_dict()
 
 
 @pytest.mark.parametrize("first", ["import atlas; find_spec('xarray'); import xarray", "import xarray, atlas"])
@@ -133,46 +150,59 @@ def test_an_unknown_regime_is_refused_with_the_nearest() -> None:
 # Boundaries
 
 
+def lines_of(frame: pd.DataFrame) -> list[np.ndarray]:
+    """The lines of a boundary, points (N, 2) each."""
+    return [part[["omega", "b"]].to_numpy() for _, part in frame.groupby("line")]
+
+
 def test_a_boundary_runs_along_the_edges_of_cells() -> None:
-    (line,) = plane([1, 2, 3], [0.1, 0.2, 0.3], [[P, C, C]] * 3).atlas.boundary("chaotic")
+    (line,) = lines_of(plane([1, 2, 3], [0.1, 0.2, 0.3], [[P, C, C]] * 3).atlas.boundary("chaotic"))
     np.testing.assert_allclose(line[:, 0], 1.5)
     assert sorted(line[:, 1]) == pytest.approx([0.1, 0.2, 0.3])
 
 
 def test_on_a_log_axis_it_lies_at_the_geometric_mean() -> None:
-    (line,) = plane([1, 4, 16], [0.1, 0.2, 0.3], [[P, P, C]] * 3).atlas.boundary("chaotic")
+    (line,) = lines_of(plane([1, 4, 16], [0.1, 0.2, 0.3], [[P, P, C]] * 3).atlas.boundary("chaotic"))
     np.testing.assert_allclose(line[:, 0], 8.0)
 
 
 def test_a_boundary_of_two_regimes_leaves_out_where_a_third_lies_between() -> None:
     ds = plane([1, 2, 3, 4], [0.1, 0.2, 0.3], [[P, C, Q, Q]] * 3)
-    assert len(ds.atlas.boundary("chaotic")) == 2
-    (line,) = ds.atlas.boundary("chaotic", "periodic")
+    assert ds.atlas.boundary("chaotic")["line"].nunique() == 2
+    (line,) = lines_of(ds.atlas.boundary("chaotic", "periodic"))
     np.testing.assert_allclose(line[:, 0], 1.5)
-    assert ds.atlas.boundary("quasiperiodic", "periodic") == []
+    assert ds.atlas.boundary("quasiperiodic", "periodic").empty
+
+
+def test_each_point_of_a_boundary_has_the_regimes_on_both_sides() -> None:
+    """Also beside pending cells, where lines run between diagonal neighbours."""
+    found = plane([1, 2, 3, 4], [0.1, 0.2, 0.3], [[P, C, Q, Q], [P, C, Q, Q], [P, N, Q, Q]]).atlas.boundary("chaotic")
+    assert set(found["regime"]) == {"chaotic"}
+    pairs = set(zip(np.sign(found["omega"] - 2.0), found["other"], strict=True))
+    assert pairs == {(-1.0, "periodic"), (1.0, "quasiperiodic")}
 
 
 def test_pending_cells_bound_nothing() -> None:
-    assert plane([1, 2], [0.1, 0.2], [[P, N], [P, N]]).atlas.boundary("periodic") == []
+    assert plane([1, 2], [0.1, 0.2], [[P, N], [P, N]]).atlas.boundary("periodic").empty
 
 
 def test_an_island_has_a_closed_boundary() -> None:
     codes = np.full((5, 5), P)
     codes[2, 2] = C
-    (line,) = plane([1, 2, 3, 4, 5], [1, 2, 3, 4, 5], codes).atlas.boundary("chaotic")
+    (line,) = lines_of(plane([1, 2, 3, 4, 5], [1, 2, 3, 4, 5], codes).atlas.boundary("chaotic"))
     assert line[0].tolist() == line[-1].tolist()
     assert np.abs(line - 3).sum(1) == pytest.approx(np.full(len(line), 0.5))
 
 
 def test_a_boundary_can_be_asked_of_a_window() -> None:
     ds = plane([1, 2, 3, 4], [0.1, 0.2], [[P, C, P, C]] * 2)
-    (line,) = ds.atlas.boundary("chaotic", window={"omega": (1, 2)})
+    (line,) = lines_of(ds.atlas.boundary("chaotic", window={"omega": (1, 2)}))
     np.testing.assert_allclose(line[:, 0], 1.5)
 
 
 def test_a_boundary_does_not_depend_on_the_order_of_an_axis() -> None:
     ds = plane([1, 2, 3], [0.1, 0.2, 0.3], [[P, C, C]] * 3)
-    (line,) = ds.isel(omega=slice(None, None, -1)).atlas.boundary("chaotic")
+    (line,) = lines_of(ds.isel(omega=slice(None, None, -1)).atlas.boundary("chaotic"))
     np.testing.assert_allclose(line[:, 0], 1.5)
 
 
@@ -216,7 +246,7 @@ def options_of(command: click.Command, *without: str) -> set[str]:
     [
         (AtlasAccessor.plot, options_of(plot, "stores", "select")),  # of which xarray picks the plane
         (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
-        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
+        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "port"}),
         (PlottableComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
         (PlottableBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
     ],

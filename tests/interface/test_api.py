@@ -96,7 +96,7 @@ def test_an_atlas_opened_in_chunks_has_dask_arrays_of_the_same_values(
     ds, lazy = atlas.open(handle.path), atlas.open(handle.path, chunks)
     assert lazy.largest.chunks is not None and ds.largest.chunks is None
     xr.testing.assert_identical(lazy.compute(), ds.compute())
-    assert lazy.atlas.fractions() == ds.atlas.fractions()
+    assert lazy.atlas.fractions().to_dict() == ds.atlas.fractions().to_dict()
 
 
 def test_every_option_of_a_run_is_a_keyword_of_a_run() -> None:

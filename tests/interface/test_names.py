@@ -15,7 +15,7 @@ import atlas
 from atlas.accessor import AtlasAccessor
 from atlas.errors import InputError
 from atlas.explore.view_state import ARGUMENTS
-from atlas.orbits.curves.queries import frame
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves, as_arrays
 from atlas.orbits.labels.table import BRANCH, OF_BRANCHES
 from atlas.overview.coarsen import SHARE, level_variables
@@ -24,13 +24,12 @@ from atlas.render import figure, text
 from atlas.robustness.table import MEASURES
 from atlas.spec.points import POINT
 from atlas.spec.system import parse_system
-from atlas.store import create, store
-from atlas.store.groups import CURVES, TABLES
+from atlas.store import create
 from atlas.store.host import HOSTS
 from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
 from atlas.store.record_format import TILES
-from atlas.store.schema import OVERVIEWS
+from atlas.store.schema import CURVES, OVERVIEWS, TABLES
 from tests.workers.model.test_systems import table
 from workers import Settings, System
 from workers.model.entries import DefinitionError
@@ -43,7 +42,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (*TABLES, CURVES, PARTS, TILES, HOSTS, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
+    yield from (*TABLES, CURVES, PARTS, TILES, HOSTS, OVERVIEWS, BRANCH, POINT, "component", *MEASURES)
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):
@@ -51,7 +50,7 @@ def own_names() -> Iterator[str]:
     for name, array in as_arrays(Curves(("omega", "b"), ())).items():
         yield from (name, *array.dims)
     yield from (variable.name for variable in OF_BRANCHES)
-    yield from set(frame(Curves(("omega", "b"), ())).columns) - {"omega", "b"}
+    yield from set(to_frames(Curves(("omega", "b"), ())).corners.columns) - {"omega", "b"}
     yield from (coarse_name("omega"), bounds_name(coarse_name("omega")))
     yield from ARGUMENTS
     yield from set(re.findall(r"`(\w+)=", PAGE))

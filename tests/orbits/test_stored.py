@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from atlas.orbits.orbit_table import are_on_orbit
 from atlas.orbits.stored_orbits import NEEDED, orbits_of
 from tests import naive
 from workers import Settings, solve_tile
@@ -101,3 +102,9 @@ def test_a_state_that_is_on_no_orbit_is_told_in_words_and_its_neighbours_are_fou
     why, *orbits = orbits_of(family, points, every)
     assert isinstance(why, str)
     assert all(isinstance(orbit, Orbit) for orbit in orbits)
+
+
+def test_a_state_is_on_an_orbit_within_a_millionth_of_its_size_at_any_section() -> None:
+    orbit = np.array([[[1.0, 2.0], [-4.0, 0.5]]] * 3)
+    states = np.array([[1.0, 2.0 + 3.9e-6], [-4.0 - 4.1e-6, 0.5], [1.0, 0.5]])
+    assert are_on_orbit(orbit, states).tolist() == [True, False, False]

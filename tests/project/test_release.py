@@ -17,7 +17,7 @@ import workers
 from atlas.cli.main import attractors, find, main
 from atlas.errors import InputError, RunError
 from atlas.orbits.branches.table import BranchTable
-from atlas.orbits.curves.queries import frame
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves
 from atlas.spec.citation import bibtex, sources
 from atlas.spec.examples import example_text
@@ -35,7 +35,7 @@ PAGE = (ROOT / "docs/stability.md").read_text(encoding="utf-8")
 # The promise. A name may be added here; one that goes needs a major version.
 
 PROMISED = """
-atlas       CurveSettings RunOptions Settings Spec __version__ attractors branch errors extend find_curves
+atlas       CurveSettings RunOptions Settings Spec System __version__ attractors branch errors extend find_curves
             label_attractors measure_attractors open pack plan point portrait retry run saddles solve_tile stability
             status trace verify
 workers     SOLVER_VERSION Settings System solve_tile trace
@@ -64,7 +64,7 @@ status STORE: store system axes parameters columns solve tile tiles tiles_done t
     cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
     solver_version run_id digest
 verify STORE: store sound complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
-    overview_chunks repaired dropped removed restored metatiles leftovers
+    overview_chunks repaired dropped removed restored leftovers
 query STORE: no_impact periodic chaotic
 query STORE --at omega=3 --at b=.1: omega b distance regime error impact_energy impacts_lower impacts_per_period
     impacts_upper largest max_impact_speed mean_impact_speed min_impact_speed peak_to_peak period periods_used sticks
@@ -110,7 +110,7 @@ def test_the_columns_of_branches_and_curves_are_the_promised_ones() -> None:
     assert list(empty.branches.columns) == NAMES["branches"]
     assert list(empty.points.columns) == NAMES["points"]
     assert list(empty.events.columns) == NAMES["events"]
-    assert list(frame(Curves(("omega", "b"), ())).columns) == NAMES["curves"]
+    assert list(to_frames(Curves(("omega", "b"), ())).points.columns) == NAMES["curves"]
 
 
 def test_the_methods_of_a_dataset_and_the_columns_of_its_tables_are_the_promised_ones(solved_plane: Path) -> None:

@@ -238,7 +238,7 @@ def test_that_a_variable_is_as_stored_is_found_without_a_read(
     keys.clear()
     assert find_part(part, ["largest", "regime"]) is not None
     assert of_cells(keys) == []
-    np.testing.assert_array_equal(part.largest, handle.readable["largest"][:, 3:40])
+    np.testing.assert_array_equal(part.largest, handle.arrays["largest"][:, 3:40])
     assert find_part(part.load(), ["largest", "regime"]) is None
 
 

@@ -162,6 +162,25 @@ def test_a_cell_is_the_darker_the_more_attractors_it_has(sight: str) -> None:
     assert min(ciede2000(*pair) for pair in itertools.pairwise(seen)) > 10.0
 
 
+GREY = np.tile([0.2126, 0.7152, 0.0722], (3, 1))
+"""Luminance alone, as in a print without colour."""
+
+
+@pytest.mark.parametrize(("sight", "least"), [("grey", 5.0), ("deuteranopia", 12.0), ("normal", 20.0)])
+def test_neighbours_in_the_legend_of_periods_differ_in_grey_and_without_green_receptors(
+    sight: str, least: float
+) -> None:
+    """About 2 is just noticeable side by side; the legend lists the periods in order, ever lighter."""
+    seen = [lab(color, {**SIGHT, "grey": GREY}[sight]) for _, _, color in class_maps.PERIODS]
+    assert min(ciede2000(*pair) for pair in itertools.pairwise(seen)) > least
+
+
+def test_periods_rise_in_every_grey_to_which_programs_convert() -> None:
+    """L* of the luminance, and the weighted mean of the bytes (Rec. 601), by which image programs convert."""
+    assert np.all(np.diff([lab(color, GREY)[0] for _, _, color in class_maps.PERIODS]) > 6.0)
+    assert np.all(np.diff([np.dot(to_rgb(color), (0.299, 0.587, 0.114)) for _, _, color in class_maps.PERIODS]) > 0.02)
+
+
 @pytest.mark.parametrize("sight", EVERY_SIGHT)
 def test_the_smallest_exponents_of_either_sign_differ_at_a_glance(sight: str) -> None:
     below, above = (lab(scalar_maps.EXPONENT(share)[:3], EVERY_SIGHT[sight]) for share in (0.4999, 0.5001))

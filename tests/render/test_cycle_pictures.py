@@ -99,9 +99,9 @@ def test_basins_without_a_force_show_the_whole_cycle_and_are_sound(tmp_path: Pat
     atlas.run(spec, tmp_path / "belt.zarr", client=client)
     ds = atlas.open(tmp_path / "belt.zarr")
     assert atlas.verify(tmp_path / "belt.zarr").is_sound
-    shares = ds.atlas.basin_measures()["attractors"]
-    assert {share["regime"] for share in shares} == {"periodic", "no_impact"}
-    (cycle,) = (share for share in shares if share["regime"] == "periodic")
+    shares = ds.atlas.basin_measures().to_dataframe()
+    assert {*shares["regime"]} == {"periodic", "no_impact"}
+    (cycle,) = shares[shares["regime"] == "periodic"].to_dict("records")
     said = "\n".join(text.get_text() for legend in figure(ds).legends for text in legend.get_texts())
     assert f"cycle of {cycle['cycle_period']:.4g}, {100 * cycle['share']:.3g} %" in said
     assert "natural periods" in said

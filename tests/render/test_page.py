@@ -255,7 +255,7 @@ def test_the_title_of_a_machine_whose_constants_are_numbers_is_its_own() -> None
     }  # fmt: skip
     spec = atlas.Spec(table, {"omega": [1.0, 2.0]})
     ds = xr.Dataset(
-        coords={"omega": [1.0, 2.0], "tau": 0.0, "x": 0.0, "v": 0.0}, attrs={"spec": json.dumps(spec.outline())}
+        coords={"omega": [1.0, 2.0], "tau": 0.0, "x": 0.0, "v": 0.0}, attrs={"spec": json.dumps(spec.to_resolved())}
     )
     assert text.title_line(ds) == r"a mass for \$3"
     assert text.title_line(ds.assign_coords(tau=0.5)) == r"a mass for \$3,  $\tau = 0.5$"

@@ -378,6 +378,15 @@ def test_no_attribute_has_an_absolute_path_and_stores_that_are_moved_together_fi
         reuse_cells(open_store(after / "new.zarr"), (slice(0, 2), slice(0, 2)))
 
 
+def test_a_store_finds_its_origin_through_links(old: Path, tmp_path: Path, client: Client) -> None:
+    (tmp_path / "far" / "deep").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "deep")
+    extend(tmp_path / "far" / ".." / "old.zarr", tmp_path / "link" / "new.zarr", refine=2, client=client)
+    (tmp_path / "again.zarr").symlink_to(tmp_path / "link" / "new.zarr")
+    for path in (tmp_path / "again.zarr", tmp_path / "link" / "new.zarr", tmp_path / "far" / "deep" / "new.zarr"):
+        reuse_cells(open_store(path), (slice(0, 2), slice(0, 2)))  # or raises RunError
+
+
 def test_an_origin_that_another_store_has_replaced_is_noticed(old: Path, tmp_path: Path) -> None:
     spec = spec_of(b=(0.1, 0.2, 0.3, 0.5))
     handle = create_store(tmp_path / "new.zarr", spec, (2, 2), Origin(str(old), open_store(old).run_id))

@@ -1,6 +1,6 @@
 """Claims about what a store has beside its cells: a byte flipped in any of its objects is found, named and mended.
 
-Truth is the byte that was flipped. Tables, curves and zoom levels are made up; the cells are solved.
+Truth is the byte that was flipped. Tables and curves are made up; the cells are solved.
 """
 
 import json
@@ -24,20 +24,17 @@ from atlas.store.groups import ATTRACTORS, CURVES, LABELS, STABILITY, write_tabl
 from atlas.store.parts import put_part
 from atlas.store.schema import StoredArray
 from atlas.store.sidecar import sidecar_of
-from atlas.store.tiles import read_tile, write_tile
-from atlas.store.zoom import list_metatiles, make_plane, metatile_backend, read_view_times, write_view_times
 from tests.corruption import flip
 from tests.orbits.curves.test_curves_table import BOTH
 
 pytestmark = pytest.mark.slow
 
-PLANE = "0123456789abcdef"
 STARTS = {"attractors": {"starts": 4}, "solve": {"exponents": "none"}}
 
 
 @pytest.fixture(scope="module")
 def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A solved plane with curves, measures, a part of a search of both, and a sheet of a zoom level."""
+    """A solved plane with curves, measures, and a part of a search of both."""
     path = Path(shutil.copytree(solved_plane, tmp_path_factory.mktemp("groups") / "plane.zarr"))
     handle = store.open_store(path)
     write_curves(handle, BOTH)
@@ -46,10 +43,6 @@ def whole(solved_plane: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         handle, StoredMeasures(empty(of_family(LINEAR), handle.spec.shape), {LINEAR: {"content": "", "norm": {}}})
     )
     put_part(handle, STABILITY, "linear-0.0-0", b"")
-    make_plane(handle, PLANE, {"digest": f"{PLANE}...", "parameters": {}})
-    sheet = create.create_store(metatile_backend(handle, PLANE, "x0_y0_0_0"), handle.spec, handle.tile)
-    write_tile(sheet, (0, 0), read_tile(handle, (0, 0)))
-    write_view_times(handle, {(PLANE, "x0_y0_0_0"): 1.0})
     return path
 
 
@@ -128,10 +121,6 @@ GROUPS = [
     ("whole", "tiles/records/c.0.0.0", "tiles/records is damaged"),
     ("whole", "tiles/record/zarr.json", "tiles/record/zarr.json is damaged"),
     ("whole", "tiles/records/zarr.json", "tiles/records/zarr.json is damaged"),
-    ("whole", "zoom/zarr.json", "zoom/zarr.json is"),
-    ("whole", "zoom/0123456789abcdef/zarr.json", "zoom/0123456789abcdef/zarr.json is"),
-    ("whole", "zoom/0123456789abcdef/x0_y0_0_0/largest/c/0/0", "largest/c/0/0 is damaged"),
-    ("whole", "zoom/0123456789abcdef/x0_y0_0_0/zarr.json", "x0_y0_0_0"),
     ("basins", "attractors/share/c/0", "attractors/share/c/0 is damaged"),
     ("basins", "attractors/points/zarr.json", "attractors/points/zarr.json is"),
     ("basins", "attractors/zarr.json", "attractors/zarr.json is damaged"),
@@ -218,16 +207,6 @@ def test_damaged_curves_name_the_store_and_the_remedy(whole: Path, tmp_path: Pat
     flip(path / "curves/unstable/c/0", 3)
     with pytest.raises(ChunkError, match=rf"{path}: curves/unstable/c/0 is damaged .*: atlas find curves {path}"):
         read_curves(store.open_store(path))
-
-
-def test_damaged_metadata_of_a_zoom_level_stop_no_explorer(whole: Path, tmp_path: Path) -> None:
-    path = copied(whole, tmp_path)
-    handle = store.open_store(path)
-    (path / "zoom" / PLANE / "zarr.json").write_text("{")
-    assert read_view_times(handle) == {}
-    write_view_times(handle, {(PLANE, "x0_y0_0_0"): 2.0})
-    verify(path, sample=0, repair=True)
-    assert list_metatiles(handle) == []
 
 
 def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: Path) -> None:

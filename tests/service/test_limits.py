@@ -122,7 +122,7 @@ def test_an_atlas_may_have_a_single_cell(axes: dict[str, Any], tmp_path: Path, c
     assert atlas.verify(store).is_sound
     with atlas.open(store) as ds:
         assert ds.regime.values.ravel().tolist() == [PERIODIC]
-        assert ds.atlas.fractions() == {"periodic": 1.0}
+        assert ds.atlas.fractions().to_dict() == {"periodic": 1.0}
         ds.atlas.plot().savefig(tmp_path / "one.png")
     assert (tmp_path / "one.png").stat().st_size > 0
 

@@ -19,8 +19,7 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.overview.levels import MIN_SIDE, SIDE
 from atlas.service import plan
-from atlas.store.record_format import WIDTH
-from atlas.store.tiles import put_record
+from atlas.store.tile_records import complete_records
 from tests.paths import ROOT
 from tests.planes import plane_of
 from tests.synthetic import complete
@@ -82,8 +81,7 @@ def disk_use(path: Path) -> int:
 @pytest.mark.parametrize(("spec", "tile"), [(wide(45, 38), (8, 8)), (wide(200, 9), (3, 50)), (wide(12, 10), (64, 64))])
 def test_a_store_takes_no_more_of_a_disk_than_its_plan_says(tmp_path: Path, spec: Spec, tile: tuple[int, int]) -> None:
     handle = complete(tmp_path / "out.zarr", tile, spec, SIDE, MIN_SIDE)
-    for index in (cells.index for cells in handle.tiling.tiles()):
-        put_record(handle, index, np.zeros(WIDTH))
+    complete_records(handle)
     bound = plan.make_plan(spec, 1, tile).bytes
     assert bound / 2 <= disk_use(handle.path) <= bound
 

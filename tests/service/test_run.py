@@ -255,7 +255,7 @@ def test_a_daemonic_process_says_that_it_cannot_start_workers(
     tmp_path: Path, plane: atlas.Spec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a Dask worker's, which is no script without a __main__ guard."""
-    daemon = SimpleNamespace(daemon=True, _inheriting=False)
+    daemon = SimpleNamespace(daemon=True)
     monkeypatch.setattr("atlas.service.cluster.multiprocessing.current_process", lambda: daemon)
     with pytest.raises(InputError, match=r"^workers: found 2, cannot be started by a daemonic process") as caught:
         atlas.run(plane, tmp_path / "out.zarr", options=atlas.RunOptions(workers=2))

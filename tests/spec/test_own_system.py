@@ -120,7 +120,7 @@ def test_other_words_are_the_same_system(store: Path) -> None:
 
 def test_it_is_queried_drawn_and_extended(store: Path, tmp_path: Path, client: Client) -> None:
     ds = atlas.open(store)
-    assert ds.atlas.at(omega=2.0, d=0.1)["d"] == pytest.approx(0.1)
+    assert float(ds.atlas.at(omega=2.0, d=0.1)["d"]) == pytest.approx(0.1)
     assert ds.atlas.per_unit_time().largest.attrs["long_name"] == "largest Lyapunov exponent per unit time"
     figure = ds.atlas.plot(overlay="grazing")
     assert "clearance" in figure.axes[0].get_ylabel()

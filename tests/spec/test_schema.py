@@ -11,10 +11,9 @@ from distributed import Client
 
 import atlas
 from atlas.check.verify import verify
-from atlas.spec.resolved import resolved_digest, with_values
-from atlas.store.store import open_store
+from atlas.spec.resolved import resolved_digest, unpack_axes
 from tests.planes import plane_of
-from tests.synthetic import change_root
+from tests.synthetic import change_attributes
 from workers import Settings
 
 
@@ -26,15 +25,12 @@ def store(finished: Path) -> Path:
 def remove_from_spec(store: Path, table: str, name: str) -> None:
     """Make the store one from before there was that setting or parameter."""
 
-    values = open_store(store).values
+    def change(attributes: dict[str, Any]) -> None:
+        spec = json.loads(attributes["spec"])
+        del spec[table][name]
+        attributes |= {"spec": json.dumps(spec), "digest": resolved_digest(unpack_axes(spec))}
 
-    def change(root: dict[str, Any]) -> None:
-        outline = json.loads(root["attributes"]["spec"])
-        del outline[table][name]
-        digest = resolved_digest(with_values(outline, values))
-        root["attributes"] |= {"spec": json.dumps(outline), "digest": digest}
-
-    change_root(store, change)
+    change_attributes(store, change)
 
 
 def is_completed(store: Path, client: Client) -> bool:
@@ -44,10 +40,8 @@ def is_completed(store: Path, client: Client) -> bool:
 
 
 def test_a_store_without_a_result_of_its_spec_is_damaged(store: Path) -> None:
-    """Even where its metadata agree with each other and with their spare: the spec says what a store holds."""
     shutil.rmtree(store / "state")
-    change_root(store, lambda root: root["consolidated_metadata"]["metadata"].pop("state"))
-    assert "state/zarr.json is missing" in map(str, verify(store, sample=0).faults)
+    assert any("state/zarr.json is missing" in str(fault) for fault in verify(store, sample=0).faults)
 
 
 @pytest.mark.slow

@@ -22,11 +22,12 @@ from atlas.service.extend import extend
 from atlas.service.status import read_status
 from atlas.store import create, store
 from atlas.store import object_backend as placing
-from atlas.store.metadata_backup import SPARE, read_backup
+from atlas.store.metadata import unsealed
 from atlas.store.object_backend import LocalBackend, ObjectBackend, StoreBackend, open_backend
+from atlas.store.schema import SPEC_KEY
 from atlas.store.sidecar import object_sidecar
 from atlas.store.store import open_store
-from atlas.store.tile_records import compact_records
+from atlas.store.tile_records import forget_records
 from atlas.store.tiles import drop_tile
 from atlas.store.zarr_stores import RetryingObjectStore
 from tests.object_server import BUCKET, object_server
@@ -241,7 +242,7 @@ def test_the_root_is_written_last_so_that_a_creation_cut_short_leaves_no_store(
         patch.setattr(ObjectBackend, "put", dies)
         with pytest.raises(InputError, match="cannot be written: the network is gone"):
             create.create_store(place, plane_of(), (2, 3))
-    assert "zarr.json" not in order and SPARE not in order
+    assert "zarr.json" not in order and SPEC_KEY not in order
     with pytest.raises(InputError, match="no such store"):
         store.open_store(place)
     assert find(place, plane_of()) is None  # what is left is in nobody's way
@@ -265,7 +266,7 @@ def test_of_two_that_make_a_store_at_once_one_is_told(bucket: str, monkeypatch: 
     assert verify(str(place), sample=0).faults == ()
 
 
-def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
+def test_of_two_that_make_a_store_at_once_the_second_spec_is_that_of_the_root(
     bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The one that comes second has written all but the root when it is told."""
@@ -283,8 +284,8 @@ def test_of_two_that_make_a_store_at_once_the_spare_is_that_of_the_root(
         return True
 
     monkeypatch.setattr(ObjectBackend, "put_new", overtaken)
-    handle, spare = create.create_store(place, plane_of(), (2, 3)), read_backup(place)
-    assert spare is not None and spare["attributes"]["run_id"] == handle.run_id
+    handle = create.create_store(place, plane_of(), (2, 3))
+    assert unsealed(place.get(SPEC_KEY)) == handle.attributes
     assert verify(str(place), sample=0).faults == ()
 
 
@@ -411,8 +412,8 @@ def test_a_finished_atlas_on_a_plain_web_server_has_the_status_and_the_answers_o
 
 @pytest.mark.parametrize("command", ["status", "verify"])
 def test_what_needs_a_listing_says_so_in_one_line_on_a_plain_web_server(web: str, finished: Path, command: str) -> None:
+    forget_records(open_store(finished), [(1, 1)])
     drop_tile(open_store(finished), (1, 1))
-    compact_records(open_store(finished))
     url = f"{web}/{finished.name}"
     ended = CliRunner().invoke(main, [command, url])
     said = f"Error: {url}: this web server does not list the objects of the store; copy the store to a disk"

@@ -21,7 +21,7 @@ from atlas.store import outage
 from atlas.store.create import create_store
 from atlas.store.object_backend import ObjectBackend
 from atlas.store.sidecar import LEASE_NAME, object_sidecar, sidecar_of
-from atlas.store.store import done_tiles, open_arrays, open_store
+from atlas.store.store import done_tiles, open_store
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
@@ -146,7 +146,7 @@ def test_a_process_has_one_client_of_a_place(server: FakeObjectStore) -> None:
 def test_zarr_outlives_an_outage_too(server: FakeObjectStore) -> None:
     handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
     server.trouble = InjectedFault(0, 7)
-    array = open_arrays(handle)[REGIME.name]
+    array = handle.arrays[REGIME.name]
     assert (np.asarray(array[...]) == -1).all()
     assert server.trouble.left == 0
 

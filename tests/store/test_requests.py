@@ -59,9 +59,9 @@ def command(*words: Any) -> str:
     return ended.output
 
 
-def test_a_finished_atlas_is_opened_by_seven_requests(server: FakeObjectStore) -> None:
+def test_a_finished_atlas_is_opened_by_two_requests(server: FakeObjectStore) -> None:
     atlas.open(URL)
-    assert (sum(server.counts.values()), listings(server)) == (7, {})
+    assert (sum(server.counts.values()), listings(server)) == (2, {})
 
 
 def test_the_status_of_a_finished_atlas_takes_at_most_nine_requests_and_one_listing(server: FakeObjectStore) -> None:
@@ -77,14 +77,12 @@ def test_a_query_takes_at_most_twenty_requests_and_one_listing(server: FakeObjec
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-def test_a_run_that_resumes_lists_tiles_notes_and_records_once_and_new_records_at_its_end(
-    server: FakeObjectStore, client: Client, lost: int
-) -> None:
+def test_a_run_that_resumes_lists_tiles_and_notes_once(server: FakeObjectStore, client: Client, lost: int) -> None:
     for _ in range(lost):
         drop_tile(open_store(URL), (0, 0))
     server.forget()
     assert atlas.run(plane_of(), URL, client=client).tiles_solved == lost
-    assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1, "plane.zarr/tiles/record/": 1 + lost}
+    assert listings(server) == {"plane.zarr/regime/c/": 1, ".plane.zarr.run/": 1}
 
 
 def test_a_tile_is_written_without_the_metadata_of_each_array(server: FakeObjectStore, client: Client) -> None:
@@ -118,6 +116,6 @@ def test_a_tile_reads_nothing_of_the_store_but_the_claim_of_its_run_and_its_own_
     served.forget()
     run_tile_job(replace(job, index=(1, 1)))
     read = Counter(request.key.removeprefix("bucket/") for request in served.requests if request.kind == "get")
-    looks = 3 + sum(variable.sparse for variable in handle.variables)  # before: all results, the record, the regime
+    looks = 2 + sum(variable.sparse for variable in handle.variables)  # before all results, and before the regime
     assert read == {".tiles.zarr.run/claim": looks, ".tiles.zarr.run/started-1-1": looks + 1}
     assert sum(served.counts.values()) <= 42

@@ -19,16 +19,16 @@ from atlas.query.read_counter import count_chunk_reads
 from atlas.service.status import StoreStatus, read_status
 from atlas.store import tile_records
 from atlas.store.object_backend import LocalBackend
-from atlas.store.record_format import BY_REASON, RECORD, RECORDS, WIDTH, digest_of, record_key
-from atlas.store.store import AtlasStore, done_tiles, open_arrays, open_store
-from atlas.store.tile_records import RunTileRecords, TileRecords, compact_records, single_records
-from atlas.store.tiles import drop_tile, put_record, read_tile, record_of, write_tile
+from atlas.store.record_format import BY_REASON, RECORDS, WIDTH, digest_of
+from atlas.store.store import AtlasStore, done_tiles, open_store
+from atlas.store.tile_records import RunTileRecords, TileRecords, complete_records, forget_records
+from atlas.store.tiles import drop_tile, read_tile, record_of, write_tile
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
 from atlas.task.tile_job import RunJob
 from tests.chunk_keys import noted_keys
 from tests.planes import plane_of
-from tests.synthetic import complete, indices, results, spec_of
+from tests.synthetic import complete, indices, put_record, results, spec_of
 from workers.results import FAILED, GAVE_UP, REGIMES, Variable
 
 TILES = 11 * 13
@@ -42,13 +42,6 @@ def half_done(path: Path) -> AtlasStore:
     for index in missing:
         drop_tile(handle, index)
     return handle
-
-
-def record(handle: AtlasStore) -> None:
-    """Write the record of every finished tile, as its worker does."""
-    arrays = open_arrays(handle)
-    for index in sorted(done_tiles(handle)):
-        put_record(handle, index, record_of(handle, index, read_tile(handle, index, arrays=arrays)))
 
 
 def test_a_digest_is_of_the_place_of_a_tile_and_of_the_names_and_values_of_its_results() -> None:
@@ -69,14 +62,14 @@ def test_a_digest_is_of_the_place_of_a_tile_and_of_the_names_and_values_of_its_r
 def handle(tmp_path_factory: pytest.TempPathFactory) -> AtlasStore:
     """The half-done atlas with a record of each tile, as a run that was killed leaves it."""
     made = half_done(tmp_path_factory.mktemp("records") / "half.zarr")
-    record(made)
+    complete_records(made)
     return made
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     whole = complete(tmp_path_factory.mktemp("records") / "whole.zarr", (16, 16))
-    record(whole)
+    complete_records(whole)
     return whole.path
 
 
@@ -84,13 +77,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(made: Path, tmp_path: Path) -> AtlasStore:
     """A whole atlas in 9 tiles with a record of each, of its own for each test."""
     return open_store(shutil.copytree(made, tmp_path / "whole.zarr"))
-
-
-@pytest.fixture
-def sound(whole: AtlasStore) -> AtlasStore:
-    """The same, with its records put together."""
-    compact_records(whole)
-    return whole
 
 
 @pytest.fixture
@@ -154,7 +140,7 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
     handle = complete(tmp_path / "a.zarr", (8, 8), spec, side=32)
     drop_tile(handle, (3, 4))
     Pyramid(handle).drop([(3, 4)])
-    record(handle)
+    complete_records(handle)
     ds = atlas.open(handle.path)
     with count_chunk_reads() as reads:
         found = fractions(ds)
@@ -162,12 +148,8 @@ def test_shares_weigh_cells_that_are_not_of_one_width(tmp_path: Path, values: np
     assert found == pytest.approx(fractions(ds.load().copy()), rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["half", "put together"])
-def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: AtlasStore, keys: list[str], name: str) -> None:
+def test_a_tile_whose_record_is_lost_is_read_and_no_other(copy: AtlasStore, keys: list[str]) -> None:
     put_record(copy, (4, 4), np.zeros(WIDTH))
-    if name == "put together":
-        compact_records(copy)
-        put_record(copy, (4, 4), np.zeros(WIDTH))
     keys.clear()
     assert_true(read_status(copy), copy.path)
     assert keys.count("regime/c/4/4") == 2  # the second is of the comparison
@@ -197,43 +179,36 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", [remove, tear, flip])
-def test_records_put_together_that_are_missing_or_damaged_are_counted_again(
-    sound: AtlasStore, harm: Callable[[Path], None], keys: list[str]
+def test_tiles_whose_table_is_missing_or_damaged_are_counted_again(
+    whole: AtlasStore, harm: Callable[[Path], None], keys: list[str]
 ) -> None:
-    harm(sound.path / RECORDS / "c.0.0.0")
-    assert_true(read_status(sound), sound.path)
+    harm(whole.path / RECORDS / "c.0.0.0")
+    assert_true(read_status(whole), whole.path)
     assert len(keys) > 9
 
 
 @pytest.mark.parametrize("harm", [remove, tear])
-def test_records_are_read_by_the_roots_copy_of_their_metadata(
-    sound: AtlasStore, harm: Callable[[Path], None], keys: list[str]
+def test_records_are_read_whatever_their_metadata_have_become(
+    whole: AtlasStore, harm: Callable[[Path], None], keys: list[str]
 ) -> None:
-    harm(sound.path / RECORDS / "zarr.json")
-    assert_true(read_status(sound), sound.path)
+    harm(whole.path / RECORDS / "zarr.json")
+    assert_true(read_status(whole), whole.path)
     assert len(keys) == 9  # no cell
 
 
-@pytest.mark.parametrize("harm", [tear, flip])
-def test_a_damaged_record_is_counted_again(whole: AtlasStore, harm: Callable[[Path], None], keys: list[str]) -> None:
-    harm(whole.path / record_key((1, 1)))
+def test_a_record_with_a_reason_of_a_later_version_is_counted_again(whole: AtlasStore, keys: list[str]) -> None:
+    row = TileRecords(whole).columns()[1, 1].copy()
+    row[BY_REASON.start] -= 1
+    row[BY_REASON.stop] += 1
+    put_record(whole, (1, 1), row)
     assert_true(read_status(whole), whole.path)
     assert keys.count("regime/c/1/1") == 2
 
 
-def test_a_record_with_a_reason_of_a_later_version_is_counted_again(sound: AtlasStore, keys: list[str]) -> None:
-    row = TileRecords(sound).rows[1, 1].copy()
-    row[BY_REASON.start] -= 1
-    row[BY_REASON.stop] += 1
-    put_record(sound, (1, 1), row)
-    assert_true(read_status(sound), sound.path)
-    assert keys.count("regime/c/1/1") == 2
-
-
-def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
+def test_a_run_leaves_one_object_with_the_records_of_all_tiles(tmp_path: Path, client: Client, keys: list[str]) -> None:
     atlas.run(plane_of(), tmp_path / "out.zarr", client=client)
     handle = open_store(tmp_path / "out.zarr")
-    assert sorted(handle.backend.list_keys(f"{RECORD}/")) == [f"{RECORD}/zarr.json"]
+    assert sorted(handle.backend.list_keys(f"{RECORDS}/")) == [f"{RECORDS}/c.0.0.0", f"{RECORDS}/zarr.json"]
     keys.clear()
     status = read_status(handle)
     assert keys == []
@@ -241,9 +216,9 @@ def test_a_run_leaves_no_single_record_and_one_of_all_tiles(tmp_path: Path, clie
     assert_true(status, handle.path)
 
 
-def test_records_put_together_are_those_of_the_workers_and_of_the_cells(finished: Path) -> None:
+def test_records_are_those_of_the_workers_and_of_the_cells(finished: Path) -> None:
     handle = open_store(finished)
-    rows = TileRecords(handle).rows
+    rows = TileRecords(handle).columns()
     for index in done_tiles(handle):
         np.testing.assert_array_equal(rows[index], record_of(handle, index, read_tile(handle, index)))
 
@@ -254,19 +229,17 @@ def test_a_run_of_a_finished_atlas_writes_no_record(
     def put(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(tile_records, "write_compaction", put)
+    monkeypatch.setattr(tile_records, "write_records", put)
     assert atlas.run(plane_of(), finished, client=client).tiles_solved == 0
 
 
 def test_the_next_run_records_what_an_earlier_one_did_not(finished: Path, client: Client) -> None:
     handle = open_store(finished)
-    before = TileRecords(handle).rows
-    shutil.rmtree(finished / RECORDS / "c.0.0.0", ignore_errors=True)
+    before = TileRecords(handle).columns()
     (finished / RECORDS / "c.0.0.0").unlink()
     drop_tile(handle, (2, 2))
     atlas.run(plane_of(), finished, client=client)
-    np.testing.assert_array_equal(TileRecords(handle).rows[..., 2:], before[..., 2:])
-    np.testing.assert_array_equal(TileRecords(handle).rows[2, 2], before[2, 2])
+    np.testing.assert_array_equal(TileRecords(handle).columns(), before)
 
 
 def fail(handle: AtlasStore, index: tuple[int, ...]) -> None:
@@ -277,13 +250,21 @@ def fail(handle: AtlasStore, index: tuple[int, ...]) -> None:
     write_tile(handle, index, arrays)
 
 
-def test_a_tile_dropped_and_solved_by_hand_is_not_taken_for_its_old_self(finished: Path) -> None:
+def test_a_tile_whose_regime_was_lost_is_not_taken_for_its_old_self_when_it_is_solved_again(finished: Path) -> None:
     handle = open_store(finished)
     fail(handle, (1, 1))
-    compact_records(handle)
+    put_record(handle, (1, 1), record_of(handle, (1, 1), read_tile(handle, (1, 1))))
     drop_tile(handle, (1, 1))
+    RunTileRecords(handle, records_of(handle)).write()  # what a run does first
     run_tile_job(RunJob((1, 1), StoreRef(str(finished), handle.run_id, handle.solver_version)))
     assert_true(read_status(handle), finished)
+
+
+def records_of(handle: AtlasStore) -> TileRecords:
+    """The records as a run finds them."""
+    found = TileRecords(handle, done_tiles(handle))
+    found.columns()
+    return found
 
 
 # Kills: at each write of a tile that is written again, and of a compaction
@@ -341,71 +322,73 @@ def killed_everywhere(
     raise AssertionError
 
 
-def test_records_are_right_whenever_a_run_is_killed_that_puts_them_together(whole: AtlasStore) -> None:
-    row = record_of(whole, (1, 1), read_tile(whole, (1, 1)))
-    compact_records(whole)
-    for index in ((0, 0), (1, 1), (2, 1)):
-        write_tile(whole, index, results(whole, index, seed=1))
+def test_records_are_right_whenever_a_run_is_killed_that_solves_lost_tiles_again(whole: AtlasStore) -> None:
+    tiles = ((0, 0), (1, 1), (2, 1))
+    for index in tiles:
+        drop_tile(whole, index)
+
+    def run(handle: AtlasStore) -> None:
+        records = RunTileRecords(handle, records_of(handle))
+        records.write()
+        for index in tiles:
+            records.add(index, write_tile(handle, index, results(handle, index, seed=1)).tolist())
+        records.finish()
 
     def true(handle: AtlasStore) -> None:
-        status = read_status(handle)
-        assert_true(status, handle.path)
-        assert not np.array_equal(TileRecords(handle).rows[1, 1], row)
+        assert_true(read_status(handle), handle.path)
+        rows, known = TileRecords(handle).columns(), TileRecords(handle).known_mask
+        for index in np.argwhere(known).tolist():
+            row = record_of(handle, tuple(index), read_tile(handle, tuple(index)))
+            np.testing.assert_array_equal(rows[tuple(index)], row)
 
-    changes = killed_everywhere(whole, compact_records, true)
-    assert changes[0] == f"put {RECORDS}/c.0.0.0"
-    assert sorted(changes[1:]) == [f"remove {record_key(index)}" for index in ((0, 0), (1, 1), (2, 1))]
+    changes = killed_everywhere(whole, run, true)
+    assert changes[0] == changes[-1] == f"put {RECORDS}/c.0.0.0"
+
+
+def test_records_are_right_whenever_a_repair_is_killed_that_drops_tiles(whole: AtlasStore) -> None:
+    def drop(handle: AtlasStore) -> None:
+        forget_records(handle, [(0, 1)])
+        drop_tile(handle, (0, 1))
+
+    changes = killed_everywhere(whole, drop, lambda handle: assert_true(read_status(handle), handle.path))
+    assert changes == [f"put {RECORDS}/c.0.0.0", "remove regime/c/0/1"]
 
 
 def test_records_are_right_whenever_a_worker_is_killed_that_writes_a_first_tile(whole: AtlasStore) -> None:
+    forget_records(whole, [(0, 1)])
     drop_tile(whole, (0, 1))
 
     def write(handle: AtlasStore) -> None:
         write_tile(handle, (0, 1), results(handle, (0, 1), seed=1))
 
     changes = killed_everywhere(whole, write, lambda handle: assert_true(read_status(handle), handle.path))
-    assert changes[-2:] == [f"put {record_key((0, 1))}", "put regime/c/0/1"]
+    assert changes[-1] == "put regime/c/0/1"
 
 
-def test_records_of_tiles_that_workers_may_still_write_are_not_removed(sound: AtlasStore) -> None:
-    due = np.zeros(sound.tiling.grid, dtype=bool)
-    due[0, 0] = due[1, 1] = True
-    run = RunTileRecords(sound, TileRecords(sound), due)
-    for index in ((0, 0), (1, 1)):  # one receipt is lost
-        row = write_tile(sound, index, results(sound, index, seed=1))
+def test_a_run_saves_its_records_now_and_then(whole: AtlasStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = record_of(whole, (1, 1), read_tile(whole, (1, 1)))
+    put_record(whole, (1, 1), np.zeros(WIDTH))
+    run = RunTileRecords(whole, records_of(whole))
     run.add((1, 1), row.tolist())
-    run.compact(lambda: None)
-    assert single_records(sound) == [(0, 0)]
-    assert_true(read_status(sound), sound.path)
-
-
-def test_a_reader_that_comes_while_records_are_put_together_finds_them_all(
-    whole: AtlasStore, monkeypatch: pytest.MonkeyPatch, keys: list[str]
-) -> None:
-    listed = tile_records.single_records
-
-    def slow(handle: AtlasStore) -> list[tuple[int, ...]]:
-        found = listed(handle)
-        monkeypatch.setattr(tile_records, "single_records", listed)
-        compact_records(handle)
-        return found
-
-    monkeypatch.setattr(tile_records, "single_records", slow)
-    assert TileRecords(whole).known_mask.all()
+    run.save()
+    assert not TileRecords(whole).known_mask[1, 1]
+    monkeypatch.setattr(run, "_next", 0.0)
+    run.save()
+    assert TileRecords(whole).known_mask[1, 1]
 
 
 def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -> None:
     handle = open_store(finished)
-    run = RunTileRecords(handle, TileRecords(handle), np.ones(handle.tiling.grid, dtype=bool))
+    run = RunTileRecords(handle, TileRecords(handle))
     fail(handle, (1, 1))
     run.add((1, 1), record_of(handle, (1, 1), read_tile(handle, (1, 1))).tolist())
     assert run.counts is not None
     assert (run.counts["tiles"], run.counts["regimes"]) == (9, counts_of(finished))
     assert run.counts["reasons"] == read_status(handle).reasons
-    run.add((0, 0), ())
+    run.add((0, 0), (0.0,) * WIDTH)
     assert run.counts is None
 
 
 def test_plain_xarray_does_not_see_the_records(handle: AtlasStore) -> None:
-    assert not {"record", "records"} & {*xr.open_zarr(handle.path).variables}
-    assert {"record", "records"} <= {*xr.open_zarr(handle.path, group="tiles", consolidated=False).variables}
+    assert "records" not in xr.open_zarr(handle.path).variables
+    assert "records" in xr.open_zarr(handle.path, group="tiles", consolidated=False).variables

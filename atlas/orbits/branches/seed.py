@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from atlas.errors import InputError
+from atlas.query.cell import StoredCell
 from atlas.spec.spec import given_settings, validate_parameters
-from atlas.spec.system import must_offer, parse_system, system_of
+from atlas.spec.system import must_offer, parse_system
 from workers import Settings
 from workers.model.system import DEFAULT, System
 from workers.results import CYCLE_PERIOD, NO_IMPACT, PERIODIC, REASON, REGIME, in_words
@@ -53,22 +54,14 @@ def seed_of_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> BranchSeed:
 
     In an atlas of all attractors the orbit is the selected one, by default the one with the largest share.
     """
-    from atlas.query.attractors import select_dominant
-    from atlas.query.cell import values_of
-    from atlas.query.queries import nearest_cell
-    from atlas.query.window import axis_names
-
-    ds = select_dominant(ds)
-    cell = nearest_cell(ds, point)
-    record = system_of(ds.attrs)
-    row = ds.sel({name: cell[name] for name in axis_names(ds)})
+    cell = StoredCell.nearest(ds, point)
     stored = ["regime", "reason", "period", "symmetric", "state"]
-    stored += [CYCLE_PERIOD.name] if record.definition.unforced else []
-    missing = [name for name in stored if name not in ds and name != REASON.name]
+    stored += [CYCLE_PERIOD.name] if cell.system.definition.unforced else []
+    missing = [name for name in stored if name not in cell.row and name != REASON.name]
     if missing:
         raise InputError(f"a branch needs the variable {missing[0]!r} of a cell, which this atlas does not have")
-    results = {name: row[name].values[()] for name in stored if name in ds}
-    return seed_of(results, record, validate_parameters(record, values_of(ds, record, cell)))
+    results = {name: cell.row[name].values[()] for name in stored if name in cell.row}
+    return seed_of(results, cell.system, validate_parameters(cell.system, cell.parameters))
 
 
 def seed_of(cell: Mapping[str, Any], record: System, values: dict[str, float]) -> BranchSeed:

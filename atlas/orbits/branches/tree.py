@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from atlas.orbits.orbit_table import are_on_orbit
 from workers.continuation import (
     BranchRun,
     Event,
@@ -50,9 +51,6 @@ GOES_ON = (
 
 Through continuous events of these kinds the branch itself continues.
 """
-
-SAME_ORBIT = 1e-6
-"""Maximum difference, relative to the size of states, of equal orbits at one parameter value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,9 +298,7 @@ class BranchTree:
         states = self.states(point)
         if self.twins:
             states = np.concatenate([states, -self.states(point, 0.5)])
-        return bool(
-            np.min(np.max(np.abs(states - state), axis=1)) <= SAME_ORBIT * max(1e-300, float(np.max(np.abs(states))))
-        )
+        return bool(are_on_orbit(states, state))
 
     def _add(self, run: BranchRun, itinerary: Itinerary, *origins: tuple[int, Event | None]) -> None:
         sections = self._sections(run, 0.0)

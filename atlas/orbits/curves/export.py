@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from atlas.argument_checks import validate_path, validate_suffix
-from atlas.orbits.curves.queries import frame
+from atlas.argument_checks import validate_path
+from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves
-from atlas.query.export import check_writable, replace_on_success, write_table
+from atlas.query.export import check_target, replace_on_success, write_table
 
 FORMATS = (".csv", ".json")
 
@@ -15,22 +15,19 @@ FORMATS = (".csv", ".json")
 def export(curves: Curves, path: str | Path) -> None:
     """Write the curves to a file, completely or not at all.
 
-    CSV has the table of ``atlas.orbits.curves.queries.frame``, with numbers in their shortest exact form. JSON has one
-    object, as ``as_json``. Raise InputError for another suffix, and for a path that cannot be written.
+    CSV has the points, then the points of codimension two, as in ``atlas.orbits.curves.queries.to_frames``, with
+    numbers in their shortest exact form. JSON has one object, as ``as_json``. Raise InputError for another suffix, and
+    for a path that cannot be written.
     """
     target = validate_path(path)
-    if check_path(target) == ".csv":
-        write_table(target, frame(curves))
+    if check_target(target, FORMATS) == ".csv":
+        import pandas as pd
+
+        points, corners = to_frames(curves)
+        write_table(target, pd.concat([points, corners.drop(columns="point")]) if len(corners) else points)
         return
     with replace_on_success(target) as unfinished:
         unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
-
-
-def check_path(path: Path) -> str:
-    """Return the suffix of a file. Raise InputError unless ``export`` knows it, and the file can be written."""
-    suffix = validate_suffix(path, FORMATS)
-    check_writable(path)
-    return suffix
 
 
 def as_json(curves: Curves) -> dict[str, Any]:

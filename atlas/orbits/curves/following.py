@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from atlas.orbits.curves.cell_orbits import CEASES, CellOrbits
 from atlas.orbits.curves.chords import find_passages
+from atlas.orbits.orbit_table import SAME_ORBIT
 from workers.continuation import Condition, Event, Family, Itinerary, Orbit, SolutionPoint, branch, curve
 from workers.continuation.admissibility import VERTEX
 from workers.continuation.branches import EDGE, BranchRun, Until
@@ -23,8 +24,8 @@ Array = NDArray[np.float64]
 STEP = 0.6
 """Maximum step of a short branch, as a share of its few cells."""
 
-SAME_EVENT_DISTANCE, SAME_ORBIT = 1e-8, 1e-6
-"""Distance, in units of the window, within which two events are equal, and maximum difference of their orbits."""
+SAME_EVENT_DISTANCE = 1e-8
+"""Distance, in units of the window, within which two events are equal, if their orbits are."""
 
 NEAR_CURVE = 5e-3
 """Distance, in units of the window, from the chords of a curve within which an event may lie on the curve."""

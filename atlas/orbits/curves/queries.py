@@ -1,7 +1,8 @@
-"""Queries for the stored curves of an atlas, and their table."""
+"""Queries for the stored curves of an atlas, and their tables."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from atlas.errors import InputError, check_names
 from atlas.orbits.curves.table import KINDS, Curve, Curves, read_curves
@@ -21,31 +22,44 @@ def curves_of(ds: "xr.Dataset") -> Curves:
     return curves
 
 
-def frame(curves: Curves, kind: str | None = None) -> "pd.DataFrame":
-    """Return the curves as a table, of one kind or all: one row per point, curve by curve.
+class CurveFrames(NamedTuple):
+    """Curves as tables.
 
-    ``unstable`` counts unstable multipliers besides the event's own. A point of codimension two is a row of its own
-    kind at its position in the curve, with the orbit and ``unstable`` of the point before it. The attribute ``report``
-    is the report on the search.
+    points   one row per point, curve by curve, in order along each: number of the curve, its kind, period, impacts and
+             symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
+             event's own; the attribute ``report`` is the report on the search
+    corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
+             that it follows, and ``point``, the number of that point
     """
+
+    points: "pd.DataFrame"
+    corners: "pd.DataFrame"
+
+
+def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
+    """Return curves as tables, of one kind or all. Raise InputError for an unknown kind."""
     import pandas as pd
 
     if kind is not None:
         check_names("kind of curve", [kind], KINDS)
-    rows = [row for k, curve in enumerate(curves) if kind in (None, curve.kind) for row in _rows(k, curve)]
-    names = ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *curves.axes, "unstable"]
-    table = pd.DataFrame(rows, columns=names).astype({"symmetric": bool})
-    table.attrs["report"] = dict(curves.report)
-    return table
+    columns = ["curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", *curves.axes, "unstable"]
+    points, corners = list["pd.DataFrame"](), list["pd.DataFrame"]()
 
+    def rows(number: int, curve: Curve, kinds: Any, at: Any, places: Any) -> "pd.DataFrame":
+        upper, lower, unstable = (values[at] for values in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
+        orbit = number, kinds, curve.period, upper, lower, curve.symmetric
+        return pd.DataFrame(dict(zip(columns, (*orbit, *np.transpose(places), unstable), strict=True)))
 
-def _rows(number: int, curve: Curve) -> Iterator[tuple[Any, ...]]:
-    corners: dict[int, list[Any]] = {}
-    for corner in curve.corners:
-        corners.setdefault(min(corner.after, len(curve.points) - 1), []).append(corner)
-    counts = (column.tolist() for column in (curve.impacts_upper, curve.impacts_lower, curve.unstable))
-    for k, ((x, y), upper, lower, unstable) in enumerate(zip(curve.points.tolist(), *counts, strict=True)):
-        orbit = (curve.period, upper, lower, curve.symmetric)
-        yield (number, curve.kind, *orbit, x, y, unstable)
-        for corner in corners.get(k, ()):
-            yield (number, corner.kind, *orbit, corner.x, corner.y, unstable)
+    for number, curve in enumerate(curves):
+        if kind in (None, curve.kind):
+            points.append(rows(number, curve, curve.kind, slice(None), curve.points))
+            if curve.corners:
+                kinds, x, y, after = zip(*curve.corners, strict=True)
+                at = np.minimum(after, len(curve.points) - 1)
+                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(point=at))
+    made = CurveFrames(
+        pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
+        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "point"]),
+    )
+    made.points.attrs["report"] = dict(curves.report)
+    return made

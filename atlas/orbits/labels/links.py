@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from atlas.orbits.labels.attractor_orbits import AttractorOrbitTable, with_images
-from atlas.orbits.orbit_table import Array, Rows
+from atlas.orbits.orbit_table import Array, Rows, are_on_orbit
 from atlas.orbits.stored_orbits import StoredOrbits
 from workers.continuation import Orbit, branch, section_states
 from workers.continuation.orbits import OrbitBatch, many_of
@@ -33,9 +33,6 @@ two.
 
 STEP = 0.5
 """Maximum step of a branch from one cell to the next, relative to that distance."""
-
-SAME_STATE = 1e-6
-"""Maximum distance of section states of one orbit, relative to the largest component of any."""
 
 
 class OrbitLinks(NamedTuple):
@@ -162,8 +159,7 @@ class AttractorOrbits(StoredOrbits):
             values = dict(zip(own.axes, there[rows].T, strict=True))
             fixed = {name: np.full(len(rows), value) for name, value in own.fixed.items()}
             states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
-            apart = np.abs(states - own.state[pairs[rows, 1]][:, None]).max(axis=2).min(axis=1)
-            reached[rows] = apart <= SAME_STATE * np.abs(states).max(axis=(1, 2))
+            reached[rows] = are_on_orbit(states, own.state[pairs[rows, 1]])
         return reached, _change(many_of(orbits, here), arrived, self.family.model(there).omega)
 
     def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
@@ -180,10 +176,9 @@ class AttractorOrbits(StoredOrbits):
             states = reached[one, cell]
             if states is None:
                 continue
-            size = float(np.abs(states).max())
-            if np.abs(states - own.state[other]).max(axis=1).min() <= SAME_STATE * size:
+            if are_on_orbit(states, own.state[other]):
                 pairs_on_branches.append([one, other])
-                change.append(float(np.abs(own.state[other] - own.state[one]).max()) / size)
+                change.append(float(np.abs(own.state[other] - own.state[one]).max() / np.abs(states).max()))
         return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
 
     def _along_branch(self, row: int, cell: int) -> Array | None:

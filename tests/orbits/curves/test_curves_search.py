@@ -181,15 +181,16 @@ def test_an_extended_atlas_begins_without_curves(
     assert read_curves(open_store(tmp_path / "finer.zarr")) is None
 
 
-def test_the_accessor_gives_the_curves_as_a_table_and_one_kind_of_them(
+def test_the_accessor_gives_the_curves_as_two_tables_and_one_kind_of_them(
     searched: tuple[Path, CurveSummary],
 ) -> None:
     path, summary = searched
     ds = atlas.open(path)
-    table = ds.atlas.curves()
-    assert len(table) == sum(len(curve.points) + len(curve.corners) for curve in summary.curves)
-    assert set(ds.atlas.curves("symmetry_breaking")["kind"]) == {"symmetry_breaking"}
-    assert table.attrs["report"] == dict(summary.curves.report)
+    points, corners = ds.atlas.curves()
+    assert len(points) == sum(len(curve.points) for curve in summary.curves)
+    assert len(corners) == sum(len(curve.corners) for curve in summary.curves)
+    assert set(ds.atlas.curves("symmetry_breaking").points["kind"]) == {"symmetry_breaking"}
+    assert points.attrs["report"] == dict(summary.curves.report)
     with pytest.raises(atlas.errors.InputError, match="did you mean 'fold'"):
         ds.atlas.curves("folt")
 

@@ -89,17 +89,17 @@ def test_a_group_whose_arrays_were_exchanged_is_refused(handle: AtlasStore) -> N
         read_curves(handle)
 
 
-def test_csv_has_a_row_a_point_and_codimension_two_points_as_rows_of_their_kind(tmp_path: Path) -> None:
+def test_csv_has_a_row_a_point_and_then_codimension_two_points_as_rows_of_their_kind(tmp_path: Path) -> None:
     export(BOTH, tmp_path / "curves.csv")
     with (tmp_path / "curves.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:8] == [
         "curve", "kind", "period", "impacts_upper", "impacts_lower", "symmetric", "omega", "b",
     ]  # fmt: skip
-    assert [row["kind"] for row in rows] == ["fold", "graze_fold", "fold", "fold", "cusp", "graze", "graze"]
-    assert [row["curve"] for row in rows] == ["0"] * 5 + ["1"] * 2
-    assert float(rows[2]["omega"]) == 1.0 / 3.0
-    assert [row["impacts_upper"] for row in rows] == ["4", "4", "4", "5", "5", "1", "1"]
+    assert [row["kind"] for row in rows] == ["fold", "fold", "fold", "graze", "graze", "graze_fold", "cusp"]
+    assert [row["curve"] for row in rows] == ["0"] * 3 + ["1"] * 2 + ["0"] * 2
+    assert float(rows[1]["omega"]) == 1.0 / 3.0
+    assert [row["impacts_upper"] for row in rows] == ["4", "4", "5", "1", "1", "4", "5"]
 
 
 def test_json_has_all_there_is(tmp_path: Path) -> None:
