@@ -13,7 +13,8 @@ from matplotlib.legend_handler import HandlerPatch
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
 
-from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
+from atlas.store.schema import REGIME_COLORS
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC
 
 DPI = 300.0
 """Default dots per inch of a file."""
@@ -85,10 +86,7 @@ def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]
 TEXTURE = "#8c8c8c"
 """Grey of hatches."""
 
-COLORS = {regime.code: regime.color for regime in REGIMES}
-"""Colour of each regime code, as in the data's flag_colors."""
-
-INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
+INK = {**REGIME_COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
 """Colour of each regime for points and lines on white, where pale colours of areas are invisible."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
