@@ -104,7 +104,7 @@ LOST_HATCH = "||"
 
 
 def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
-    """Return a colour in bytes."""
+    """Return red, green, blue and ``alpha`` of a Matplotlib colour, each from 0 to 255."""
     red, green, blue = (round(255 * channel) for channel in to_rgb(color))
     return red, green, blue, alpha
 
