@@ -244,7 +244,6 @@ class AtlasAccessor:
         scheduler: str | None = None,
         workers: int | None = None,
         tolerance: float | None = None,
-        keep: bool = True,
         folder: Path | None = None,
         port: int = 0,
         host: str = "127.0.0.1",
@@ -258,7 +257,6 @@ class AtlasAccessor:
         scheduler   address of a Dask cluster whose workers solve cells
         workers     number of local processes that solve cells, by default one per processor
         tolerance   standard error of the exponents of solved cells, by default 0.05
-        keep        whether solved cells are saved in the store
         folder      folder for the specs of new atlases, by default the working directory
         port        port of the page, by default any free one
         host        address on which the page is served
@@ -268,7 +266,7 @@ class AtlasAccessor:
 
         return explore_dataset(
             self._ds, TOLERANCE if tolerance is None else tolerance, client=client, scheduler=scheduler,
-            workers=workers, keep=keep, folder=folder, port=port, host=host,
+            workers=workers, folder=folder, port=port, host=host,
         )  # fmt: skip
 
     def to_html(self, path: str | Path) -> Path:

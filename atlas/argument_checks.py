@@ -53,15 +53,6 @@ def validate_pixels(value: object) -> tuple[int, int] | None:
     return x, y
 
 
-def validate_suffix(path: Path, formats: Sequence[str]) -> str:
-    """Return the suffix of a file in lower case. Raise InputError unless ``formats`` has the suffix."""
-    suffix = path.suffix.lower()
-    if suffix not in formats:
-        given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
-        raise InputError(f"{path.name}: the suffix chooses the format, {given}; possible: {', '.join(formats)}")
-    return suffix
-
-
 def validate_path(value: object, name: str = "path") -> Path:
     """Return a path on this host; a ``~`` at the beginning is replaced by the user's home."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):

@@ -25,8 +25,7 @@ from atlas.check.reproduce import (
     solve_again,
 )
 from atlas.check.rules import broken_rules
-from atlas.check.zoom import plane_faults
-from atlas.errors import ChunkError, InputError
+from atlas.errors import ChunkError
 from atlas.formatting import plural
 from atlas.service.progress import Progress
 from atlas.spec.spec import Spec
@@ -35,11 +34,10 @@ from atlas.store.host import current_host
 from atlas.store.host_records import read_hosts
 from atlas.store.object_backend import os_errors_as_input_errors
 from atlas.store.record_format import DIGEST, RECORDS, Rows
-from atlas.store.store import READERS, ZOOM, AtlasStore, chunk_key, done_tiles
+from atlas.store.store import READERS, AtlasStore, chunk_key, done_tiles
 from atlas.store.tile_records import EXCHANGED, TileRecords, is_exchanged
 from atlas.store.tiles import is_blank, read_tile, record_of
 from atlas.store.tiling import Index, Tiling
-from atlas.store.zoom import list_metatiles, metatile_backend
 from workers import SOLVER_VERSION
 
 
@@ -98,7 +96,6 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
     rows = {tile.index: tile.row for tile in tiles if tile.row is not None}
     contradictions = [StoreFault(None, text, (RECORDS,)) for text in record_faults(handle, records, rows)]
     faults += [*wrong, *small_faults(handle), *contradictions]
-    metatile_count, zoom_faults, zoom_doubts = _check_zoom(handle, sample, seed, notify)
     report = replace(
         _empty_report(handle, seed),
         chunks=sum(tile.chunks for tile in tiles),
@@ -106,9 +103,8 @@ def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress
         cells_solved=solved,
         comparison=comparison,
         overview_chunks=chunks,
-        metatiles=metatile_count,
-        faults=(*faults, *zoom_faults),
-        doubts=(*doubts, *zoom_doubts),
+        faults=tuple(faults),
+        doubts=tuple(doubts),
         leftovers=tuple(leftovers(handle.backend)),
     )
     return VerifyFindings(handle, report, {index: row for index, row in rows.items() if index not in bad}, right)
@@ -130,33 +126,6 @@ def _solve_again(
         )
         if different:
             yield StoreFault(one.tile, f"cell {place_in(spec, one.cell)}: {different}")
-
-
-def _check_zoom(
-    handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]
-) -> tuple[int, list[StoreFault], list[StoreFault]]:
-    """Return the number of metatiles of the zoom levels, which are stores themselves, and their faults and doubts.
-
-    In as many metatiles as the sample has cells, one cell each is solved again.
-    """
-    known = list_metatiles(handle)
-    damage = {} if handle.backend.read_only_reason else plane_faults(handle)
-    solved = set(random.Random(seed).sample(known, min(sample, len(known))))
-    faults, doubts = list[StoreFault](), list[StoreFault]()
-    faults += [StoreFault(None, f"{key} {text}", (ZOOM, *key.split("/")[1:-1])) for key, text in damage.items()]
-    for k, (plane, metatile) in enumerate(known, 1):
-        notify(Progress(f"checking zoom levels: metatile {k} of {len(known)}", transient=True))
-        part = (ZOOM, plane, metatile)
-        try:
-            place = metatile_backend(handle, plane, metatile)
-            report = find_faults(place, int((plane, metatile) in solved), seed, lambda _: None).report
-        except InputError as error:
-            faults.append(StoreFault(None, str(error), part))
-            continue
-        own = [fault for fault in report.faults if fault.part != (RECORDS,)]  # metatiles have no records
-        faults += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in own]
-        doubts += [StoreFault(None, f"{ZOOM}/{plane}/{metatile}: {fault}", part) for fault in report.doubts]
-    return len(known), faults, doubts
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,8 @@ from atlas.store.host_records import mend_record, read_host
 from atlas.store.metadata import ROOT
 from atlas.store.record_format import RECORDS, WIDTH
 from atlas.store.schema import PARTS
-from atlas.store.store import ZOOM
 from atlas.store.tile_records import forget_records, write_records
 from atlas.store.tiles import drop_tile
-from atlas.store.zoom import describe_planes, drop_metatile
 
 Names = Sequence[tuple[Any, ...]]
 """The names of faulty parts of one kind, without the kind itself."""
@@ -94,31 +92,11 @@ def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:
     yield f"records of {plural(len(findings.rows), 'tile')} written again"
 
 
-def _drop_zoom(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    """Remove metatiles, named (plane, metatile), and planes (plane,) with all their metatiles.
-
-    The metadata of the group of all planes, named (), are written again.
-    """
-    handle, folders = findings.handle, [name for name in names if name]
-    if () in names:
-        describe_planes(handle)
-        yield f"{ZOOM}/{ROOT} written again"
-    for plane, *metatiles in folders:
-        if not metatiles:
-            handle.backend.remove(f"{ZOOM}/{plane}/{ROOT}")
-            metatiles = sorted({key.split("/")[2] for key in handle.backend.list_keys(f"{ZOOM}/{plane}/")})
-        for metatile in metatiles:
-            drop_metatile(handle, plane, metatile)
-    if folders:
-        yield f"{ZOOM}: {plural(len(folders), 'folder')} dropped: the explorer solves them again"
-
-
 MENDERS: dict[str, Callable[[VerifyFindings, Names], Iterator[str]]] = {
     METADATA: _write_metadata,
     GROUP: _drop_groups,
     PART: _drop_parts,
     MACHINE: _mend_machines,
     RECORDS: _write_records,
-    ZOOM: _drop_zoom,
 }
 """The function that drops or restores the faulty parts of a kind, in this order, and yields lines for the user."""

@@ -49,7 +49,6 @@ class VerifyReport:
     dropped            number of faulty chunks of overviews that were removed
     removed            removed names among the chunks that belong to no chunk
     restored           other repairs, one line each
-    metatiles          number of metatiles of the zoom levels, each verified as a store
     leftovers          files of killed writes, which nothing reads: no faults, but a repair removes them
     """
 
@@ -68,7 +67,6 @@ class VerifyReport:
     dropped: int = 0
     removed: tuple[str, ...] = ()
     restored: tuple[str, ...] = ()
-    metatiles: int = 0
     leftovers: tuple[str, ...] = ()
 
     @property
@@ -103,8 +101,6 @@ class VerifyReport:
             ("cells", f"{self.cells_checked} checked against the rules"),
             ("sample", sample),
         ]
-        if self.metatiles:
-            counts.append(("zoom", f"{plural(self.metatiles, 'metatile')} of explored cells checked in the same way"))
         if self.leftovers and self.repaired is None:
             rest = f"{plural(len(self.leftovers), 'file')} of killed writes, which nothing reads: --repair removes them"
             counts.append(("left", rest))

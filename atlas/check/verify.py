@@ -1,8 +1,9 @@
 """Verification of a store: find its faults, and repair them on request."""
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from typing import Any
 
 from atlas.argument_checks import is_integer, validate_flag, validate_type
 from atlas.check.find_faults import find_faults
@@ -26,6 +27,7 @@ def verify(
     repair: bool = False,
     seed: int | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    storage_options: Mapping[str, Any] | None = None,
 ) -> VerifyReport:
     """Read a whole store, while no run holds its lease, and report all its faults.
 
@@ -33,13 +35,15 @@ def verify(
     checksum, and every tile is compared with its record. Every cell is checked by ``rules``, the sum law among them.
     Every chunk of an overview is compared with the cells below it. ``sample`` cells, drawn by ``seed``, are solved
     again. On the kind of host that solved them the results must be the same to the bit, elsewhere within the errors.
-    Tables, curves, records of hosts and zoom levels are checked, too.
+    Tables, curves and records of hosts are checked, too.
 
     ``repair`` holds the store's lease throughout and drops faulty parts, so that the next run computes them again. A
-    tile with a fault becomes unfinished. Faulty overviews, tables, curves, zoom levels and foreign names among the
-    chunks are removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written
-    again. Files that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing
-    is written. Raise InputError if there is no store to verify, OSError if it cannot be read or repaired.
+    tile with a fault becomes unfinished. Faulty overviews, tables, curves and foreign names among the chunks are
+    removed. Damaged metadata and coordinates, which the spec determines, and records of tiles are written again. Files
+    that killed writes have left are removed. A tile that is only in doubt stays; without a fault nothing is written.
+
+    ``storage_options`` are those of ``open``. Raise InputError if there is no store to verify, OSError if it cannot be
+    read or repaired.
 
     >>> import atlas
     >>> atlas.verify("plane.zarr", sample=2).is_sound
@@ -50,7 +54,7 @@ def verify(
     if seed is not None:
         validate_type("seed", seed, int, "a whole number")
     validate_flag("repair", repair)
-    place = open_backend(store)
+    place = open_backend(store, storage_options=storage_options)
     if repair:
         check_not_packed(place)
     with os_errors_as_input_errors(place, "read"):

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from atlas.argument_checks import validate_suffix
 from atlas.cli.options import (
     Numbers,
     at_option,
@@ -31,7 +30,7 @@ from atlas.formatting import plural
 from atlas.orbits.branches.from_cell import MAX_BRANCHES, observed_of, tree_from
 from atlas.orbits.branches.seed import seed_of_cell, seed_of_point
 from atlas.orbits.branches.table import BranchTable, orbit_name
-from atlas.query.export import check_writable, replace_on_success, write_table
+from atlas.query.export import check_target, replace_on_success, write_table
 from atlas.render import FORMATS, SCALE_OPTION_NAMES, render
 from atlas.render.request import PictureRequest
 from atlas.service.progress import Progress, prepare_kernels
@@ -110,8 +109,7 @@ def branch(
     equilibria, with their Hopf points.
     """
     if out is not None:
-        validate_suffix(out, [f".{name}" for name in (*TABLES, *FORMATS)])
-        check_writable(out)
+        check_target(out, [f".{name}" for name in (*TABLES, *FORMATS)])
     look = {name: options.pop(name) for name in SCALE_OPTION_NAMES if name in options}
     PictureRequest.from_arguments(**look)  # before the branch is followed
     with input_errors(), reporter(sys.stderr) as show:

@@ -1,15 +1,12 @@
 """Commands about one cell, and lists of systems and examples."""
 
-import json
 import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
 import click
 
 from atlas.cli.options import (
-    PLACE,
     Numbers,
     at_option,
     check_cell_options,
@@ -27,18 +24,13 @@ from atlas.cli.options import (
     starts_option,
     system_option,
 )
-from atlas.cli.output import print_cell, print_table, to_json
+from atlas.cli.output import print_values, to_json
 from atlas.cli.progress import reporter, show_solving
 from atlas.errors import InputError
 from atlas.service.progress import Progress, prepare_kernels
-from atlas.spec.equation import equation_of
-from atlas.spec.examples import example_names, example_text
-from atlas.spec.json_schema import spec_schema
 from atlas.spec.laws import law_lines, uses_of_cell
-from atlas.spec.system import parse_system, unused_lines
 from atlas.task.compile import ATTRACTORS, PATHS, kernels_for
 from workers.attractors.initial_states import AttractorSettings
-from workers.model.system import System, find_system, system_names
 
 
 @click.command(
@@ -70,7 +62,7 @@ def point(given: Numbers, system: str, every: bool, starts: int, as_json: bool, 
     if as_json:
         click.echo(to_json(results))
         return
-    print_cell(results, record.name)
+    print_values(results | {"system": record.name}, "coexisting")
     click.echo("".join(f"{line}\n" for line in law_lines(uses_of_cell(record, results))), nl=False)
 
 
@@ -119,61 +111,3 @@ def portrait(
         show(Progress("solving and drawing"))
         draw_portrait(cell.parameters, system=cell.system, settings=cell.settings, path=out, **look)
     click.echo(str(out))
-
-
-@click.command(epilog=examples("atlas systems", "atlas systems two-mass", "atlas systems my-machine.toml"))
-@click.argument("name", required=False, type=PLACE)
-@json_option
-def systems(name: str | None, as_json: bool) -> None:
-    """List the systems that can be solved, or describe one: its NAME, or the path of a .toml file."""
-    if name is not None:
-        system = parse_system(name)
-        click.echo(to_json(system.table())) if as_json else _print_system(system)
-        return
-    records = [find_system(known) for known in system_names()]
-    if as_json:
-        titles = {record.name: record.title for record in records}
-        click.echo(to_json({"systems": titles, "examples": example_names()}))
-        return
-    print_table("", ["system", ""], [(record.name, record.title) for record in records])
-    click.echo(f"\nexamples: {', '.join(example_names())}")
-    click.echo("details: atlas systems NAME")
-
-
-@click.command(epilog=examples("atlas example omega-b > plane.toml"))
-@click.argument("name", required=False)
-def example(name: str | None) -> None:
-    """Print the packaged example NAME, a spec to start from, as a TOML file; without NAME list all examples."""
-    if name is not None:
-        click.echo(example_text(name), nl=False)
-        return
-    # The first comment of an example begins with its title and a colon.
-    firsts = {key: " ".join(example_text(key).split("\n\n")[0].replace("#", " ").split()) for key in example_names()}
-    print_table("", ["example", ""], [(key, first.partition(":")[0]) for key, first in firsts.items()])
-    click.echo("\nprint one: atlas example NAME")
-
-
-@click.command(epilog=examples("atlas schema > atlas.schema.json"))
-def schema() -> None:
-    """Print the JSON Schema of a spec, by which editors of TOML complete and check it."""
-    click.echo(json.dumps(spec_schema(), indent=1))
-
-
-def _print_system(system: System) -> None:
-    """Print title, equation, picture, parameters, results of its own, source and usual axes of a system."""
-    click.echo(f"{system.name}: {system.title}")
-    for part in (equation_of(system), system.picture):
-        if part.strip():
-            click.echo(f"\n{textwrap.indent(textwrap.dedent(part.strip(chr(10))), '    ')}")
-    click.echo()
-    rows = [(p.name, p.meaning, p.unit, f"{p.default:g}", p.range) for p in system.parameters]
-    print_table("", ["parameter", "meaning", "unit", "default", "valid"], rows)
-    if system.own_variables:
-        click.echo()
-        print_table("", ["result", "meaning", "unit"], [(v.name, v.long_name, v.units) for v in system.own_variables])
-    for line in unused_lines(system):
-        click.echo(f"\n{line}")
-    if system.source:
-        click.echo(f"\nsource: {system.source}")
-    if system.axes:
-        click.echo(f"usual axes: {', '.join(f'{name} {low:g} to {high:g}' for name, low, high in system.axes)}")

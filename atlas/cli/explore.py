@@ -1,6 +1,5 @@
 """The command that opens the explorer, or writes the page of an atlas."""
 
-import math
 import sys
 import time
 import webbrowser
@@ -35,7 +34,6 @@ from atlas.service.progress import prepare_kernels
 
 PACKAGED = "omega-b"
 """The default subject of the explorer."""
-GB = 10**9
 
 
 @click.command(
@@ -54,14 +52,6 @@ GB = 10**9
 @scheduler_option
 @workers_option
 @click.option("--tolerance", type=float, help="Tolerance of the explored cells; default: 0.05.")
-@click.option("--keep/--no-keep", default=True, help="Save explored cells in STORE, in its group zoom.")
-@click.option(
-    "--limit",
-    type=click.FloatRange(min=0.0),
-    default=0.25,
-    show_default=True,
-    help="Maximum size of the saved cells in GB; the least recently viewed are deleted first.",
-)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page; default: any free port.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Host of the page, whose address has a token.")
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
@@ -75,8 +65,6 @@ def explore(
     scheduler: str | None,
     workers: int | None,
     tolerance: float | None,
-    keep: bool,
-    limit: float,
     port: int,
     host: str,
     browser: bool,
@@ -90,8 +78,6 @@ def explore(
         return
     if window:
         raise InputError("--window needs -o; the page in the browser zooms")
-    if not math.isfinite(limit):
-        raise InputError(f"--limit: found {limit:g}, must be a finite number of GB")
     from atlas.explore.session import explore as start
     from atlas.explore.subject import TOLERANCE
 
@@ -110,18 +96,12 @@ def explore(
                 scheduler=scheduler,
                 workers=workers,
                 tolerance=TOLERANCE if tolerance is None else tolerance,
-                keep=keep,
-                most_bytes=round(limit * GB),
                 port=port,
                 host=host,
                 timing=timing_of(ctx),
                 prepare=prepare,
             )
             try:
-                if running.explorer.tiles.keeper.handle is not None:
-                    print_status(
-                        f"explored cells are saved in its group zoom, up to {limit:g} GB; --no-keep disables this"
-                    )
                 click.echo(running.url)
                 if running.proxied_url != running.url:
                     print_status(f"through the proxy of JupyterHub: {running.proxied_url}")
@@ -142,8 +122,9 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
         if option.name not in ("subject", "storage_option", "select", "window", "out"):
             name = "/".join([option.opts[-1], *option.secondary_opts])
             raise InputError(f"{name} is for the explorer in the browser; with -o go --select and --window")
-    from atlas.explore.static.page import check_path, write_page
+    from atlas.explore.static.page import FORMATS, write_page
     from atlas.formatting import byte_size
+    from atlas.query.export import check_target
     from atlas.query.window import select_window
     from atlas.spec.examples import example_names
 
@@ -151,7 +132,7 @@ def write(ctx: click.Context, subject: str, chosen: Numbers, window: Bounds, out
         run = f"atlas run {subject} -o {Path(subject).stem}.zarr"
         raise InputError(f"{subject}: -o takes a store, found a spec; compute it first: {run}")
     with input_errors():
-        check_path(out)
+        check_target(out, FORMATS)
         ds = select_window(open_selection(subject, chosen), window)
         print_status("reading and drawing")
         written = write_page(ds, out)

@@ -20,10 +20,10 @@ _Table = Mapping[str, Mapping[str, tuple[str, str]]]
 """Commands by section and name, in the order of their use: the function, by its module, and a summary of one line."""
 _COMMANDS: _Table = {
     "To begin": {
-        "demo": ("demo.demo", "Compute, draw and count a plane, in a minute or two."),
-        "example": ("cell.example", "Print a packaged spec to start from, or list all."),
-        "schema": ("cell.schema", "Print the JSON Schema of a spec, for editors."),
-        "systems": ("cell.systems", "List the machines that can be solved, or describe one."),
+        "demo": ("begin.demo", "Compute, draw and count a plane, in a minute or two."),
+        "example": ("begin.example", "Print a packaged spec to start from, or list all."),
+        "schema": ("begin.schema", "Print the JSON Schema of a spec, for editors."),
+        "systems": ("begin.systems", "List the machines that can be solved, or describe one."),
     },
     "Compute": {
         "plan": ("run.plan", "Estimate the cost of SPEC: cells, bytes, time."),
@@ -57,20 +57,20 @@ _COMMANDS: _Table = {
 }
 _FIND: _Table = {
     "Commands": {
-        "regions": ("query.regions", "Connected regions of cells of one class."),
-        "extremes": ("query.extremes", "Where a variable is smallest and largest."),
-        "curves": ("curves.find_curves", "The exact curves that bound the regions of a plane."),
+        "regions": ("find.regions", "Connected regions of cells of one class."),
+        "extremes": ("find.extremes", "Where a variable is smallest and largest."),
+        "curves": ("find.find_curves", "The exact curves that bound the regions of a plane."),
     }
 }
 _ATTRACTORS: _Table = {
     "Of a store": {
-        "label": ("labels.label_attractors", "One label per branch, from cell to cell."),
-        "measure": ("measures.measure_attractors", "How stable the attractors of all cells are."),
+        "label": ("attractors.label_attractors", "One label per branch, from cell to cell."),
+        "measure": ("attractors.measure_attractors", "How stable the attractors of all cells are."),
         "basins": ("query.basin_measures", "Shares, entropy and boundary dimension of basins."),
     },
     "Of one cell": {
-        "stability": ("stability.stability", "How stable each attractor is."),
-        "saddles": ("saddles.saddles", "The unstable orbits between the basins."),
+        "stability": ("attractors.stability", "How stable each attractor is."),
+        "saddles": ("attractors.saddles", "The unstable orbits between the basins."),
     },
 }
 _MEANT = {

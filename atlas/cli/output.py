@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import click
 import numpy as np
@@ -31,6 +31,18 @@ def plain(value: Any) -> Any:
     return value
 
 
+class Result(Protocol):
+    """A result of a command: its text for people, and a dict for JSON."""
+
+    def as_dict(self) -> Mapping[str, Any]:
+        """Return the result as plain values."""
+
+
+def emit(result: Result, as_json: bool) -> None:
+    """Print a result as one JSON object, or as its text."""
+    click.echo(to_json(result.as_dict()) if as_json else str(result))
+
+
 def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]]) -> None:
     """Print a table on stdout, without spaces at the ends of lines; if stdout is no terminal, as wide as necessary."""
     from rich.console import Console
@@ -49,16 +61,10 @@ def print_table(title: str, columns: list[str], rows: Iterable[tuple[str, ...]])
     click.echo("\n".join(line.rstrip() for line in printed.get().splitlines()), color=terminal)
 
 
-def print_cell(results: Mapping[str, Any], name: str) -> None:
-    """Print the results of a cell as a table, and its attractors, if there are several, as another."""
-    shown = {**results, "system": name}
-    several = shown.pop("coexisting", [])
-    print_table("", ["", ""], [(key, text(value)) for key, value in shown.items()])
-    print_attractors(several)
-
-
-def print_attractors(several: Sequence[Mapping[str, Any]]) -> None:
-    """Print the attractors of one cell as a table, one column for each."""
+def print_values(values: Mapping[str, Any], listed: str = "") -> None:
+    """Print names and values as a table, and the attractors that the value ``listed`` contains as another."""
+    print_table("", ["", ""], [(name, text(value)) for name, value in values.items() if name != listed])
+    several: Sequence[Mapping[str, Any]] = values.get(listed, [])
     if several:
         names = dict.fromkeys(name for one in several for name, value in one.items() if not isinstance(value, list))
         rows = [(name, *(text(one.get(name, "")) for one in several)) for name in names]

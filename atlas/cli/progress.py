@@ -27,7 +27,7 @@ def reporter(stream: IO[str]) -> "TerminalReporter | LogReporter":
 
 @contextmanager
 def resumable(
-    ctx: click.Context, options: RunOptions, advice: str, of: Callable[[Report], Report] = lambda show: show
+    ctx: click.Context, options: RunOptions, of: Callable[[Report], Report] = lambda show: show
 ) -> Iterator[RunOptions]:
     """Yield the options of a command on a store, with a progress display; after Ctrl-C end with advice to resume.
 
@@ -37,7 +37,7 @@ def resumable(
         with interruptible(), reporter(sys.stderr) as show:
             yield replace(options, on_progress=of(show))
     except KeyboardInterrupt:
-        print_status(f"interrupted: {advice}")
+        print_status("interrupted: finished work is kept; rerun the same command to resume")
         ctx.exit(INTERRUPTED)
 
 

@@ -1,7 +1,6 @@
 """Commands that compute: plan, run, retry, cancel, extend."""
 
 import logging
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,13 +18,12 @@ from atlas.cli.options import (
     read_whole,
     spec_argument,
     storage_option,
-    storage_words,
     store_argument,
     timing_of,
     worker_options,
 )
-from atlas.cli.output import to_json
-from atlas.errors import InputError, without_secrets
+from atlas.cli.output import emit, to_json
+from atlas.errors import InputError
 from atlas.service.cluster import Tls
 from atlas.service.extend import extend as extend_store
 from atlas.service.lease import cancel as cancel_run
@@ -42,7 +40,6 @@ from atlas.store.zip_backend import check_not_packed
 
 CANCEL_SECONDS = 60
 """Maximum seconds that ``atlas cancel`` waits for a run to stop."""
-TILES_KEPT_NOTE = "finished tiles are kept"
 
 
 points_option = click.option(
@@ -104,7 +101,7 @@ def plan(
         with progress.reporter(sys.stderr) as show:
             made = add_probe(made, show)
     if fine is None or laws is None:
-        click.echo(to_json(made.as_dict()) if as_json else str(made))
+        emit(made, as_json)
         return
     with progress.show_solving(read.system_def):
         check = check_law(read, fine, laws)
@@ -177,12 +174,7 @@ def run(
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
     options = options.replace_fields(tls=_tls(**tls), tile=index, performance_report=report)
-    words = ["run", spec, "-o", out, *["--no-dashboard"] * (not options.dashboard)]
-    line = _line(options, *words, points=points, observe=observe, performance_report=report, **tls)
-    with (
-        _logged(log),
-        progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; resume with\n  {line}", with_time) as shown,
-    ):
+    with _logged(log), progress.resumable(ctx, options, with_time) as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
 
@@ -217,8 +209,7 @@ def retry(
     command resumes a retry that was stopped.
     """
     options = options.replace_fields(tls=_tls(**tls))
-    line = _line(options, "retry", store, regimes, "-o", out, max_periods=max_periods, survival=survival, **tls)
-    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; resume with\n  {line}") as shown:
+    with progress.resumable(ctx, options) as shown:
         summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
     _report(ctx, summary)
 
@@ -261,7 +252,7 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    with progress.resumable(ctx, options, f"{TILES_KEPT_NOTE}; rerun the same command to resume", with_time) as shown:
+    with progress.resumable(ctx, options, with_time) as shown:
         summary = extend_store(store, out, read, factors, options=shown)
     _report(ctx, summary)
 
@@ -292,14 +283,6 @@ def _logged(path: str | None) -> Iterator[None]:
 def _tls(tls_ca_file: str | None, tls_cert: str | None, tls_key: str | None) -> Tls | None:
     """Return the files of an encrypted connection; None if no file is given."""
     return Tls(tls_ca_file, tls_cert, tls_key) if tls_ca_file or tls_cert or tls_key else None
-
-
-def _line(options: RunOptions, *words: str, **given: str | int | None) -> str:
-    """Return a command line: words, then the options that have a value; secrets of URLs are left out."""
-    given |= {"scheduler": options.scheduler, "workers": options.workers}
-    pairs = [(f"--{name.replace('_', '-')}", str(value)) for name, value in given.items() if value is not None]
-    line = ["atlas", *words, *storage_words(), *(word for pair in pairs for word in pair)]
-    return shlex.join(map(without_secrets, line))
 
 
 def _report(ctx: click.Context, summary: RunSummary) -> None:

@@ -7,7 +7,7 @@ import click
 
 from atlas.check.verify import verify as verify_store
 from atlas.cli.options import examples, interruptible, json_option, store_argument, timing_of
-from atlas.cli.output import to_json
+from atlas.cli.output import emit
 from atlas.cli.progress import reporter
 from atlas.query.open import open_atlas
 from atlas.service.pack import pack as pack_store
@@ -32,7 +32,7 @@ def status(ctx: click.Context, store: str, watching: bool, as_json: bool) -> Non
             for now in watch(StatusReader(handle, timing), WATCH_SECONDS):
                 show(now.progress)
     final = read_status(handle, timing)
-    click.echo(to_json(final.as_dict()) if as_json else str(final))
+    emit(final, as_json)
 
 
 @click.command(epilog=examples("atlas verify plane.zarr --sample 100"))
@@ -50,7 +50,7 @@ def verify(ctx: click.Context, store: str, repair: bool, sample: int, as_json: b
     """
     with reporter(sys.stderr) as show:
         report = verify_store(store, sample=sample, repair=repair, on_progress=show)
-    click.echo(to_json(report.as_dict()) if as_json else str(report))
+    emit(report, as_json)
     if not report.is_sound:
         ctx.exit(1)
 
@@ -68,7 +68,7 @@ def pack(ctx: click.Context, store: str, file: Path, force: bool, as_json: bool)
     """
     with interruptible(), reporter(sys.stderr) as show:
         packed = pack_store(store, file, force, show, timing_of(ctx))
-    click.echo(to_json(packed.as_dict()) if as_json else str(packed))
+    emit(packed, as_json)
 
 
 @click.command(epilog=examples("atlas cite plane.zarr > atlas.bib"))

@@ -1,6 +1,6 @@
-"""The known cells of a subject: cells of the atlas, of tiles in memory, and of saved tiles."""
+"""The known cells of a subject: cells of the atlas, and of tiles in memory."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -15,8 +15,6 @@ from atlas.query.queries import nearest_cell
 from atlas.query.window import nearest
 from workers.results import PENDING, REASON, REGIME, in_words
 
-DEPTH = 12
-"""Number of coarser levels in which saved tiles are looked up."""
 MOST_VIEWS = 4
 """Number of viewports whose cells of the atlas are cached.
 
@@ -44,16 +42,6 @@ class CellLookup:
     def __init__(self, tiles: TileCache) -> None:
         self.tiles, self.subject = tiles, tiles.subject
         self._base = lru_cache(MOST_VIEWS)(lambda sight, names, looked: seen_atlas(self.subject, sight, names))
-
-    def load_visible(self, plane: PlaneParameters, viewport: Viewport, names: Collection[str]) -> None:
-        """Read the saved tiles of a viewport into memory, the finest first, and coarser tiles only in gaps of the finer
-        ones.
-        """
-        hidden: set[TileKey] = set()
-        for stage in range(max(STAGES, min(DEPTH, max(viewport.x.level, viewport.y.level))) + 1):
-            tiles = viewport.tiles(stage)
-            shown = hidden | self.tiles.get(plane, [key for key in tiles if key not in hidden], names).keys()
-            hidden = {above for above in {key.parent for key in tiles} if all(b in shown for b in child_tiles(above))}
 
     def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
         """Return the visible cells of a viewport; unknown cells are pending."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from bokeh.events import ButtonClick
 from bokeh.layouts import row
-from bokeh.models import Button, Div, NumericInput, Select, Slider, Spinner, Toggle
+from bokeh.models import Button, Div, NumericInput, Select, Slider, Spinner
 
 from atlas.errors import InputError
 from atlas.explore.accessibility import accessible_name
@@ -32,7 +32,6 @@ class Controls:
         self.subject, self._store = subject, store
         chosen = store.now.view
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
-        self.keep = Toggle(label="keep this plane too", visible=subject.handle is not None, **wide)
         tell = call("tell")
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
@@ -56,21 +55,20 @@ class Controls:
             Div(text=html_part("look"), stylesheets=[TEXT, FOCUS, LOOK], sizing_mode="stretch_width"),
             heading("a cut, or draw one over the plane"), row(*cuts, sizing_mode="stretch_width"),
             heading("axes"), *self.axes,
-            heading("parameters"), *self._sliders(states=False), self.keep,
+            heading("parameters"), *self._sliders(states=False),
             heading("save the picture"), row(*self.files.values(), sizing_mode="stretch_width"),
             heading("a new atlas of the view, or of a box"), self.cells, self.make,
             *([heading("initial state"), *states] if states else []),
         ]  # fmt: skip
 
-    def show(self, state: PageState, kept: bool = False) -> None:
-        """Show the state in the widgets; ``kept`` tells whether tiles of its plane are saved."""
-        chosen, own = state.view, self.subject.plane
+    def show(self, state: PageState) -> None:
+        """Show the state in the widgets."""
+        chosen = state.view
         for name, value in chosen.plane.parameters:
             slider = self.sliders[name]
             if not slider.start <= value <= slider.end:
                 slider.update(start=min(slider.start, value), end=max(slider.end, value))
             slider.value = self.typed[name].value = value
-        self.keep.update(disabled=chosen.plane == own, active=kept)
 
     def _wire(self) -> None:
         """Have each widget change the part of the state that it shows."""

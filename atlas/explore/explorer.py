@@ -13,7 +13,6 @@ import numpy as np
 from atlas.explore.cell_lookup import CellLookup
 from atlas.explore.grid_patch import solve_patch
 from atlas.explore.jobs import JobService, ServiceJob, Take, Task
-from atlas.explore.persistent_tiles import MAX_BYTES, PersistentTileCache
 from atlas.explore.subject import Arrays, PlaneParameters, Subject
 from atlas.explore.tile_cache import MemoryTileCache, TileCache
 from atlas.explore.viewport import TILE_CELLS, TileKey, Viewport
@@ -32,12 +31,10 @@ MAX_FAILURES = 4096
 
 
 class Explorer:
-    """Finds, solves and saves the cells of one subject for its pages.
+    """Finds and solves the cells of one subject for its pages.
 
     subject      the subject
     connect      opens the Dask client; or the explorer whose cluster and memory are shared
-    keep         whether solved tiles are saved in the store
-    most_bytes   maximum size, in bytes, of the zoom levels of the store
     timing       time limits of the jobs on the cluster
 
     patches      the job service
@@ -50,30 +47,24 @@ class Explorer:
         self,
         subject: Subject,
         connect: "Callable[[], AbstractContextManager[Client]] | Explorer",
-        keep: bool = True,
-        most_bytes: int = MAX_BYTES,
         timing: Timing = TIMING,
     ) -> None:
         self.subject, self.failures = subject, dict[tuple[PlaneParameters, TileKey], float]()
-        self._keeping = keep, most_bytes
         self._listeners: dict[Hashable, Callable[[PlaneParameters, TileKey], None]] = {}
         self._lock = threading.Lock()
         self._others: dict[tuple[tuple[str, str], float | None], Explorer] = {}
-        self._ending: list[PersistentTileCache] = []
         self.patches: JobService
         memory: MemoryTileCache
         if isinstance(connect, Explorer):
             self.patches, memory = connect.patches, connect.tiles.memory
         else:
             self.patches, memory = JobService(connect, timing), MemoryTileCache()
-        self.tiles: TileCache = TileCache(subject, PersistentTileCache(subject, most_bytes, keep), memory)
+        self.tiles: TileCache = TileCache(subject, memory)
         self.known = CellLookup(self.tiles)
 
     def stop(self) -> None:
-        """Stop the jobs, and save the tiles that wait to be written."""
+        """Stop the jobs."""
         self.patches.stop()
-        for keeper in (*self._ending, *(other.tiles.keeper for other in (*self._others.values(), self))):
-            keeper.stop()
 
     def explorer_for_axes(self, axes: tuple[str, str], layer: float | None = None) -> "Explorer":
         """Return the explorer of the same machine over other axes, or of another layer of a stack, on the same cluster.
@@ -87,14 +78,11 @@ class Explorer:
             return self
         subject, layer = self.subject.with_axes(axes, layer), self.subject.layer_value if layer is None else layer
         with self._lock:
-            explorer = self._others.pop((axes, layer), None) or Explorer(subject, self, *self._keeping)
+            explorer = self._others.pop((axes, layer), None) or Explorer(subject, self)
             self._others[axes, layer] = explorer  # in order of their last use
             idle = [key for key, other in self._others.items() if not other.listeners and key != (axes, layer)]
-            self._ending = [keeper for keeper in self._ending if not keeper.has_ended]
             for key in idle[: max(0, len(self._others) - MAX_OTHER_EXPLORERS)]:
-                gone = self._others.pop(key).tiles
-                gone.drop()  # its last tiles are written while the page continues
-                self._ending.append(gone.keeper)
+                self._others.pop(key).tiles.drop()
             return explorer
 
     def subscribe(self, consumer: Hashable, callback: Callable[[PlaneParameters, TileKey], None] | None) -> None:
@@ -156,13 +144,6 @@ class TileJob(ServiceJob):
     explorer: Explorer
     plane: PlaneParameters
     key: TileKey
-
-    def is_ready(self) -> bool:
-        """Return True unless the tile is to be saved and the write queue is full: cells are solved no faster than
-        written.
-        """
-        tiles = self.explorer.tiles
-        return not (tiles.keeper.is_full and tiles.is_kept(self.plane))
 
     def build_task(self) -> tuple[Task, Take] | None:
         """Return the task that solves the cells of the tile that its parent lacks, and the function that completes the

@@ -52,10 +52,6 @@ class ServiceState:
 class ServiceJob(Protocol):
     """A job of the ``JobService``. All methods are called in the service's thread."""
 
-    def is_ready(self) -> bool:
-        """Return True if the job may be submitted now; until then other jobs go first."""
-        return True
-
     def build_task(self) -> tuple[Task, Take] | None:
         """Return the task to submit and the function that takes its result; None if the result has become known."""
 
@@ -178,7 +174,7 @@ class JobQueue(Iterator[ServiceJob]):
                 who = self._turn[0]
                 self._turn.rotate(-1)
                 for job in self._jobs.get(who, ()):
-                    if job not in self._under_way and job.is_ready():
+                    if job not in self._under_way:
                         self._under_way.add(job)
                         return job
         raise StopIteration

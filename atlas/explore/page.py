@@ -134,7 +134,7 @@ class ExplorerPage:
 
     def _wire(self) -> None:
         """Connect events with their handlers."""
-        controls, store = self._controls, self._store
+        controls = self._controls
         plot = self._pane.plot
         for k, attribute in enumerate(("inner_width", "inner_height")):
             plot.on_change(attribute, partial(self._resized, k))
@@ -142,7 +142,6 @@ class ExplorerPage:
         plot.js_on_event(RangesUpdate, call("tell"))  # before the event reaches the server
         plot.on_event(Tap, lambda event: self._details.click(event))
         plot.on_event(SelectionGeometry, self._boxed)
-        controls.keep.on_click(lambda on: self._explorer.tiles.set_kept(store.now.view.plane, on))
         for suffix, button in controls.files.items():
             button.on_click(partial(self._save, suffix))
         controls.make.on_click(self._make)
@@ -169,7 +168,7 @@ class ExplorerPage:
     def _changed(self, old: PageState, new: PageState) -> None:
         """Show the new state."""
         chosen = new.view
-        self._controls.show(new, self._explorer.tiles.is_kept(chosen.plane))
+        self._controls.show(new)
         self._details.show(chosen)
         self._cut.show(new)
         if min(new.size) >= MIN_PLANE_PIXELS:
@@ -223,7 +222,7 @@ class ExplorerPage:
         explorer, now = self._explorer, self._store.now
         trouble = "; ".join(filter(None, (now.trouble, now.missing_parts)))
         left = explorer.patches.n_remaining(self._pane.painter)
-        text = progress(explorer.patches.state, left, [*self._notes(), explorer.tiles.keeper.trouble], now.shares)
+        text = progress(explorer.patches.state, left, self._notes(), now.shares)
         if trouble:
             text = f'<span class="trouble" role="alert">{html.escape(trouble)}</span> &middot; {text}'
         self._line.text = f"<span>{text}</span>"
@@ -231,9 +230,6 @@ class ExplorerPage:
     def _notes(self) -> list[str]:
         subject, chosen = self._subject, self._store.now.view
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
-        keeper = self._explorer.tiles.keeper
-        if keeper.handle is not None and not keeper.trouble and chosen.plane == subject.plane:
-            notes.append(f"saved in {subject.name}")
         for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
             first, last = lattice.ends
             slack = 1e-9 * (last - first)
@@ -241,8 +237,7 @@ class ExplorerPage:
                 notes.append("partly outside the atlas's window")
                 break
         if chosen.plane != subject.plane:
-            kept = keeper.handle is not None and self._explorer.tiles.is_kept(chosen.plane)
-            notes.append("not the plane of the atlas" + ("" if kept else ", not saved"))
+            notes.append("not the plane of the atlas")
         failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 

@@ -187,7 +187,6 @@ class PictureRenderer:
             self._view, self._found = next(self._views), (chosen.plane, sight)
         self.sight = sight
         explorer.patches.request(self, ())
-        explorer.known.load_visible(chosen.plane, sight, chosen.names)
         self._paint()
         explorer.request_tiles(self, chosen.plane, sight, stages)
 

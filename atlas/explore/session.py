@@ -12,7 +12,6 @@ from urllib.parse import urlencode
 
 from atlas.errors import InputError
 from atlas.explore.explorer import Explorer
-from atlas.explore.persistent_tiles import MAX_BYTES
 from atlas.explore.server import HOST, PageServer, listening
 from atlas.explore.subject import TOLERANCE, Subject, subject_of
 from atlas.platform import processors
@@ -63,7 +62,7 @@ class ExplorerSession:
         return f"{self._server.url}?{self._query}"
 
     def stop(self) -> None:
-        """Close the pages, end the jobs and save the solved tiles."""
+        """Close the pages and end the jobs."""
         self._server.stop()
         for page in self._pages:
             page.close()
@@ -90,8 +89,6 @@ def explore(
     scheduler: str | None = None,
     workers: int | None = None,
     tolerance: float = TOLERANCE,
-    keep: bool = True,
-    most_bytes: int = MAX_BYTES,
     folder: Path | None = None,
     port: int = 0,
     host: str = HOST,
@@ -107,8 +104,6 @@ def explore(
     scheduler    address of a Dask scheduler to connect to
     workers      number of local worker processes
     tolerance    least tolerance, the standard error of the largest exponent, of explored cells
-    keep         whether solved tiles are saved in the zoom levels of the store
-    most_bytes   maximum size, in bytes, of the zoom levels
     folder       folder in which specs of new atlases are written; by default the working directory
     port         port to listen at; 0 is any free port
     host         address to listen at; by default the loopback of this machine
@@ -134,7 +129,7 @@ def explore(
     if prepare is not None:
         prepare()
     connect = _connection(client, scheduler, workers, timing)
-    explorer = Explorer(subject, connect, keep, most_bytes, timing)
+    explorer = Explorer(subject, connect, timing)
     shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
     query = urlencode(shown, safe=":")
     try:

@@ -127,11 +127,6 @@ class Subject:
         return self.settings.method == "adaptive"
 
     @property
-    def handle(self) -> AtlasStore | None:
-        """The handle of a store in which cells of this solver version can be saved; None if there is none."""
-        return self.store if self.store is not None and self.store.solver_version == SOLVER_VERSION else None
-
-    @property
     def system(self) -> System:
         """The system."""
         return self.spec.system_def
@@ -198,7 +193,8 @@ class Subject:
     def has_same_settings(self) -> bool:
         """True if cells of the atlas equal explored cells, since both have the same settings."""
         asked = replace(self.spec.settings, section_samples=0, observe="")
-        return self.handle is not None and self.all_attractors is None and asked == self.settings
+        same_solver = self.store is not None and self.store.solver_version == SOLVER_VERSION
+        return same_solver and self.all_attractors is None and asked == self.settings
 
     def digest(self, plane: PlaneParameters) -> str:
         """Return the digest of a plane and its exploration: system, axes, fixed parameters, settings and solver
@@ -276,14 +272,6 @@ class Subject:
     def patch(self, plane: PlaneParameters, key: TileKey, missing: NDArray[np.bool_]) -> GridPatch:
         """Return the patch of the missing cells (y, x) of a tile."""
         return self.grid(plane, *self.points(key.columns, key.rows), packed(missing))
-
-    def spec_of(self, plane: PlaneParameters, x: Any, y: Any) -> Spec:
-        """Return the spec of cells at these values of the axes."""
-        axes = {
-            axis.name: {"values": np.asarray(values), "scale": axis.scale}
-            for axis, values in zip(self.spec.axes, (x, y), strict=True)
-        }
-        return Spec(self.system, axes, dict(plane.parameters), self.settings)
 
 
 def subject_of(

@@ -1,9 +1,8 @@
-"""All known tiles of a subject: in memory first, then from cells of the atlas, then saved tiles."""
+"""All known tiles of a subject: those in memory, and cells of the atlas."""
 
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
 from contextlib import suppress
 from functools import lru_cache
 
@@ -12,8 +11,6 @@ from numpy.typing import NDArray
 
 from atlas.errors import RunError
 from atlas.explore.compose import atlas_cells, atlas_covers
-from atlas.explore.metatiles import RELIST_SECONDS
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Arrays, PlaneParameters, Subject
 from atlas.explore.viewport import TILE_CELLS, TileKey, Viewport
 from atlas.store.store import done_tiles
@@ -21,67 +18,59 @@ from workers.results import INVALID, OUT_OF_RANGE, PENDING, REASON, REGIME
 
 MAX_BYTES = 384 * 2**20
 """Maximum size, in bytes, of the tiles in memory."""
+RELIST_SECONDS = 5.0
+"""Time, in seconds, after which the finished tiles of the atlas are listed anew, since a run may have written some."""
 MAX_REMEMBERED_ROWS = 4096
 """Maximum number of rows and columns of tiles for which it is remembered whether they have a valid point."""
 
 
 class MemoryTileCache:
-    """The most recently viewed tiles of several owners; the others are evicted.
-
-    Each tile has its arrays, possibly of some variables only, and a flag: True if the arrays are saved nowhere else.
-    """
+    """The most recently viewed tiles of several owners; the others are evicted."""
 
     def __init__(self, most_bytes: int = MAX_BYTES) -> None:
         self.most, self.bytes, self._lock = most_bytes, 0, threading.Lock()
-        self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], tuple[Arrays, bool]] = OrderedDict()
+        self._tiles: OrderedDict[tuple[object, PlaneParameters, TileKey], Arrays] = OrderedDict()
 
-    def put(self, owner: object, plane: PlaneParameters, key: TileKey, arrays: Arrays, only_here: bool = False) -> None:
-        """Add arrays to a tile, and evict tiles if there is no room.
-
-        The least recently viewed tiles are evicted first, those with ``only_here`` after all others.
-        """
+    def put(self, owner: object, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
+        """Add a tile, and evict the least recently viewed tiles if there is no room."""
         at = owner, plane, key
         with self._lock:
-            known, before = self._tiles.pop(at, ({}, False))
-            self._tiles[at] = made, _ = known | arrays, only_here or before
-            self.bytes += _size(made) - _size(known)
+            self.bytes += _size(arrays) - _size(self._tiles.pop(at, {}))
+            self._tiles[at] = arrays
             while self.bytes > self.most and len(self._tiles) > 1:
-                others = (held for held, (_, alone) in self._tiles.items() if not alone and held != at)
-                self.bytes -= _size(self._tiles.pop(next(others, next(iter(self._tiles))))[0])
+                self.bytes -= _size(self._tiles.popitem(last=False)[1])
 
-    def get(self, owner: object, plane: PlaneParameters, key: TileKey) -> Arrays:
-        """Return the arrays of a tile and mark it as viewed; empty if the tile is not in memory."""
+    def get(self, owner: object, plane: PlaneParameters, key: TileKey) -> Arrays | None:
+        """Return the arrays of a tile and mark it as viewed; None if the tile is not in memory."""
         at = owner, plane, key
         with self._lock:
             if at not in self._tiles:
-                return {}
+                return None
             self._tiles.move_to_end(at)
-            return self._tiles[at][0]
+            return self._tiles[at]
 
     def tiles_of_plane(self, owner: object, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
         """Return the tiles of a plane."""
         with self._lock:
             tiles = self._tiles.items()
-            return [(key, arrays) for (who, of, key), (arrays, _) in tiles if who is owner and of == plane]
+            return [(key, arrays) for (who, of, key), arrays in tiles if who is owner and of == plane]
 
     def drop(self, owner: object) -> None:
         """Remove the tiles of an owner."""
         with self._lock:
             for at in [held for held in self._tiles if held[0] is owner]:
-                self.bytes -= _size(self._tiles.pop(at)[0])
+                self.bytes -= _size(self._tiles.pop(at))
 
 
 class TileCache:
     """The arrays (TILE_CELLS, TILE_CELLS, ...) of a subject by plane, tile and name.
 
     subject   the subject
-    keeper    the persistent cache
     memory    the cache in memory, which other subjects may share
     """
 
-    def __init__(self, subject: Subject, keeper: PersistentTileCache, memory: MemoryTileCache | None = None) -> None:
-        self.subject, self.keeper, self.memory = subject, keeper, memory or MemoryTileCache()
-        self._kept_planes, self._lock = {subject.plane}, threading.Lock()
+    def __init__(self, subject: Subject, memory: MemoryTileCache | None = None) -> None:
+        self.subject, self.memory = subject, memory or MemoryTileCache()
         self._invalid = subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
         self._invalid[REGIME.name][...], self._invalid[REASON.name][...] = INVALID, OUT_OF_RANGE
         self._admits = lru_cache(MAX_REMEMBERED_ROWS)(
@@ -92,31 +81,15 @@ class TileCache:
 
     def has(self, plane: PlaneParameters, key: TileKey) -> bool:
         """Return True if a tile need not be solved."""
-        held = self.memory.get(self, plane, key).keys() >= self.subject.variables.keys()  # else the rest may be lost
-        known = held or self.is_out_of_range(key) or self.keeper.has(plane, key)
+        known = self.full_tile(plane, key) is not None
         return known or atlas_covers(self.subject, self.atlas_done(), plane, key)
 
-    def get(self, plane: PlaneParameters, keys: Sequence[TileKey], names: Collection[str]) -> dict[TileKey, Arrays]:
-        """Return the known tiles that have the named variables; saved tiles are read into memory."""
-        wanted = {*names, REGIME.name}
-        known = {key: self.memory.get(self, plane, key) for key in keys}
-        missing = [key for key, arrays in known.items() if not arrays.keys() >= wanted]
-        for key, arrays in self.keeper.load(plane, missing, wanted).items():
-            self.memory.put(self, plane, key, arrays)
-            known[key] = known[key] | arrays
-        return {key: arrays for key, arrays in known.items() if arrays.keys() >= wanted}
-
     def put(self, plane: PlaneParameters, key: TileKey, arrays: Arrays) -> None:
-        """Put a solved tile into memory; queue it for writing if its plane is saved and the tile can be."""
-        wanted = self.is_kept(plane)
-        kept = wanted and self.keeper.can_keep(key)
-        self.memory.put(self, plane, key, arrays, only_here=wanted and not kept)
-        if kept:
-            self.keeper.enqueue(plane, key, arrays)
+        """Put a solved tile, with all variables, into memory."""
+        self.memory.put(self, plane, key, arrays)
 
     def drop(self) -> None:
-        """Remove all tiles from memory. Tiles in the write queue are still written."""
-        self.keeper.request_stop()
+        """Remove all tiles from memory."""
         self.memory.drop(self)
 
     def tiles_of_plane(self, plane: PlaneParameters) -> list[tuple[TileKey, Arrays]]:
@@ -124,33 +97,18 @@ class TileCache:
         return self.memory.tiles_of_plane(self, plane)
 
     def visible_tiles(self, plane: PlaneParameters, viewport: Viewport) -> list[tuple[TileKey, Arrays]]:
-        """Return the visible tiles that are not denser than the viewport, the coarsest first; tiles out of range come
-        last.
+        """Return the visible tiles that are not denser than the viewport, the coarsest first, and mark them as viewed;
+        tiles out of range come last.
         """
         shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
         shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        for key, _ in shown:
+            self.memory.get(self, plane, key)
         return shown + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
-
-    def is_kept(self, plane: PlaneParameters) -> bool:
-        """Return True if solved tiles of this plane are to be saved."""
-        with self._lock:
-            return plane in self._kept_planes
-
-    def set_kept(self, plane: PlaneParameters, on: bool = True) -> None:
-        """Start saving tiles of a plane, including the tiles in memory; or stop saving further tiles."""
-        with self._lock:
-            if on == (plane in self._kept_planes):
-                return
-            self._kept_planes ^= {plane}
-        for key, arrays in self.tiles_of_plane(plane) if on else ():
-            if arrays.keys() >= self.subject.variables.keys():
-                self.keeper.enqueue(plane, key, arrays)
 
     def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
         """Return all variables of a tile; None if the tile is not known."""
-        if self.is_out_of_range(key):
-            return self._invalid
-        return self.get(plane, [key], self.subject.variables).get(key)
+        return self._invalid if self.is_out_of_range(key) else self.memory.get(self, plane, key)
 
     def parent(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
         """Return every fourth cell of a tile, from its parent, or from the atlas if it has the same settings; None if

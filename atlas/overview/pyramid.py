@@ -164,8 +164,8 @@ class Pyramid:
     def coordinates(self) -> dict[str, StoredArray]:
         """Return the coordinates of all levels by path."""
         levels = range(1, self.levels.count + 1)
-        each = {level: level_coordinates(self.handle, level) for level in levels}
-        return {f"{GROUP}/{level}/{name}": array for level in levels for name, array in each[level].items()}
+        by_level = {level: level_coordinates(self.handle, level) for level in levels}
+        return {f"{GROUP}/{level}/{name}": array for level in levels for name, array in by_level[level].items()}
 
     def build_chunk(self, level: int, index: Index) -> None:
         """Compute a chunk of a level from the previous level and write it, ``regime`` last.

@@ -2,14 +2,14 @@
 
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
-from atlas.argument_checks import validate_path, validate_suffix
+from atlas.argument_checks import validate_path
 from atlas.errors import InputError
 from atlas.query.window import Window, axis_names, select_window
 from atlas.query.window import columns as columns_of
@@ -50,7 +50,7 @@ def export(
     that cannot be written.
     """
     target = validate_path(path)
-    suffix = validate_suffix(target, FORMATS)
+    suffix = check_target(target, FORMATS)
     shown = select_window(ds, window)
     count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
     with replace_on_success(target) as unfinished:
@@ -72,15 +72,22 @@ def _append(file: TextIO, table: "pd.DataFrame", header: bool = True) -> None:
     table.to_csv(file, index=False, header=header, na_rep="nan", lineterminator="\n")
 
 
-def check_writable(path: Path) -> None:
-    """Raise InputError if no file can be written at ``path``. Call it before work that may take long."""
-    folder = path.absolute().parent
+def check_target(path: Path, formats: Sequence[str]) -> str:
+    """Return the suffix of a file to write, in lower case; call this before work that may take long.
+
+    Raise InputError unless ``formats`` has the suffix and the file can be written.
+    """
+    suffix, folder = path.suffix.lower(), path.absolute().parent
+    if suffix not in formats:
+        given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {given}; possible: {', '.join(formats)}")
     if path.is_dir():
         raise InputError(f"{path}: cannot be written: is a folder")
     if not folder.is_dir():
         raise InputError(f"{path}: cannot be written: there is no folder {folder}")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"{path}: cannot be written: no permission in {folder}")
+    return suffix
 
 
 @contextmanager

@@ -110,8 +110,8 @@ def nearest_cells(ds: "xr.Dataset", points: "Mapping[str, ArrayLike]") -> "xr.Da
     given = {name: np.asarray(points[name], dtype=object) for name in names}
     shapes = {values.shape for values in given.values() if values.ndim}
     if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
-        found = ", ".join(f"{name} {list(values.shape)}" for name, values in given.items())
-        raise InputError(f"points: found the shapes {found}, must be numbers, or lists of one length")
+        listed = ", ".join(f"{name} {list(values.shape)}" for name, values in given.items())
+        raise InputError(f"points: found the shapes {listed}, must be numbers, or lists of one length")
     dims, shape = (POINT,) if shapes else (), next(iter(shapes), ())
     index, distances = {}, {}
     for name, values in given.items():
@@ -267,7 +267,7 @@ def _beyond(codes: NDArray[np.integer[Any]], code: int, line: NDArray[np.float64
     one, two = codes[low, left], codes[high, right]
     turned = ((one == code) == (two == code)) | (one == PENDING) | (two == PENDING)
     one, two = np.where(turned, codes[low, right], one), np.where(turned, codes[high, left], two)
-    return [REGIME.meaning(int(found)).name for found in np.where(one == code, two, one)]
+    return [REGIME.meaning(int(other)).name for other in np.where(one == code, two, one)]
 
 
 def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":

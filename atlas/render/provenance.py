@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from atlas.argument_checks import validate_path, validate_suffix
-from atlas.query.export import check_writable, replace_on_success
+from atlas.argument_checks import validate_path
+from atlas.query.export import check_target, replace_on_success
 from atlas.query.window import axis_names
 from atlas.spec.system import stored_name
 from atlas.store.host import package_version
@@ -47,9 +47,7 @@ def check_path(path: str | Path) -> str:
 
     Raise InputError for an unknown suffix, and if the file cannot be written.
     """
-    suffix = validate_suffix(validate_path(path), [f".{name}" for name in FORMATS])
-    check_writable(Path(path))
-    return suffix.removeprefix(".")
+    return check_target(validate_path(path), [f".{name}" for name in FORMATS]).removeprefix(".")
 
 
 def save(fig: "Figure", target: Path, provenance: Provenance, layout: "FigureLayout") -> None:

@@ -1,7 +1,7 @@
 """Packing a store into one zip file, which every reading command and plain xarray can open."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -64,13 +64,15 @@ def pack(
     force: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
     timing: Timing = TIMING,
+    storage_options: Mapping[str, Any] | None = None,
 ) -> PackSummary:
     """Pack a store, a folder or a URL, into one zip file; the store stays as it is, and may be incomplete.
 
     The name of the file ends in .zip. The file appears whole or not at all, and replaces an existing file only with
-    ``force``. Raise ChunkError if a chunk of a finished tile or of a table is missing. Raise InputError for another
-    suffix, if the file exists, or if there is no store or it contains links or special files. Raise InputError also if
-    a run holds the lease of the store, since the file could then contain part of a tile.
+    ``force``. ``storage_options`` are those of ``open``. Raise ChunkError if a chunk of a finished tile or of a table
+    is missing. Raise InputError for another suffix, if the file exists, or if there is no store or it contains links or
+    special files. Raise InputError also if a run holds the lease of the store, since the file could then contain part
+    of a tile.
 
     >>> import atlas
     >>> atlas.pack("plane.zarr", "plane.zip").is_complete
@@ -82,7 +84,7 @@ def pack(
         raise InputError(f"{file}: must end in {SUFFIX}, by which other commands recognise a zip file")
     if target.is_dir():
         raise InputError(f"{file}: is a folder")
-    handle = open_store(store)
+    handle = open_store(store, storage_options)
     if open_backend(target) == handle.backend:
         raise InputError(f"{file}: is the store itself")
     if target.exists() and not force:

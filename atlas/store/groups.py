@@ -116,11 +116,11 @@ def _find_group(
     names = list(attributes.get(ARRAYS, ()))
     for nodes in (members_of(data), _own_nodes(handle, group, names)):
         arrays = {name: _read(handle, f"{group}/{name}", nodes.get(name)) for name in names}
-        values = {name: found for name, found in arrays.items() if isinstance(found, np.ndarray)}
+        values = {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
         if len(values) == len(names) and _content({name: nodes[name] for name in names}, values) == attributes[CONTENT]:
             return values, attributes, {name: nodes[name] for name in names}
-        for found in arrays.values():
-            faults |= {} if isinstance(found, np.ndarray) else found
+        for result in arrays.values():
+            faults |= {} if isinstance(result, np.ndarray) else result
     raise ChunkError(handle.backend, faults or {f"{group}/{ROOT}": "is damaged or belongs to other arrays"})
 
 

@@ -31,7 +31,6 @@ from atlas.store.schema import (
     root_with_groups,
 )
 from atlas.store.schema import OVERVIEWS as OVERVIEWS
-from atlas.store.schema import ZOOM as ZOOM
 from atlas.store.tiling import Tiling, chunk_index
 from workers.results import REGIME, Variable, leading
 
@@ -226,7 +225,7 @@ def _attributes(place: StoreBackend, content: bytes | None) -> dict[str, Any]:
 
 
 def _is_copy(place: StoreBackend, content: bytes | None) -> bool:
-    """Return True if the root is that of an atlas, but without the groups that every store has."""
+    """Return True if a root was copied without its groups: it is intact, and no group of tiles stands beside it."""
     return unsealed(content) is not None and not place.exists(f"{TILES}/{ROOT}")
 
 

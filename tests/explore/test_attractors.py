@@ -15,14 +15,12 @@ from atlas.explore.attractors import AttractorListing, attractor_computation, at
 from atlas.explore.cell_lookup import CellLookup, CellResult
 from atlas.explore.explorer import Explorer
 from atlas.explore.jobs import ComputationJob
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.tile_cache import TileCache
 from atlas.explore.view_state import initial_view
 from atlas.query.queries import nearest_cell
 from atlas.store.store import open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
-from atlas.store.zoom import list_metatiles, metatile_backend
 from tests.explore.test_solving import exploring, solved
 from tests.query.test_coexistence import spec_of
 from workers import Settings
@@ -53,7 +51,7 @@ def coexistence(tmp_path_factory: pytest.TempPathFactory, client: Client) -> Pat
 def test_the_attractors_found_are_those_of_solve_attractors_with_the_settings_of_exploring(
     finished: Path, client: Client
 ) -> None:
-    with exploring(finished, client, keep=False) as explorer:
+    with exploring(finished, client) as explorer:
         subject = explorer.subject
         parameters = dict(subject.plane.parameters) | CELL
         found = asked(explorer, CellResult(parameters, CELL, of_atlas=False))
@@ -97,9 +95,6 @@ def test_what_is_explored_between_the_cells_of_a_coexistence_atlas_has_one_motio
         solved(explorer, sight)
         shown = explorer.known.visible_cells(subject.plane, sight, ["largest"]).ds
     assert shown.largest.dims == ("R", "omega") and not np.any(shown[REGIME.name].values == PENDING)
-    handle = open_store(coexistence)
-    assert all(open_store(metatile_backend(handle, *sheet)).spec.attractors is None for sheet in list_metatiles(handle))
-    assert atlas.verify(coexistence, sample=1).is_sound
 
 
 def test_by_the_papers_schedule_attractors_are_not_sought(finished: Path) -> None:
@@ -184,7 +179,7 @@ def test_an_atlas_of_all_attractors_that_a_run_is_filling_is_seen_as_it_grows(
     for index in tiles:
         drop_tile(handle, index)
     subject = subject_of(str(path))
-    known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
+    known = CellLookup(TileCache(subject))
     sight = subject.viewport((3.6, 4.4), (0.7, 0.9), (3, 4))
 
     def pending() -> int:

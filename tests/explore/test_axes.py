@@ -1,6 +1,5 @@
 """Other axes and layers of a machine that is explored: what is chosen in the page, as its address holds it."""
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import parse_qs
@@ -13,7 +12,6 @@ import atlas
 from atlas.errors import InputError
 from atlas.explore.explorer import MAX_OTHER_EXPLORERS, Explorer
 from atlas.explore.page_state import PageModel, PageState
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import Subject, subject_of
 from atlas.explore.view_state import carry_over, explorer_for_query, from_address
 from atlas.explore.viewport import TileKey
@@ -97,27 +95,6 @@ def test_a_box_is_forgotten_with_the_view_in_which_it_was_chosen() -> None:
         assert store.now.box == kept, change
 
 
-def test_turning_to_other_axes_does_not_wait_for_a_layer_whose_tiles_are_being_written(
-    stack: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    go_on, written = threading.Event(), []
-
-    def slow(keeper: PersistentTileCache, handle: object, batch: list[object]) -> None:
-        assert go_on.wait(30.0)
-        written.extend(batch)
-        keeper._waiting.clear()
-
-    monkeypatch.setattr(PersistentTileCache, "_turn", slow)
-    monkeypatch.setattr("atlas.explore.explorer.MAX_OTHER_EXPLORERS", 1)
-    with exploring(stack, client) as explorer:
-        layer = explorer.explorer_for_axes(("omega", "b"), 0.05)
-        layer.tiles.keeper.enqueue(layer.subject.plane, TileKey(0, 0, 0, 0), {})
-        assert explorer.explorer_for_axes(("R", "b")) is not explorer.explorer_for_axes(("R", "omega"))
-        assert not written
-        go_on.set()
-    assert len(written) == 1
-
-
 @pytest.mark.parametrize(
     ("query", "message"),
     [
@@ -160,9 +137,6 @@ def test_axes_that_no_page_shows_are_forgotten(explorer: Explorer) -> None:
     assert len(explorer._others) == MAX_OTHER_EXPLORERS
     assert explorer.explorer_for_axes((names[-1], "b")) is others[-1]
     assert explorer.explorer_for_axes((names[0], "b")) is not others[0]
-    assert waited(lambda: all(thread.has_ended for thread in explorer._ending))
-    explorer.explorer_for_axes((names[1], "b"))
-    assert len(explorer._ending) <= 1  # the one that has just been forgotten
 
 
 def test_all_axes_and_layers_of_a_server_share_one_memory_and_leave_it_when_they_are_forgotten(

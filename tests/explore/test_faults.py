@@ -84,9 +84,7 @@ def test_a_worker_that_is_killed_is_missed_and_another_goes_on(finished: Path) -
     port = free_port()
     with scheduler(port)(), worker(port)() as first:  # type: ignore[attr-defined]
         assert waited(lambda: reachable(port))
-        explorer = Explorer(
-            subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"), keep=False
-        )
+        explorer = Explorer(subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"))
         try:
             sight = begun(explorer, 150)
             first.kill()
@@ -104,9 +102,7 @@ def test_a_scheduler_that_is_killed_is_missed_and_called_again(finished: Path) -
     try:
         with scheduler(port)(), worker(port)():  # type: ignore[attr-defined]
             assert waited(lambda: reachable(port))
-            explorer = Explorer(
-                subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"), keep=False
-            )
+            explorer = Explorer(subject_of(str(finished)), partial(connect_to_scheduler, f"tcp://127.0.0.1:{port}"))
             sight = begun(explorer, 150)
         assert waited(lambda: "trying again" in line(explorer))  # type: ignore[arg-type]
         with scheduler(port)(), worker(port)():  # type: ignore[attr-defined]
@@ -117,7 +113,7 @@ def test_a_scheduler_that_is_killed_is_missed_and_called_again(finished: Path) -
 
 
 def test_a_local_worker_that_is_killed_is_started_anew(finished: Path) -> None:
-    explorer = Explorer(subject_of(str(finished)), partial(local_cluster, 1), keep=False)
+    explorer = Explorer(subject_of(str(finished)), partial(local_cluster, 1))
     try:
         sight = begun(explorer, 150)
         for child in children():

@@ -110,7 +110,7 @@ def test_a_cluster_grows_to_its_largest_for_many_short_jobs(growing: Client) -> 
 
 
 def test_an_explorer_starts_workers_of_a_growing_cluster(finished: Path, growing: Client) -> None:
-    explorer = Explorer(subject_of(str(finished)), partial(nullcontext, growing), keep=False)
+    explorer = Explorer(subject_of(str(finished)), partial(nullcontext, growing))
     try:
         begun(explorer, 30)
         assert waited(lambda: bool(growing.nthreads()))

@@ -16,7 +16,6 @@ from distributed import Client
 from atlas.explore import picture_renderer as painting
 from atlas.explore.cell_lookup import CellLookup
 from atlas.explore.explorer import Explorer
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.subject import subject_of
 from atlas.explore.tile_cache import TileCache
@@ -35,7 +34,7 @@ SIZE = (48, 40)
 
 @pytest.fixture
 def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
-    with exploring(finished, client, keep=False) as made:
+    with exploring(finished, client) as made:
         yield made
 
 
@@ -130,7 +129,7 @@ def test_a_view_that_is_drawn_again_reads_the_atlas_once_and_while_a_run_fills_i
     drop_tile(handle, index)
     monkeypatch.setattr("atlas.explore.tile_cache.RELIST_SECONDS", 0.0)
     subject = subject_of(str(finished))
-    known = CellLookup(TileCache(subject, PersistentTileCache(subject, wanted=False)))
+    known = CellLookup(TileCache(subject))
     sight = subject.viewport((2.0, 4.0), (0.1, 0.5), (7, 5))
 
     def pending() -> int:

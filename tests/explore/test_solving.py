@@ -1,4 +1,4 @@
-"""What an explorer solves, keeps and finds again, without a page."""
+"""What an explorer solves and finds again, without a page."""
 
 import subprocess
 import sys
@@ -13,25 +13,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 from distributed import CancelledError, Client, LocalCluster, get_worker
 
 import atlas
 from atlas.errors import InputError
-from atlas.explore import persistent_tiles
 from atlas.explore.cell_lookup import CellLookup
 from atlas.explore.explorer import Explorer
 from atlas.explore.grid_patch import solve_patch
 from atlas.explore.jobs import Computation, ComputationJob, JobService, ServiceJob, Take, Task
-from atlas.explore.metatiles import MetatileKey
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.subject import PlaneParameters, Subject, subject_of
 from atlas.explore.tile_cache import MemoryTileCache
 from atlas.explore.viewport import STAGES, TILE_CELLS, TileKey, Viewport
-from atlas.service.lease import hold_lease
-from atlas.store.sidecar import sidecar_of
-from atlas.store.store import open_store
-from atlas.store.zoom import list_metatiles, metatile_backend
 from workers.results import INVALID, PENDING, REGIME
 
 
@@ -72,7 +64,6 @@ def solved(explorer: Explorer, sight: Viewport, plane: PlaneParameters | None = 
     came: list[TileKey] = []
     plane = plane or explorer.subject.plane
     explorer.subscribe("test", lambda _, key: came.append(key))
-    explorer.known.load_visible(plane, sight, ["largest"])
     explorer.request_tiles("test", plane, sight, range(3, -1, -1))
     assert waited(lambda: explorer.patches.n_remaining("test") == 0)
     explorer.subscribe("test", None)
@@ -176,169 +167,26 @@ def test_a_tile_is_waited_for_until_it_is_known(finished: Path, client: Client) 
     assert min(left) == 1
 
 
-def test_what_was_explored_is_kept_and_found_by_the_next_explorer(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        sight = view_of(explorer.subject)
-        solved(explorer, sight)
-        first = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest", "period"]).ds
-    with exploring(finished, client) as explorer:
-        assert solved(explorer, sight) == []
-        explorer.known.load_visible(explorer.subject.plane, sight, ["largest", "period"])
-        second = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest", "period"]).ds
-    assert first.identical(second)
-
-
-@pytest.mark.slow
-def test_tiles_that_come_faster_than_they_are_written_are_all_kept(
-    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(persistent_tiles, "MAX_QUEUED", 1)
-    with exploring(finished, client) as explorer:
-        tiles = solved(explorer, view_of(explorer.subject))
-        assert len(tiles) > 3
-        assert waited(lambda: explorer.tiles.keeper.n_queued == 0)
-        assert all(explorer.tiles.keeper.has(explorer.subject.plane, key) for key in tiles)
-
-
-def test_a_tile_that_memory_lost_while_it_waits_to_be_kept_is_not_solved_again(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        sight, plane = view_of(explorer.subject), explorer.subject.plane
-        with hold_lease(sidecar_of(finished), str(finished)):  # as by a run: nothing can be written meanwhile
-            tiles = solved(explorer, sight)
-            explorer.tiles.memory = MemoryTileCache(1)
-            assert len(tiles) > 3 and explorer.tiles.keeper.n_queued == len(tiles)
-            assert explorer.request_tiles("page", plane, sight, range(3, -1, -1)) == 0
-            arrays = [explorer.tiles.full_tile(plane, key) for key in tiles]
-        assert all(array is not None and (array[REGIME.name] != PENDING).all() for array in arrays)
-
-
-@pytest.mark.slow
-def test_kept_cells_leave_the_atlas_as_it_was_and_are_verified_with_it(finished: Path, client: Client) -> None:
+def test_a_store_is_left_as_it_was_and_explored_by_several(finished: Path, client: Client) -> None:
     before = {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()}
-    with exploring(finished, client) as explorer:
-        solved(explorer, view_of(explorer.subject))
-    assert all(path.read_bytes() == content for path, content in before.items())
-    report = atlas.verify(finished)
-    assert report.is_sound and report.metatiles > 0
-
-
-@pytest.mark.slow
-def test_a_damaged_kept_chunk_is_found_by_verify_and_solved_again_by_the_explorer(
-    finished: Path, client: Client
-) -> None:
-    with exploring(finished, client) as explorer:
-        sight = view_of(explorer.subject)
-        solved(explorer, sight)
-    (chunk, *_) = sorted((finished / "zoom").glob(f"*/x{sight.x.level}_*/largest/c/*/*"))
-    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
-    report = atlas.verify(finished, sample=0)
-    assert not report.is_sound and "largest" in str(report.faults[0]) and "zoom/" in str(report.faults[0])
-    with exploring(finished, client) as explorer:
-        assert len(solved(explorer, sight)) > 0
-        seen = explorer.known.visible_cells(explorer.subject.plane, sight, ["largest"]).ds
-        assert not np.any(seen[REGIME.name].values == PENDING)
-
-
-@pytest.mark.slow
-def test_plain_xarray_reads_what_was_kept(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        solved(explorer, view_of(explorer.subject))
-    handle = open_store(finished)
-    for plane, sheet in list_metatiles(handle):
-        ds = xr.open_zarr(finished / "zoom" / plane / sheet)
-        done = ds[REGIME.name].values != PENDING
-        assert done.any() and np.isfinite(ds.periods_used.values[done]).all()
-        assert open_store(metatile_backend(handle, plane, sheet)).spec.settings == explorer.subject.settings
-
-
-@pytest.mark.slow
-def test_other_planes_are_kept_only_where_that_is_asked_for(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        subject, sight = explorer.subject, view_of(explorer.subject)
-        plane = subject.plane_with(subject.plane, "R", 0.71)
-        solved(explorer, sight, plane)
-        assert not (finished / "zoom").exists()
-        explorer.tiles.set_kept(plane)
-    assert {name for name, _ in list_metatiles(open_store(finished))} == {subject.digest(plane)[:16]}
-
-
-def test_the_keeping_of_another_plane_ends_where_that_is_asked_for(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        plane = explorer.subject.plane_with(explorer.subject.plane, "R", 0.71)
-        persistent_tiles = [explorer.tiles.is_kept(plane)]
-        for on in (True, True, False):
-            explorer.tiles.set_kept(plane, on)
-            persistent_tiles.append(explorer.tiles.is_kept(plane))
-        assert persistent_tiles == [False, True, True, False] and explorer.tiles.is_kept(explorer.subject.plane)
-
-
-@pytest.mark.slow
-def test_what_is_solved_while_a_run_is_at_work_is_kept_when_it_has_ended(finished: Path, client: Client) -> None:
-    with exploring(finished, client) as explorer:
-        with hold_lease(sidecar_of(finished), str(finished)):
-            solved(explorer, view_of(explorer.subject))
-            assert waited(lambda: "not saved yet" in explorer.tiles.keeper.trouble)
-            assert not (finished / "zoom").exists()
-        assert waited(lambda: explorer.tiles.keeper.trouble == "" and (finished / "zoom").exists())
-
-
-@pytest.mark.slow
-def test_two_explorers_of_one_store_keep_by_turns(finished: Path, client: Client) -> None:
     with exploring(finished, client) as one, exploring(finished, client) as other:
-        sight = view_of(one.subject)
-        threads = [threading.Thread(target=solved, args=(tiles_of, sight)) for tiles_of in (one, other)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert waited(lambda: (finished / "zoom").exists())
-    assert atlas.verify(finished).is_sound
+        for explorer in (one, other):
+            assert solved(explorer, view_of(explorer.subject))
+    assert {path: path.read_bytes() for path in finished.rglob("*") if path.is_file()} == before
 
 
-@pytest.mark.slow
-def test_a_packed_atlas_is_explored_without_keeping(finished: Path, client: Client, tmp_path: Path) -> None:
+def test_a_packed_atlas_is_explored(finished: Path, client: Client, tmp_path: Path) -> None:
     atlas.pack(finished, tmp_path / "packed.zip")
     with exploring(tmp_path / "packed.zip", client) as explorer:
-        sight = view_of(explorer.subject)
-        assert solved(explorer, sight) and "read-only" in explorer.tiles.keeper.trouble
+        assert solved(explorer, view_of(explorer.subject))
 
 
-@pytest.mark.slow
-def test_a_store_that_cannot_be_written_is_explored_without_keeping(
-    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(30, "Read-only file system")
-
-    monkeypatch.setattr("atlas.store.sidecar.LocalSidecar.compare_and_set", refuse)
+def test_a_tile_that_memory_has_no_room_for_is_solved_again(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         sight = view_of(explorer.subject)
-        assert solved(explorer, sight)
-        assert waited(lambda: "not saved yet" in explorer.tiles.keeper.trouble)
-        assert "cannot be written: Read-only file system" in explorer.tiles.keeper.trouble
-        assert explorer.tiles.keeper.n_queued > 0
-
-
-@pytest.mark.slow
-def test_beyond_the_limit_the_sheets_seen_longest_ago_are_dropped(finished: Path, client: Client) -> None:
-    subject = subject_of(str(finished))
-    arrays = solve_patch(
-        subject.patch(subject.plane, TileKey(0, 0, 0, 0), np.ones((TILE_CELLS, TILE_CELLS), dtype=bool))
-    )
-    tile = {name: array.reshape((TILE_CELLS, TILE_CELLS, *array.shape[1:])) for name, array in arrays.items()}
-    keys = [TileKey(level, level, 0, 0) for level in (2, 3, 4)]
-    for k, key in enumerate(keys):
-        keeper = PersistentTileCache(subject, most_bytes=1)
-        keeper.enqueue(subject.plane, key, tile)
-        keeper.stop()
-        assert keeper.trouble == ""
-        if k == 0:
-            assert len(list_metatiles(open_store(finished))) == 1  # what was just looked at is never dropped
-    keeper = PersistentTileCache(subject, most_bytes=1, recent=0.0)
-    keeper.enqueue(subject.plane, TileKey(5, 5, 0, 0), tile)
-    keeper.stop()
-    persistent_tiles = [sheet for _, sheet in list_metatiles(open_store(finished))]
-    assert persistent_tiles in ([], [MetatileKey(5, 5, 0, 0).name])
+        tiles = solved(explorer, sight)
+        explorer.tiles.memory = MemoryTileCache(1)
+        assert sorted(solved(explorer, sight)) == sorted(tiles)
 
 
 def test_a_cluster_that_goes_before_a_result_is_here_is_called_again(
@@ -496,14 +344,13 @@ def test_a_tile_without_a_cell_in_range_is_known_as_it_would_be_solved(finished:
 
 
 @pytest.mark.slow
-def test_cells_out_of_range_are_invalid_and_their_tiles_are_not_kept(finished: Path, client: Client) -> None:
+def test_cells_out_of_range_are_invalid(finished: Path, client: Client) -> None:
     with exploring(finished, client) as explorer:
         subject = explorer.subject
         sight = subject.viewport((2.0, 3.0), (-0.1, 0.1), (30, 30))
         solved(explorer, sight)
         ds = explorer.known.visible_cells(subject.plane, sight, []).ds
         assert set(np.unique(ds[REGIME.name].values[ds.b.values <= 0])) == {5}
-    assert atlas.verify(finished).is_sound
 
 
 def test_workers_need_no_bokeh() -> None:

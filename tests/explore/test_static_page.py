@@ -368,11 +368,14 @@ def test_a_page_takes_the_place_of_an_older_file_and_leaves_nothing_else(opened:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["{store}", "-o", "{folder}/page.htm"], "page.htm: the suffix of a page is .html, found '.htm'"),
-        (["{store}", "-o", "{folder}/page"], "page: the suffix of a page is .html, found none"),
+        (
+            ["{store}", "-o", "{folder}/page.htm"],
+            "page.htm: the suffix chooses the format, found '.htm'; possible: .html",
+        ),
+        (["{store}", "-o", "{folder}/page"], "page: the suffix chooses the format, found none; possible: .html"),
         (["{store}", "-o", "{folder}/no/page.html"], "cannot be written: there is no folder"),
         (["{store}", "-o", "{folder}/page.html", "--port", "80"], "--port is for the explorer in the browser"),
-        (["{store}", "-o", "{folder}/page.html", "--no-keep"], "--keep/--no-keep is for the explorer in the browser"),
+        (["{store}", "-o", "{folder}/page.html", "--no-browser"], "--browser/--no-browser is for the explorer in the"),
         (["{store}", "-o", "{folder}/page.html", "--select", "R=0.8"], "R is not an axis here"),
         (["-o", "{folder}/page.html"], "omega-b: -o takes a store, found a spec; compute it first: atlas run omega-b"),
         (["my.toml", "-o", "{folder}/page.html"], "my.toml: -o takes a store, found a spec"),

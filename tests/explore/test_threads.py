@@ -2,7 +2,6 @@
 
 import asyncio
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -16,16 +15,13 @@ from bokeh.document import Document
 from distributed import Client
 from tornado.ioloop import IOLoop
 
-from atlas.explore import persistent_tiles, threads
+from atlas.explore import threads
 from atlas.explore.explorer import Explorer
 from atlas.explore.jobs import Computation, ComputationJob, JobService
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.server import PageServer
-from atlas.explore.subject import subject_of
 from atlas.explore.view_state import initial_view
-from atlas.explore.viewport import TILE_CELLS, TileKey
-from tests.explore.test_solving import exploring, solved, view_of, waited
+from tests.explore.test_solving import exploring, waited
 
 CANCELLED, FROM_DASK = asyncio.CancelledError("gone"), UnboundLocalError("cannot access local variable 'result'")
 """What is no Exception, and what Dask's ``sync`` was seen to raise."""
@@ -49,26 +45,20 @@ def raise_once(monkeypatch: pytest.MonkeyPatch, owner: type, name: str, error: B
 
 @pytest.fixture(autouse=True)
 def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work begins again, and tiles are kept, after moments: 30 tests would wait for a second or two each."""
+    """Work begins again after moments: 30 tests would wait for a second or two each."""
     monkeypatch.setattr(threads, "PAUSE", 0.01)
-    monkeypatch.setattr(persistent_tiles, "BATCH_PAUSE", 0.05)
 
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """All that patches and keepers have said of trouble."""
-    said, patched, keeper = list[str](), JobService._say, PersistentTileCache._say
+    """All that patches have said of trouble."""
+    said, patched = list[str](), JobService._say
 
     def patches_say(self: JobService, trouble: str, workers: int = 0) -> None:
         said.append(trouble)
         patched(self, trouble, workers)
 
-    def keeper_says(self: PersistentTileCache, trouble: str) -> None:
-        said.append(trouble)
-        keeper(self, trouble)
-
     monkeypatch.setattr(JobService, "_say", patches_say)
-    monkeypatch.setattr(PersistentTileCache, "_say", keeper_says)
     return said
 
 
@@ -96,41 +86,9 @@ def test_the_thread_that_has_jobs_done_goes_on_with_a_new_client_after_any_excep
     assert any(str(error) in said for said in shown)
 
 
-@pytest.mark.parametrize("error", [CANCELLED, FROM_DISK], ids=lambda error: type(error).__name__)
-@pytest.mark.parametrize("step", ["_serve", "_turn", "_trim"])
-def test_the_thread_that_keeps_tiles_keeps_all_of_them_after_any_exception(
-    finished: Path, client: Client, monkeypatch: pytest.MonkeyPatch, shown: list[str], step: str, error: BaseException
-) -> None:
-    raise_once(monkeypatch, PersistentTileCache, step, error)
-    with exploring(finished, client) as explorer:
-        tiles = solved(explorer, view_of(explorer.subject))
-        assert len(tiles) > 3 and waited(
-            lambda: explorer.tiles.keeper.n_queued == 0 and explorer.tiles.keeper.trouble == ""
-        )
-        assert explorer.tiles.keeper.sheets is not None
-        assert all(explorer.tiles.keeper.sheets.has(explorer.subject.plane, key) for key in tiles)
-    assert any(str(error) in said for said in shown)
-
-
-def test_a_keeper_that_always_fails_ends_when_it_is_asked_to(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
-        raise UnboundLocalError("always")
-
-    monkeypatch.setattr(PersistentTileCache, "_turn", broken)
-    subject = subject_of(str(finished))
-    keeper = PersistentTileCache(subject)
-    keeper.enqueue(
-        subject.plane, TileKey(4, 4, 0, 0), subject.without_results(subject.variables, (TILE_CELLS, TILE_CELLS))
-    )
-    thread = threading.Thread(target=keeper.stop)
-    thread.start()
-    thread.join(20.0)
-    assert not thread.is_alive() and "always" in keeper.trouble
-
-
 @pytest.fixture
 def explorer(finished: Path, client: Client) -> Iterator[Explorer]:
-    with exploring(finished, client, keep=False) as made:
+    with exploring(finished, client) as made:
         yield made
 
 

@@ -18,7 +18,6 @@ from atlas.explore.jobs import ServiceState as Work
 from atlas.explore.lattice import Lattice
 from atlas.explore.page import ExplorerPage
 from atlas.explore.page_state import PageModel, PageState
-from atlas.explore.persistent_tiles import PersistentTileCache
 from atlas.explore.picture_renderer import PictureRenderer, RenderedPicture
 from atlas.explore.plane_message import maps_of
 from atlas.explore.subject import PlaneParameters, Subject, exploration_settings, subject_of
@@ -140,10 +139,8 @@ def filled(subject: Subject, key: TileKey, value: float) -> dict[str, np.ndarray
 
 
 def memory_alone(subject: Subject) -> TileCache:
-    """Tiles that are kept nowhere."""
-    keeper = PersistentTileCache(subject, wanted=False)
-    keeper.stop()
-    return TileCache(subject, keeper)
+    """Tiles of which none is known."""
+    return TileCache(subject)
 
 
 def test_each_cell_in_view_is_that_of_the_finest_tile_that_is_known(subject: Subject) -> None:
@@ -180,18 +177,7 @@ def test_memory_drops_the_tiles_that_were_not_seen_for_longest(subject: Subject)
         memory.put(None, subject.plane, key, arrays)
     memory.get(None, subject.plane, keys[0])
     memory.put(None, subject.plane, keys[3], arrays)
-    assert [memory.get(None, subject.plane, key) != {} for key in keys] == [True, False, True, True]
-
-
-def test_memory_drops_tiles_that_are_nowhere_else_after_all_others(subject: Subject) -> None:
-    keys = [TileKey(0, 0, i, 0) for i in range(4)]
-    arrays = filled(subject, keys[0], 0.0)
-    memory = MemoryTileCache(2 * sum(array.nbytes for array in arrays.values()))
-    for key, only_here in zip(keys, (True, False, True, True), strict=True):
-        memory.put(None, subject.plane, key, arrays, only_here)
-        if key == keys[2]:
-            assert [memory.get(None, subject.plane, key) != {} for key in keys] == [True, False, True, False]
-    assert [memory.get(None, subject.plane, key) != {} for key in keys] == [False, False, True, True]
+    assert [memory.get(None, subject.plane, key) is not None for key in keys] == [True, False, True, True]
 
 
 def test_curves_are_those_of_the_store_and_of_its_own_plane(finished: Path) -> None:
@@ -298,7 +284,7 @@ def test_an_address_is_refused_or_has_a_page(query: str, message: str, tmp_path:
             from_address(subject, given)
         return
     chosen = from_address(subject, given)
-    explorer = Explorer(subject, unreachable, keep=False)
+    explorer = Explorer(subject, unreachable)
     page, came = (
         ExplorerPage(Document(), explorer, PageModel(PageState(chosen)), tmp_path, explorer),
         SimpleQueue[RenderedPicture | str](),

@@ -246,7 +246,7 @@ def options_of(command: click.Command, *without: str) -> set[str]:
     [
         (AtlasAccessor.plot, options_of(plot, "stores", "select")),  # of which xarray picks the plane
         (AtlasAccessor.portrait, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
-        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "keep", "port"}),
+        (AtlasAccessor.explore, {"scheduler", "workers", "tolerance", "port"}),
         (PlottableComparison.plot, options_of(compare, "store", "other", "window", "as_json", "first", "second")),
         (PlottableBranches.plot, {"width", "height", "font_size", "dpi", "title", "legend", "style"}),
     ],

@@ -132,6 +132,17 @@ def test_a_verb_has_one_name_in_python_and_on_the_command_line() -> None:
     assert (functions | methods) - IN_PYTHON_ALONE <= commands
 
 
+def test_what_takes_a_store_takes_its_storage_options_in_python_and_on_the_command_line() -> None:
+    for name in atlas.__all__:
+        if inspect.isfunction(function := getattr(atlas, name)):
+            names = set(inspect.signature(function).parameters)
+            assert "store" not in names or names & {"storage_options", "options"}, name
+    for path, command in all_commands().items():
+        names = {str(parameter.name) for parameter in command.params}
+        takes = names & {"store", "stores", "subject"} or path in (("run",), ("plan",))
+        assert not takes or "storage_option" in names, path
+
+
 @pytest.mark.parametrize(
     ("typed", "word", "offered"),
     [

@@ -24,7 +24,7 @@ from atlas.render import figure, text
 from atlas.robustness.table import MEASURES
 from atlas.spec.points import POINT
 from atlas.spec.system import parse_system
-from atlas.store import create, store
+from atlas.store import create
 from atlas.store.host import HOSTS
 from atlas.store.origin import ALLOWANCES
 from atlas.store.parts import PARTS
@@ -42,7 +42,7 @@ EVERYTHING = Settings(exponents="spectrum", method="fixed", section_samples=1)
 
 def own_names() -> Iterator[str]:
     """What the package calls its own things."""
-    yield from (*TABLES, CURVES, PARTS, TILES, HOSTS, OVERVIEWS, store.ZOOM, BRANCH, POINT, "component", *MEASURES)
+    yield from (*TABLES, CURVES, PARTS, TILES, HOSTS, OVERVIEWS, BRANCH, POINT, "component", *MEASURES)
     for kind in ({}, {"attractors": True}, {"basins": True}):
         results = result_variables(EVERYTHING, **kind)
         for variable in (*results, *ALLOWANCES, *level_variables(results), SHARE):

@@ -57,7 +57,7 @@ def test_a_broken_pipe_that_is_not_its_output_is_an_error(monkeypatch: pytest.Mo
     def broken(name: str) -> str:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr("atlas.cli.cell.example_text", broken)
+    monkeypatch.setattr("atlas.cli.begin.example_text", broken)
     monkeypatch.setattr("atlas.platform.is_unread", lambda stream: False)
     done = CliRunner().invoke(main, ["example", "tiny"])
     assert (done.exit_code, done.stderr) == (1, "Error: Broken pipe\n")
@@ -101,9 +101,3 @@ def test_lines_of_a_table_have_no_spaces_at_their_ends_and_are_not_broken(
     long = "a reason of many words " * 20
     print_table("", ["", ""], [("reason", long), ("regime", "periodic")])
     assert capsys.readouterr().out == f"reason  {long.rstrip()}\nregime  periodic\n"
-
-
-@pytest.mark.parametrize("limit", ["nan", "inf"])
-def test_a_limit_that_is_no_number_is_refused_in_one_line(limit: str) -> None:
-    done = CliRunner().invoke(main, ["explore", "--no-browser", "--limit", limit])
-    assert (done.exit_code, done.stderr) == (2, f"Error: --limit: found {limit}, must be a finite number of GB\n")

@@ -64,7 +64,7 @@ status STORE: store system axes parameters columns solve tile tiles tiles_done t
     cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
     solver_version run_id digest
 verify STORE: store sound complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
-    overview_chunks repaired dropped removed restored metatiles leftovers
+    overview_chunks repaired dropped removed restored leftovers
 query STORE: no_impact periodic chaotic
 query STORE --at omega=3 --at b=.1: omega b distance regime error impact_energy impacts_lower impacts_per_period
     impacts_upper largest max_impact_speed mean_impact_speed min_impact_speed peak_to_peak period periods_used sticks

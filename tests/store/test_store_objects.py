@@ -209,13 +209,16 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
 
 
 def test_an_atlas_is_computed_and_extended_by_storage_options_and_read_as_an_object(
-    server: dict[str, str], client: Client, solved_plane: Path
+    server: dict[str, str], client: Client, solved_plane: Path, tmp_path: Path
 ) -> None:
     words = {"endpoint": server["endpoint"], "key": "any", "secret": "any", "region": "us-east-1"}
     url, finer = f"s3://{BUCKET}/options/plane.zarr", f"s3://{BUCKET}/options/finer.zarr"
     assert atlas.run(plane_of(), url, client, storage_options=words).tiles_done == 9
     truth = atlas.open(solved_plane)
     assert same(atlas.open(url, storage_options=words), truth)
+    assert atlas.status(url, storage_options=words).fraction == 1.0
+    assert atlas.verify(url, sample=0, storage_options=words).is_sound
+    assert atlas.pack(url, tmp_path / "plane.zip", storage_options=words).is_complete
     assert atlas.extend(url, finer, refine=2, client=client, storage_options=words).failures == ()
     again = url.replace("plane", "again")
     assert atlas.retry(url, again, "chaotic", survival=100_000, client=client, storage_options=words).failures == ()

@@ -18,7 +18,7 @@ from atlas.explore.front.script import legend_css, program
 from atlas.explore.static import about
 from atlas.formatting import byte_size
 from atlas.query.attractors import has_all_attractors, select_attractor, select_dominant
-from atlas.query.export import check_writable, replace_on_success
+from atlas.query.export import check_target, replace_on_success
 from atlas.query.open import handle_of
 from atlas.query.plane import Plane, sort_axes
 from atlas.query.read_counter import count_chunk_reads
@@ -38,6 +38,7 @@ from workers.results import ATTRACTOR, ERROR, LARGEST, REGIME
 if TYPE_CHECKING:
     import xarray as xr
 
+FORMATS = (".html",)
 LIMIT = 20_000_000
 """Default maximum size, in bytes, of a page."""
 SIZE = 1000.0, 800.0
@@ -66,19 +67,11 @@ def write_page(ds: "xr.Dataset", path: str | Path, *, limit: int = LIMIT, most_c
     the suffix is not .html, the path cannot be written, or the dataset is not a plane.
     """
     target = validate_path(path)
-    check_path(target)
+    check_target(target, FORMATS)
     text = page_of(ds, limit, most_cells)
     with replace_on_success(target) as unfinished:
         unfinished.write_text(text, encoding="utf-8", newline="\n")
     return target
-
-
-def check_path(path: Path) -> None:
-    """Raise InputError unless a page can be written to the path; to be called before the work."""
-    if path.suffix.lower() != ".html":
-        suffix = f"found {path.suffix!r}" if path.suffix else "found none"
-        raise InputError(f"{path.name}: the suffix of a page is .html, {suffix}")
-    check_writable(path)
 
 
 def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS) -> str:

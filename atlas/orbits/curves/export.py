@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from atlas.argument_checks import validate_path, validate_suffix
+from atlas.argument_checks import validate_path
 from atlas.orbits.curves.queries import to_frames
 from atlas.orbits.curves.table import Curves
-from atlas.query.export import check_writable, replace_on_success, write_table
+from atlas.query.export import check_target, replace_on_success, write_table
 
 FORMATS = (".csv", ".json")
 
@@ -20,21 +20,14 @@ def export(curves: Curves, path: str | Path) -> None:
     for a path that cannot be written.
     """
     target = validate_path(path)
-    if check_path(target) == ".csv":
+    if check_target(target, FORMATS) == ".csv":
         import pandas as pd
 
         points, corners = to_frames(curves)
-        write_table(target, pd.concat([points, corners.drop(columns="after")]) if len(corners) else points)
+        write_table(target, pd.concat([points, corners.drop(columns="point")]) if len(corners) else points)
         return
     with replace_on_success(target) as unfinished:
         unfinished.write_text(json.dumps(as_json(curves), allow_nan=False) + "\n", encoding="utf-8")
-
-
-def check_path(path: Path) -> str:
-    """Return the suffix of a file. Raise InputError unless ``export`` knows it, and the file can be written."""
-    suffix = validate_suffix(path, FORMATS)
-    check_writable(path)
-    return suffix
 
 
 def as_json(curves: Curves) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class CurveFrames(NamedTuple):
              symmetry of its orbit, the position, and ``unstable``, the multipliers of modulus above 1 besides the
              event's own; the attribute ``report`` is the report on the search
     corners  one row per point of codimension two, with its own kind and position, the orbit at the point of the curve
-             that it follows, and the number ``after`` of that point
+             that it follows, and ``point``, the number of that point
     """
 
     points: "pd.DataFrame"
@@ -56,10 +56,10 @@ def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
             if curve.corners:
                 kinds, x, y, after = zip(*curve.corners, strict=True)
                 at = np.minimum(after, len(curve.points) - 1)
-                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(after=at))
+                corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(point=at))
     made = CurveFrames(
         pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
-        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "after"]),
+        pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "point"]),
     )
     made.points.attrs["report"] = dict(curves.report)
     return made
