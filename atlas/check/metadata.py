@@ -1,4 +1,4 @@
-"""Comparison of a store's metadata and coordinates, byte by byte, with those that follow from its spec."""
+"""Comparison of a store's metadata and coordinates, byte by byte, with the ones made anew from its spec."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

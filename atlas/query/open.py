@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from atlas.errors import ChunkError, InputError, message_of
-from atlas.store.groups import group_attributes, read_group
+from atlas.store.groups import group_attributes, group_layout
+from atlas.store.metadata import ROOT, describe_difference
 from atlas.store.object_backend import Given
 from atlas.store.schema import LABELS, STABILITY
 from atlas.store.store import AtlasStore, open_store
@@ -100,8 +101,16 @@ def open_table(handle: AtlasStore, table: str) -> "xarray.Dataset":
     except (OSError, ChunkError):
         raise
     except Exception as error:  # damaged metadata may raise anything
-        read_group(handle, table)  # raises the exact error
-        raise ChunkError(handle.backend, {table: f"is damaged ({message_of(error)})"}) from None
+        right = group_layout(handle, table, handle.backend.get(f"{table}/{ROOT}") or b"")  # may raise the exact error
+        stored = handle.backend.get_all(right)
+        wrong = {
+            key: describe_difference(stored.get(key), right[key]) for key in right if stored.get(key) != right[key]
+        }
+        raise (
+            ChunkError(handle.backend, wrong)
+            if wrong
+            else ChunkError(handle.backend, {table: f"is damaged ({message_of(error)})"})
+        ) from None
 
 
 def _guarded(handle: AtlasStore) -> Any:

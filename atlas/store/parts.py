@@ -21,8 +21,9 @@ def put_part(handle: AtlasStore, group: str, name: str, data: bytes) -> None:
 
 def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:
     """Return the bytes of a part; None if it is missing or damaged and has to be computed again."""
-    part = unsealed(handle.backend.get(f"{PARTS}/{group}/{name}"))
-    return None if part is None else base64.b64decode(part["data"])
+    stored = handle.backend.get(f"{PARTS}/{group}/{name}")
+    part = unsealed(stored)
+    return base64.b64decode(part["data"]) if part is not None and sealed(part) == stored else None
 
 
 def part_names(handle: AtlasStore, group: str) -> Iterator[str]:

@@ -473,11 +473,6 @@ def test_a_missing_record_of_a_complete_store_is_found_and_a_repair_makes_it_ane
     assert verify(whole, sample=0).is_sound
 
 
-def test_a_record_that_is_missing_is_found(whole: Path) -> None:
-    records_of(whole)[0, 1] = 0.0
-    assert message(verify(whole, sample=0)) == ["tile (0, 1): tiles/record/c.0.1.0 is missing"]
-
-
 def test_a_tile_that_the_records_say_is_done_and_is_not_is_found(whole: Path, client: Client) -> None:
     chunk(whole, "regime").unlink()
     assert message(verify(whole, sample=0)) == ["tile (0, 1): regime/c/0/1 is missing"]
