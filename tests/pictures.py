@@ -21,6 +21,7 @@ from atlas.render.layers import MapLayers
 from atlas.render.layout import STANDARD
 from atlas.render.painters import PAINTERS
 from atlas.render.request import PictureRequest
+from atlas.store.schema import REGIME_COLORS
 from workers import Settings
 from workers.model.system import find_system
 from workers.results import CHAOTIC, FAILED, INVALID, NO_IMPACT, PENDING, PERIODIC, QUASIPERIODIC, UNDETERMINED
@@ -76,7 +77,7 @@ def section() -> np.ndarray:
 
 
 def colour(code: int) -> tuple[int, ...]:
-    return tuple(round(255 * part) for part in colors.to_rgba(style.COLORS[code]))
+    return tuple(round(255 * part) for part in colors.to_rgba(REGIME_COLORS[code]))
 
 
 def labels(figure: Figure) -> list[str]:

@@ -112,7 +112,7 @@ def _a_period_later(batch: MotionBatch, cell: NDArray[np.int64]) -> MotionBatch:
     """Return the one motion of a batch a period later, with room for all of its impacts."""
     before = map_fields(batch.motions._replace(impacts=batch.motions.impacts[:, :0]), np.copy)
     while True:
-        batch.done[:] = 0
+        batch.completed[:] = 0
         run(batch, cell)
         room = batch.motions.impacts.shape[1]
         if batch.motions.tally[0, RECORDED] < room:

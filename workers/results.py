@@ -18,29 +18,15 @@ class CodeMeaning:
     text: str
 
 
-@dataclass(frozen=True)
-class Regime(CodeMeaning):
-    """A class of motion, with its colour in pictures."""
-
-    color: str
-
-
 (
     PENDING, NO_IMPACT, PERIODIC, QUASIPERIODIC, CHAOTIC, UNDETERMINED, INVALID, FAILED, APERIODIC, LOCKING,
 ) = range(-1, 9)  # fmt: skip
 
-REGIMES = tuple(Regime(code, name, name.replace("_", " "), color) for code, name, color in (
-    (PENDING, "pending", "#ffffff"),
-    (NO_IMPACT, "no_impact", "#dddddd"),
-    (PERIODIC, "periodic", "#4477aa"),
-    (QUASIPERIODIC, "quasiperiodic", "#228833"),
-    (CHAOTIC, "chaotic", "#cc3311"),
-    (UNDETERMINED, "undetermined", "#b2aa62"),
-    (INVALID, "invalid", "#777777"),
-    (FAILED, "failed", "#000000"),
-    (APERIODIC, "aperiodic", "#f8f0d0"),
-    (LOCKING, "locking", "#72829a"),
-))  # fmt: skip
+REGIMES = tuple(CodeMeaning(code, name, name.replace("_", " ")) for code, name in enumerate((
+    "pending", "no_impact", "periodic", "quasiperiodic", "chaotic", "undetermined", "invalid", "failed", "aperiodic",
+    "locking",
+), PENDING))  # fmt: skip
+"""Classes of motion."""
 
 
 @dataclass(frozen=True)
@@ -278,30 +264,31 @@ def in_words(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def result_variables(
-    settings: Settings, attractors: bool = False, basins: bool = False, own: tuple[Variable, ...] = ()
+    settings: Settings, attractors: bool = False, basins: bool = False, own_variables: tuple[Variable, ...] = ()
 ) -> tuple[Variable, ...]:
     """Return the variables of a solution with these settings; ``regime`` comes last, since it is written last.
 
-    settings    see Settings
-    attractors  True if each cell lists all its attractors: every result except the cost has the dimension ``attractor``
-    basins      True if each initial state has the label of the attractor that it reaches
-    own         the machine's own variables, see ``model.measures``
+    settings       see Settings
+    attractors     True if each cell lists all its attractors: every result except the cost has the dimension
+                   ``attractor``
+    basins         True if each initial state has the label of the attractor that it reaches
+    own_variables  the machine's own variables, see ``model.measures``
     """
-    chosen = [LABEL, SETTLED] if basins else []
+    variables = [LABEL, SETTLED] if basins else []
     if settings.exponents != "none":
-        chosen += [LARGEST, ERROR]
+        variables += [LARGEST, ERROR]
         if settings.method == "fixed":
-            chosen.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
+            variables.append(AVERAGE if settings.exponents == "largest" else _ALL_AVERAGES)
     if settings.exponents == "spectrum":
-        chosen += [SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE]
-    chosen += _ALWAYS
+        variables += [SPECTRUM, SUM_LAW_DEFECT, KAPLAN_YORKE]
+    variables += _ALWAYS
     if settings.section_samples:
-        chosen.append(SECTION)
-    chosen += own
-    chosen += [REASON, REGIME]
+        variables.append(SECTION)
+    variables += own_variables
+    variables += [REASON, REGIME]
     if basins or not attractors:
-        return tuple(chosen)
-    of_each = [v if v.name == "periods_used" else replace(v, extra_dims=(ATTRACTOR, *v.extra_dims)) for v in chosen]
+        return tuple(variables)
+    of_each = [v if v.name == "periods_used" else replace(v, extra_dims=(ATTRACTOR, *v.extra_dims)) for v in variables]
     return (*_COEXISTENCE, *of_each)
 
 

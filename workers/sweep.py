@@ -51,24 +51,24 @@ def solve_lines(
     solved: dict[int, Results] = {}
     positions = range(shape[axis])
     for i in reversed(positions) if backward else positions:
-        here = {name: grid[i] for name, grid in values.items()}
-        solved[i] = solve_tile(system, here | _starts(record, here, last), settings)
+        line = {name: grid[i] for name, grid in values.items()}
+        solved[i] = solve_tile(system, line | _starts(record, line, last), settings)
         states = solved[i]["state"]
         last = np.where(np.isfinite(states).all(-1, keepdims=True), states, last)
     along = axis % len(shape)
     return {name: np.stack([solved[i][name] for i in positions], axis=along) for name in solved[0]}
 
 
-def _starts(record: System, here: Mapping[str, Array], last: Array) -> dict[str, Array]:
+def _starts(record: System, line: Mapping[str, Array], last: Array) -> dict[str, Array]:
     """Return the initial states of the cells at one position of all lines: the newest known states, else their own.
 
     A gap coordinate beyond a stop is moved onto the stop. Without velocity the mass rests there, see
     kernel.coordinates.start_at.
     """
-    states = initial_state(record, here)
+    states = initial_state(record, line)
     known = np.isfinite(last).all(axis=-1)
     if known.any():
-        oscillators, reasons = record.build_many({name: grid[known] for name, grid in here.items()})
+        oscillators, reasons = record.build_many({name: grid[known] for name, grid in line.items()})
         states_inside = last[known].copy()
         for row, upper, lower in oscillators.rigid_stops:
             clamp_to_stops(row, upper, lower, states_inside)

@@ -56,9 +56,9 @@ def solve_tile(system: str | System, params: Mapping[str, ArrayLike], settings: 
         if unforced:
             convert_to_time(cells, variables)
 
-    kept, variables = settings.max_period + settings.section_samples, record.variables(settings)
+    n_sections, variables = settings.max_period + settings.section_samples, record.variables(settings)
     most = MODES_AT_ONCE if record.has_modes else sys.maxsize
-    at_once = min(most, max(MIN_BATCH, MAX_SECTION_BYTES // (8 * len(record.states) * kept)))
+    at_once = min(most, max(MIN_BATCH, MAX_SECTION_BYTES // (8 * len(record.states) * n_sections)))
     return solve_parts(record, params, settings, variables, at_once, solve_part)
 
 

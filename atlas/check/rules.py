@@ -61,7 +61,10 @@ def broken_rules(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
 
 
 def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mask]:
-    """Return the broken rules of each attractor, and those of all attractors together."""
+    """Return the masks of cells that break a rule, by the rule.
+
+    The rules of one attractor are checked for each attractor of a cell, the rules of the list once: shares and order.
+    """
     many = {variable.name for variable in spec.variables if ATTRACTOR in variable.extra_dims}
     shape = tuple(part.stop - part.start for part in slices)
     count, tried = arrays["attractors"], arrays["starts"]

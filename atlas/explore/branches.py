@@ -218,9 +218,9 @@ def distance(mark: BranchMarker, here: BranchPosition) -> str:
 def arrows(
     branch: FollowedBranch, here: BranchPosition, subject: Subject, view: ViewState, cell: Where
 ) -> list[EventArrow]:
-    """Return the arrows from an orbit that is followed from a cell to its neighbouring events.
+    """Return arrows on the map, from the cell to the events on both sides of the present point ``here`` of a branch.
 
-    The list is empty if the parameter is not an axis.
+    The list is empty if the branch is followed along a parameter that is no axis of the map.
     """
     if branch.table.along not in subject.axes:
         return []

@@ -194,7 +194,7 @@ class StoreBlock:
         return arrays, missing
 
     def _read_cells(self, piece: Slices, names: list[str]) -> Cells:
-        """Compute variables of a piece of level 0 from the cells."""
+        """Read variables of a piece of level 0, the stored cells themselves. Return them by name."""
         stored = {variable.name for variable in self.handle.variables}
         base = stored & {*names, *(name.removesuffix("_count") for name in names), REGIME.name}
         return from_cells({name: self.pyramid.read(0, name, piece) for name in base}, names)

@@ -26,6 +26,7 @@ from atlas.render.layers import (
     ShadingLayer,
     build_layers,
 )
+from atlas.store.schema import REGIME_COLORS
 from workers.results import ATTRACTOR, CYCLE_PERIOD, LABEL, NO_IMPACT, PERIODIC, REGIME, SETTLED, Variable
 
 PERIODS: tuple[tuple[int, int, str], ...] = (
@@ -192,7 +193,7 @@ def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
     """Return the colour of every branch by label; small branches share one. With ``ink`` the colours suit points on
     white.
     """
-    quiet = style.INK[NO_IMPACT] if ink else style.COLORS[NO_IMPACT]
+    quiet = style.INK[NO_IMPACT] if ink else REGIME_COLORS[NO_IMPACT]
     return colors_of(known, PALETTE, DARKER, quiet, REST)
 
 
@@ -220,7 +221,7 @@ def basins(view: MapView) -> MapLayers:
     without a force all of its points do.
     """
     known, plane, unforced = reached.table(view.ds), view.plane, text.is_unforced(view.ds)
-    colors = colors_of(known, BASINS, PALER, style.COLORS[NO_IMPACT])
+    colors = colors_of(known, BASINS, PALER, REGIME_COLORS[NO_IMPACT])
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
     regimes = text.regime(view.ds)
     named = [(label == k, color, _name_of_attractor(known, k, regimes)) for k, color in enumerate(colors)]

@@ -19,6 +19,7 @@ from atlas.render import style
 from atlas.render.kinds import PictureKind
 from atlas.render.layout import FigureLayout
 from atlas.render.request import PictureRequest
+from atlas.store.schema import REGIME_COLORS
 from workers.results import NO_IMPACT, PENDING, REGIME, REGIMES
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ class LegendEntry:
         """
         hatch = None if code == NO_IMPACT else style.HATCH.get(code)
         ink = style.HATCH_INK.get(code, style.TEXTURE)
-        return cls(style.COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
+        return cls(REGIME_COLORS[code], REGIME.meaning(code).text, hatch, ink, regime=code)
 
     def to_artist(self) -> Patch:
         """Return the entry as a matplotlib artist."""
@@ -254,7 +255,7 @@ def build_layers(
     for entry in sorted(REGIMES, key=lambda regime: regime.code == PENDING):  # pending comes last in the legend
         cells = rest & (regime == entry.code)
         codes[cells] = len(looks)
-        looks.append(CellStyle(entry.color, regime=entry.code))
+        looks.append(CellStyle(REGIME_COLORS[entry.code], regime=entry.code))
         entries += [LegendEntry.from_regime(entry.code)] if cells.any() else []
     codes[codes < 0] = len(looks) - 1
     return MapLayers(codes, looks, entries, scalar, **others)

@@ -17,6 +17,7 @@ from atlas.query.plane import Cells, Plane, PlaneAxis
 from atlas.render import style, text
 from atlas.render.layers import MapLayers, paint
 from atlas.render.layout import FigureLayout
+from atlas.store.schema import REGIME_COLORS
 from workers.results import FAILED, INVALID, NO_IMPACT, PENDING, UNDETERMINED
 
 VISIBLE = 2.0
@@ -49,7 +50,7 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
         shown = layers.as_regime(code)
         if code in _WITH_TEXTURE:
             hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
-        if code in MARKED and _mark_small(ax, plane, shown, style.COLORS[code], layout.map_size):
+        if code in MARKED and _mark_small(ax, plane, shown, REGIME_COLORS[code], layout.map_size):
             enlarged.add(code)
     return enlarged
 

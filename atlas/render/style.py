@@ -13,7 +13,8 @@ from matplotlib.legend_handler import HandlerPatch
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.typing import ColorType
 
-from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC, REGIMES
+from atlas.store.schema import REGIME_COLORS
+from workers.results import APERIODIC, FAILED, INVALID, NO_IMPACT, PENDING, QUASIPERIODIC
 
 DPI = 300.0
 """Default dots per inch of a file."""
@@ -85,10 +86,7 @@ def drawing_context(settings: Mapping[str, Any] | None = None) -> Iterator[None]
 TEXTURE = "#8c8c8c"
 """Grey of hatches."""
 
-COLORS = {regime.code: regime.color for regime in REGIMES}
-"""Colour of each regime code, as in the data's flag_colors."""
-
-INK = {**COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
+INK = {**REGIME_COLORS, NO_IMPACT: "#8c8c8c", APERIODIC: "#986020"}
 """Colour of each regime for points and lines on white, where pale colours of areas are invisible."""
 
 HATCH = {PENDING: "////", NO_IMPACT: "...", QUASIPERIODIC: "++", INVALID: "\\\\\\\\", FAILED: "xxxx"}
@@ -106,7 +104,7 @@ LOST_HATCH = "||"
 
 
 def rgb(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
-    """Return a colour in bytes."""
+    """Return red, green, blue and ``alpha`` of a Matplotlib colour, each from 0 to 255."""
     red, green, blue = (round(255 * channel) for channel in to_rgb(color))
     return red, green, blue, alpha
 

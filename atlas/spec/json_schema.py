@@ -22,10 +22,9 @@ from workers.model.measures import MEASURES, REPORTS
 from workers.model.parameter import Parameter
 from workers.model.parse_definition import MANY, MAX_COORDINATES, PARAMETER_KEYS
 from workers.model.parse_elements import CONTACT_KEYS, FRICTION, FRICTION_KEYS, PHASE_KEYS, PHASES, SPRINGS, STOPS
-from workers.model.parse_force import HARMONIC_KEYS, HIGHEST, ORDER, POINTS, WAVEFORM_KEYS
+from workers.model.parse_force import HARMONIC_KEYS, HIGHEST, ORDER
 from workers.model.parse_laws import SPRING_KEYS
 from workers.model.system import DEFAULT, KEYS, LATEST, TEXTS, System, packaged_system, system_names
-from workers.model.waveform import WAVEFORMS
 from workers.settings import INTEGER_BOUNDS, VALID_WORDS, Settings
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -180,19 +179,10 @@ def _definition() -> Schema:
 
 
 def _harmonic(row: Schema) -> Schema:
-    """Return the schema of a harmonic of the force, or of a waveform."""
-    wave: Schema = {"anyOf": [{"enum": [*WAVEFORMS]}, _list(_list(_NUMBER, 2, 2), 2, POINTS)]}
-    known: Schema = {
-        "order": {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]},
-        "waveform": wave,
-        "within": {**_NUMBER, **_POSITIVE, "exclusiveMaximum": 1},
-    }
-    tables = {
-        keys: _table({key: known.get(key, row) for key in keys}, required)
-        for keys, required in ((HARMONIC_KEYS, ["order"]), (WAVEFORM_KEYS, ["waveform", "within", "force"]))
-    }
-    either = {"anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
-    return {"anyOf": [{**tables[HARMONIC_KEYS], **either}, tables[WAVEFORM_KEYS]]}
+    """Return the schema of a harmonic of the force."""
+    order: Schema = {"anyOf": [_whole(1, HIGHEST), {"type": "string", "pattern": f"^{ORDER.pattern}$"}]}
+    table = _table({key: order if key == "order" else row for key in HARMONIC_KEYS}, ["order"])
+    return {**table, "anyOf": [{"required": ["force"]}, {"required": ["cosine"]}]}
 
 
 def _element(keys: Iterable[str], required: list[str]) -> Schema:

@@ -34,7 +34,20 @@ from atlas.store.record_format import RECORDS, TILES, record_node
 from atlas.store.tiling import Tiling, part_side
 from workers import SOLVER_VERSION
 from workers.model.parameter import Parameter
-from workers.results import Regime, Variable
+from workers.results import (
+    APERIODIC,
+    CHAOTIC,
+    FAILED,
+    INVALID,
+    LOCKING,
+    NO_IMPACT,
+    PENDING,
+    PERIODIC,
+    QUASIPERIODIC,
+    REGIME,
+    UNDETERMINED,
+    Variable,
+)
 
 FORMAT = "impact-atlas"
 FORMAT_VERSION = 3
@@ -53,6 +66,11 @@ TABLES = (ATTRACTORS, LABELS, STABILITY)
 LARGEST_CHUNK = 2**31 - 1
 """Maximum size of a chunk, in bytes, that the codecs of a store accept."""
 COMPONENT = "component"
+REGIME_COLORS = {
+    PENDING: "#ffffff", NO_IMPACT: "#dddddd", PERIODIC: "#4477aa", QUASIPERIODIC: "#228833", CHAOTIC: "#cc3311",
+    UNDETERMINED: "#b2aa62", INVALID: "#777777", FAILED: "#000000", APERIODIC: "#f8f0d0", LOCKING: "#72829a",
+}  # fmt: skip
+"""Colour of each regime code in pictures."""
 DIMENSIONS = {"state": COMPONENT}
 """New names of dimensions: xarray treats a variable with the name of one of its dimensions as a coordinate."""
 
@@ -186,8 +204,8 @@ def variable_attributes(variable: Variable, fixed: Iterable[str] = ()) -> dict[s
     if variable.codes:
         attributes["flag_values"] = [code.code for code in variable.codes]
         attributes["flag_meanings"] = " ".join(code.name for code in variable.codes)
-    if colors := " ".join(code.color for code in variable.codes if isinstance(code, Regime)):
-        attributes["flag_colors"] = colors
+    if variable.name == REGIME.name:
+        attributes["flag_colors"] = " ".join(REGIME_COLORS[code.code] for code in variable.codes)
     if named := " ".join(fixed):
         attributes["coordinates"] = named
     return attributes

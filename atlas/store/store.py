@@ -225,7 +225,7 @@ def _attributes(place: StoreBackend, content: bytes | None) -> dict[str, Any]:
 
 
 def _is_copy(place: StoreBackend, content: bytes | None) -> bool:
-    """Return True if the root is that of an atlas, but without the groups that every store has."""
+    """Return True if a root was copied without its groups: it is intact, and no group of tiles stands beside it."""
     return unsealed(content) is not None and not place.exists(f"{TILES}/{ROOT}")
 
 

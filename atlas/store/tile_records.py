@@ -223,9 +223,10 @@ def is_exchanged(records: TileRecords, index: Index, row: Rows) -> bool:
 
 
 def count_tiles(handle: AtlasStore, tiles: Sequence[Index]) -> Iterator[Rows | ChunkError]:
-    """Yield the rows of finished tiles, without digests, from their chunks, and the error of each damaged tile.
+    """Count these tiles anew from their chunks. Yield one item for each tile, in order.
 
-    The row of a tile that is no longer finished is zero.
+    An item is the tile's row of counts, (WIDTH,), its digests left at zero; or the error that names the damaged chunk.
+    A tile that is not finished has a row of zeros.
     """
 
     def count_one(index: Index) -> Rows | ChunkError:

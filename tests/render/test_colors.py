@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from atlas.render import class_maps, kinds, portrait_figure, scalar_maps, style, sweep
 from atlas.render.kinds import STABLE
+from atlas.store.schema import REGIME_COLORS
 from workers.results import CHAOTIC, LOCKING, NO_IMPACT, PERIODIC, QUASIPERIODIC, REGIMES, UNDETERMINED
 
 # Machado, Oliveira & Fernandes (2009), IEEE Trans. Vis. Comput. Graph. 15, 1291: severity 1, on linear RGB.
@@ -22,7 +23,7 @@ SIGHT = {
 EVERY_SIGHT = SIGHT | {
     "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
 }
-_REGIMES = {r.name: r.color for r in REGIMES if r.name not in ("pending", "periodic")}
+_REGIMES = {r.name: REGIME_COLORS[r.code] for r in REGIMES if r.name not in ("pending", "periodic")}
 _COLD = {name: color for name, color in _REGIMES.items() if name != "chaotic"}
 # Others than these differ from chaos by their texture.
 _PLAIN = {name: color for name, color in _COLD.items() if name in ("no_impact", "undetermined", "locking")}

@@ -69,8 +69,6 @@ def test_every_packaged_machine_in_full_is_valid(name: str) -> None:
         'system = "two-mass"\n[points]\nomega = [2.0, 3.0]\nb = [0.1, 0.2]\n',
         'system = "two-mass"\n[axes]\nomega = [2.0, 3.0]\nb = { values = [0.1, 0.2], scale = "log" }\n',
         f"{OWN}cosine = [1.0]\nharmonics = [{{ order = '3/2', force = ['pi'], cosine = [0.1] }}]\n{AXES}",
-        f"{OWN}harmonics = [{{ waveform = 'triangle', force = [1.0], within = 0.1 }}]\n{AXES}",
-        f"{OWN}harmonics = [{{ waveform = [[0, 1], [0.5, -1]], force = [1.0], within = 0.1, order = 2 }}]\n{AXES}",
         f"{GOOD}continuation = 'forward'\n[store]\ntile = [5]\n",
         f"{GOOD}[solve]\ntolerance = 1\n[attractors]\nstarts = 8\nbox = {{ x1 = [-0.1, 0.1] }}\n",
     ],
@@ -109,8 +107,7 @@ WRONG = {
     "a name with a space": f"{OWN.replace('own', 'my own')}{AXES}",
     "an order beyond the highest": f"{OWN}harmonics = [{{ order = 33, force = [1.0] }}]\n{AXES}",
     "an order of 0": f"{OWN}harmonics = [{{ order = '0/2', force = [1.0] }}]\n{AXES}",
-    "a waveform without a bound": f"{OWN}harmonics = [{{ waveform = 'triangle', force = [1.0] }}]\n{AXES}",
-    "a waveform that jumps": f"{OWN}harmonics = [{{ waveform = 'square', force = [1.0], within = 0.1 }}]\n{AXES}",
+    "a harmonic with a waveform": f"{OWN}harmonics = [{{ order = 1, force = [1.0], waveform = 'triangle' }}]\n{AXES}",
     "a measure of what cannot be reported": f"{OWN}measures.d = {{ velocity = [1.0], report = ['sum'] }}\n{AXES}",
 }
 

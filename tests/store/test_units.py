@@ -89,7 +89,7 @@ def test_so_have_the_parameters_and_the_results_of_each_packaged_machine(name: s
     record = find_system(name)
     assert {parameter.unit for parameter in record.parameters} <= UNITS
     for settings in (atlas.Settings(exponents="spectrum", section_samples=1), atlas.Settings(method="fixed")):
-        of_cells = result_variables(settings, own=record.own_variables)
+        of_cells = result_variables(settings, own_variables=record.own_variables)
         of_all, of_basins = (result_variables(settings, **{kind: True}) for kind in ("attractors", "basins"))
         every = (*of_cells, *of_all, *of_basins, *level_variables(of_cells), *ALLOWANCES)
         assert not [variable for variable in every if variable.units not in UNITS or not variable.long_name]

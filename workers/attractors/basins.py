@@ -81,10 +81,10 @@ def solve_basins(
     """
     record, settings, starts = find_system(system), settings or Settings(), starts or AttractorSettings()
     for name, value in params.items():
-        given = np.asarray(value, dtype=np.float64)
-        if name not in record.states and given.size and np.ptp(given) > 0.0:
+        array = np.asarray(value, dtype=np.float64)
+        if name not in record.states and array.size and np.ptp(array) > 0.0:
             raise ValueError(
-                f"{name}: found {given.min():g} to {given.max():g}, must be one value: a basin is of one machine"
+                f"{name}: found {array.min():g} to {array.max():g}, must be one value: a basin is of one machine"
             )
     machine = tuple(fixed_values(record, params).items())
     table = reference_table(json.dumps(record.to_resolved()), machine, settings, starts)
@@ -92,10 +92,10 @@ def solve_basins(
     return solve_parts(record, params, settings, variables, at_once, partial(_solve_part, table))
 
 
-def fixed_values(system: System, given: Mapping[str, Any]) -> dict[str, float]:
+def fixed_values(system: System, params: Mapping[str, Any]) -> dict[str, float]:
     """Return the parameters of the machine; the components of its initial state have their defaults, on any plane."""
     at_rest = {name: system.parameter(name).default for name in system.states}
-    return {p.name: float(np.ravel(given.get(p.name, p.default))[0]) for p in system.parameters} | at_rest
+    return {p.name: float(np.ravel(params.get(p.name, p.default))[0]) for p in system.parameters} | at_rest
 
 
 @lru_cache(maxsize=4)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from workers.attractors.attractor import STABLE, Attractor
-from workers.attractors.matching import is_same_orbit, nearest, states_along, states_of_turn
+from workers.attractors.matching import is_same_attractor, nearest, states_along, states_of_turn
 from workers.attractors.search import MotionSearch
 from workers.cell.exponents import free_exponents
 from workers.kernel.motion import axes
@@ -73,7 +73,7 @@ class CellAttractors:
             return next(iter(self.of_same_regime(new)), None), np.nan
         if new.reference is None:
             return next(
-                (known for known in self.attractors if is_same_orbit(self.oscillator, known, new)), None
+                (known for known in self.attractors if is_same_attractor(self.oscillator, known, new)), None
             ), np.nan
         return nearest(self.of_same_regime(new), new.reference)
 
@@ -92,7 +92,7 @@ class CellAttractors:
     def _add(self, new: Attractor) -> None:
         """Add an attractor, and pair it with a known orbit if that orbit is its mirror image."""
         for known in self.attractors if self.symmetric and new.reference is None else []:
-            if is_same_orbit(self.oscillator, known, new, half=True):
+            if is_same_attractor(self.oscillator, known, new, half=True):
                 known.mirror, new.mirror = new, known
         self.attractors.append(new)
 
@@ -124,9 +124,11 @@ def attractor_of(oscillator: Oscillator, search: MotionSearch, r: int) -> Attrac
         largest = float(orbits.exponents[r, 0])
     new.orbit = states_of_turn(oscillator, new)
     if largest < 0.0 and new.period <= LONGEST_KNOWN:
-        none, whole = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
+        none, steps_and_half = (np.zeros(0), np.zeros((0, 0))), (new.period, np.bool_(False))
         osc, frame = take_one(oscillator, 0), axes(len(new.h))
-        turn = oscillator.with_modes(lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *whole), FIRST)
+        turn = oscillator.with_modes(
+            lambda _: iterate(osc, new.h, new.mode, frame.copy(), *none, *steps_and_half), FIRST
+        )
         jacobian, contraction = jacobian_of(turn.V), -float(np.expm1(largest * new.period))
         norm = shrinking_norm(osc.gap.blocks, jacobian, contraction)
         if np.isfinite(norm).all():

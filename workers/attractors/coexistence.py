@@ -117,8 +117,8 @@ class CoexistenceSearch:
 
     def _solve_wave(self, cells: Rows, wave: range) -> None:
         owner, number = np.repeat(cells, len(wave)), np.tile(np.array(wave), len(cells))
-        there = np.isfinite(self.states[owner, number]).all(axis=1) | (number == 0)
-        owner, number = owner[there], number[there]
+        exists = np.isfinite(self.states[owner, number]).all(axis=1) | (number == 0)
+        owner, number = owner[exists], number[exists]
         if not len(owner):
             return
         search = self.search(owner, self.states[owner, number])
@@ -152,9 +152,9 @@ class CoexistenceSearch:
             suspects = [(c, suspect, missing) for c, suspect, missing in watches if missing > 0]
             if not suspects:
                 return
-            place = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
-            owner = np.array([c for c, _, _ in suspects])[place]
-            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[place]
+            suspect_index = np.repeat(np.arange(len(suspects)), [len(suspect.starts) for _, suspect, _ in suspects])
+            owner = np.array([c for c, _, _ in suspects])[suspect_index]
+            periods = np.array([-(-missing // len(suspect.starts)) for _, suspect, missing in suspects])[suspect_index]
             number = np.concatenate([suspect.starts for _, suspect, _ in suspects])
             search = self.search(
                 owner, *_stacked([state for _, suspect, _ in suspects for state in suspect.last]), STABLE
@@ -162,8 +162,10 @@ class CoexistenceSearch:
             search.watch(periods)
             ended = (search.label >= 0) | np.isin(search.regime, STABLE)
             for k, (c, suspect, _) in enumerate(suspects):
-                suspect.seen += int(search.cells.periods_flown[place == k].sum())
-                self._part(self.cells[c], suspect, number, search, np.flatnonzero((place == k) & ~ended), last=last)
+                suspect.seen += int(search.cells.periods_flown[suspect_index == k].sum())
+                self._part(
+                    self.cells[c], suspect, number, search, np.flatnonzero((suspect_index == k) & ~ended), last=last
+                )
             self._put(search, number, np.flatnonzero(ended))
 
     def _missing(self, cell: CellAttractors, suspect: Attractor, last: bool) -> int:
@@ -215,15 +217,18 @@ class CoexistenceSearch:
         """Write the results of these cells into ``arrays``."""
         for c, cell in enumerate(self.cells):
             ranked = sorted(cell.attractors, key=lambda a: a.order)
-            shown, left = ranked[: self.starts.keep], ranked[self.starts.keep :]
+            stored, unstored = ranked[: self.starts.keep], ranked[self.starts.keep :]
             arrays["periods_used"][c] = self.periods_used[c]
             arrays["attractors"][c], arrays["starts"][c] = len(ranked), self.starts_tried[c]
-            arrays["undecided"][c], arrays["starts_unstored"][c] = len(cell.undecided), sum(len(a.starts) for a in left)
+            arrays["undecided"][c], arrays["starts_unstored"][c] = (
+                len(cell.undecided),
+                sum(len(a.starts) for a in unstored),
+            )
             if self.starts_tried[c]:
                 arrays["unseen_share"][c] = unseen_share(self.starts_tried[c])
-            if not shown:
+            if not stored:
                 _write(arrays, c, 0, self.own_search.result(c))
-            for k, attractor in enumerate(shown):
+            for k, attractor in enumerate(stored):
                 more = _of_share(len(attractor.starts), int(self.starts_tried[c])) | {
                     "exact": attractor.regime in STABLE,
                     "starts_by_statistics": attractor.pooled,
@@ -231,7 +236,7 @@ class CoexistenceSearch:
                     "survived": attractor.seen
                     if attractor.regime in (CHAOTIC, APERIODIC)
                     else attractor.result["survived"],
-                    "mirror": next((i for i, a in enumerate(shown) if a is cell.image(attractor)), -1),
+                    "mirror": next((i for i, a in enumerate(stored) if a is cell.image(attractor)), -1),
                 }
                 _write(arrays, c, k, attractor.result | more)
                 if 0 in attractor.starts:

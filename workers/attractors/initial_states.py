@@ -62,18 +62,18 @@ class AttractorSettings:
         return [range(first, end) for first, end in pairwise(sorted(ends))]
 
 
-def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: System, own: Array) -> Array:
+def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: System, first: Array) -> Array:
     """Return the initial states (N, starts, 2n) of N cells, in order.
 
-    own  (N, 2n) the cells' own initial states, which come first
+    first  (N, 2n) the cells' own initial states, which come first
 
     States are NaN if too few points of the box lie between the stops.
     """
-    N, size = own.shape
-    chosen = np.full((N, starts.count, size), np.nan)
-    chosen[:, 0] = own
+    N, size = first.shape
+    all_states = np.full((N, starts.count, size), np.nan)
+    all_states[:, 0] = first
     if starts.count == 1:
-        return chosen
+        return all_states
     low, high = boxes(starts, oscillators, system)
     points, stops = _points(size, MAX_DRAWS_PER_STATE * (starts.count - 1), starts.seed), oscillators.rigid_stops
     for k in range(N):
@@ -83,8 +83,8 @@ def initial_states(starts: AttractorSettings, oscillators: Oscillator, system: S
             y = states[:, : size // 2] @ row[k]
             free &= (y > lower[k]) & (y < upper[k])
         inside = np.flatnonzero(free)[: starts.count - 1]
-        chosen[k, 1 : 1 + len(inside)] = states[inside]
-    return chosen
+        all_states[k, 1 : 1 + len(inside)] = states[inside]
+    return all_states
 
 
 def boxes(starts: AttractorSettings, oscillators: Oscillator, system: System) -> tuple[Array, Array]:

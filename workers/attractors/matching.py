@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from workers.attractors.attractor import Attractor
-from workers.cell.cell_batch import CellCycle
+from workers.cell.cell_batch import CellCycle, energy_norms
 from workers.cell.interval import batch_of, begin, run
 from workers.kernel.cell_loops import physical_states, scale_of
 from workers.kernel.jit import kernel
@@ -35,7 +35,7 @@ NEAR_ORBIT = 1e-2
 """Largest distance from a known orbit, relative to the motion's scale, at which a motion is tested for the orbit."""
 ALONG = 256
 """Number of states along a cycle without a force, for pictures and for the distance of a motion from the cycle."""
-SAME_ORBIT = 1e-6
+SAME_ATTRACTOR = 1e-6
 """Largest distance of section states of equal orbits, relative to the motion's scale."""
 BATCH = 64
 """Number of section states of a batch."""
@@ -68,12 +68,12 @@ class KnownOrbits(NamedTuple):
 
 
 @kernel
-def orbits_reached(blocks, sections, kept, rows, owner, known):
+def orbits_reached(blocks, sections, counts, rows, owner, known):
     """Return the indices of the known orbits into which these motions fall; -1 if there is none.
 
     blocks    blocks of the oscillators
     sections  (N, K, n, 2) section states
-    kept      (N,) number of the last sections that are known
+    counts    (N,) number of the last sections that are known
     rows      motions that are compared
     owner     (N,) cells of the motions
     known     KnownOrbits of the cells
@@ -87,19 +87,19 @@ def orbits_reached(blocks, sections, kept, rows, owner, known):
         c = owner[r]
         for m in range(known.first[c], known.last[c]):
             p = known.period[m]
-            if 2 * p > kept[r]:
+            if 2 * p > counts[r]:
                 continue
             at, nearest = 0, np.inf
             for j in range(p):
-                here = separation(blocks[r], sections[r, last - p - j], known.h[m])
-                if here < nearest:
-                    at, nearest = j, here
+                apart = separation(blocks[r], sections[r, last - p - j], known.h[m])
+                if apart < nearest:
+                    at, nearest = j, apart
             scale = scale_of(blocks[r], sections[r, last - p - at])
             if not nearest <= NEAR_ORBIT * scale:
                 continue
             P, J, h = known.norm[m], known.jacobian[m], known.h[m]
             k, reached = last - at, nearest <= 1e-9 * scale
-            while not reached and k - p > last - kept[r]:
+            while not reached and k - p > last - counts[r]:
                 start, image = sections[r, k - p], sections[r, k]
                 if not falls_into(P, J, known.contraction[m], h, start, image):
                     break
@@ -112,11 +112,6 @@ def orbits_reached(blocks, sections, kept, rows, owner, known):
     return numbers
 
 
-def norms(blocks: Array, h: Array) -> Array:
-    """Return the energy norms (K,) of block states h (K, n, 2)."""
-    return np.asarray(np.sqrt((blocks[:, COLUMN.metric] * h[..., 0] ** 2 + h[..., 1] ** 2).sum(axis=-1)))
-
-
 def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -> int:
     """Return the number of periods after which a motion stays within NEAR_ORBIT of the section state a turn later.
 
@@ -124,7 +119,7 @@ def periods_to_settle(blocks: Array, sections: Array, flown: int, period: int) -
     flown     periods simulated
     period    period of the orbit
     """
-    away = norms(blocks, sections[period:] - sections[:-period])
+    away = energy_norms(blocks[:, COLUMN.metric], sections[period:] - sections[:-period])
     far = np.flatnonzero(~(away <= NEAR_ORBIT * scale_of(blocks, sections[-1])))
     return flown - len(sections) + 1 + (int(far[-1]) + 1 if len(far) else 0)
 
@@ -148,10 +143,10 @@ def periods_along(blocks: Array, sections: Array, flown: int, along: Array) -> i
 
 def states_along(oscillator: Oscillator, cycle: CellCycle, state: Array, mode: int) -> Array:
     """Return block states (ALONG, n, 2) of a cycle without a force, evenly in time, from a physical state on it."""
-    own = at_rows(oscillator, np.zeros(1, dtype=np.int64))
-    set_period(own, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
-    motions, _ = begin(own, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))
-    batch = batch_of(own, motions, ALONG)
+    machine = at_rows(oscillator, np.zeros(1, dtype=np.int64))
+    set_period(machine, np.zeros(1, dtype=np.int64), np.array([cycle.period / ALONG]))
+    motions, _ = begin(machine, np.full(1, NO_REASON, dtype=np.int8), state[None], np.array([mode]))
+    batch = batch_of(machine, motions, ALONG)
     batch.periods[0] = ALONG
     run(batch, np.zeros(1, dtype=np.int64))
     return batch.sections[0]
@@ -185,21 +180,21 @@ def image_of(oscillators: Oscillator, r: int, oscillator: Oscillator, h: Array, 
     The image is NaN if it cannot be simulated. A machine with modes is mirrored in its centre, with all contacts and
     slips on the other side.
     """
-    own = oscillators.table.machines
+    machines = oscillators.table.machines
     later = oscillators.with_modes(lambda _: motion_after(oscillator, h, mode, 0.5), np.array([r]))
     image, other = -later.h, 2 * FLIGHT - int(later.mode[0])
     if oscillators.has_modes:
-        centre = about_centre(at_rows(own, np.array([r])))[1][0]
+        centre = about_centre(at_rows(machines, np.array([r])))[1][0]
         image += (2.0 * oscillator.to_blocks[:, : len(centre)] @ centre).reshape(h.shape)
-        _, contacts, slips = code_of(int(later.mode[0]), *own.sizes[1:], *own.segments)
+        _, contacts, slips = code_of(int(later.mode[0]), *machines.sizes[1:], *machines.segments)
         code = ModeCode(0, tuple(-state for state in contacts), tuple(-sign for sign in slips))
-        other = code.number_of(*own.segments)
+        other = code.number_of(*machines.segments)
         if oscillators.drifts:
             image[-1, 1] = h[-1, 1]
     return (image if later.tally[STATUS] == RUNNING else np.full_like(h, np.nan)), other
 
 
-def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
+def is_same_attractor(oscillator: Oscillator, old: Attractor, new: Attractor, half: bool = False) -> bool:
     """Return True if an orbit, or with ``half`` its mirror image, equals a known orbit.
 
     Orbits are compared on the section of the known proof. Cycles without a force are equal if they are the same set of
@@ -218,7 +213,7 @@ def is_same_orbit(oscillator: Oscillator, old: Attractor, new: Attractor, half: 
         return True
     osc, motion = seen_from(oscillator, new, old.shift)
     h = image_of(oscillator, 0, osc, motion.h, int(motion.mode[0]))[0] if half else motion.h
-    return bool(norms(osc.gap.blocks, old.orbit - h).min() <= SAME_ORBIT * scale_of(osc.gap.blocks, h))
+    return bool(energy_norms(osc.gap.metric, old.orbit - h).min() <= SAME_ATTRACTOR * scale_of(osc.gap.blocks, h))
 
 
 def mirror_states(oscillators: Oscillator, states: Array, mode: Rows) -> tuple[Array, Rows]:

@@ -160,12 +160,12 @@ class MotionSearch:
     def _is_known(self, rows: Rows) -> Mask:
         """Return the mask of motions that fall into a known orbit or are on a known cycle, and set their labels."""
         cells, orbits = self.cells, self.known.orbits
-        blocks, sections, kept = cells.oscillators.gap.blocks, cells.batch.sections, cells.known_section_count()
-        orbit = orbits_reached(blocks, sections, kept, rows, self.owner, orbits)
+        blocks, sections, counts = cells.oscillators.gap.blocks, cells.batch.sections, cells.known_section_count()
+        orbit = orbits_reached(blocks, sections, counts, rows, self.owner, orbits)
         reached = orbit >= 0
         self.label[rows[reached]] = self.known.places[orbit[reached]]
         for r, period in zip(rows[reached], orbits.period[orbit[reached]], strict=True):
-            known = sections[r, sections.shape[1] - kept[r] :]
+            known = sections[r, sections.shape[1] - counts[r] :]
             self.arrival[r] = periods_to_settle(blocks[r], known, cells.periods_flown[r], period)
         if isinstance(self.course, AutonomousSchedule):
             reached[~reached] = [self._is_on_cycle(self.course, r) for r in rows[~reached].tolist()]
@@ -184,9 +184,9 @@ class MotionSearch:
             for known in cycles:
                 if known.cycle and known.cycle.contains_states(states, numbers):
                     self.label[r] = self.known.attractors.index(known)
-                    kept = cells.known_sections(r)
+                    sections = cells.known_sections(r)
                     self.arrival[r] = periods_along(
-                        cells.oscillators.gap.blocks[r], kept, cells.periods_flown[r], known.orbit
+                        cells.oscillators.gap.blocks[r], sections, cells.periods_flown[r], known.orbit
                     )
                     return True
         return False

@@ -70,9 +70,9 @@ def without_force(cells: CellBatch) -> Mask:
     """Return the mask of machines with modes that have neither a force nor changes of phase."""
     if not cells.oscillators.has_modes:
         return np.zeros(len(cells.periods_used), dtype=np.bool_)
-    own = cells.oscillators.table.machines
-    still = np.all((own.force_sin == 0.0) & (own.force_cos == 0.0), axis=(1, 2, 3))
-    return np.asarray(still & (own.sizes[0] == 1))
+    machines = cells.oscillators.table.machines
+    still = np.all((machines.force_sin == 0.0) & (machines.force_cos == 0.0), axis=(1, 2, 3))
+    return np.asarray(still & (machines.sizes[0] == 1))
 
 
 class VertexCourse(AdaptiveSchedule):
@@ -117,17 +117,17 @@ class AutonomousSchedule(VertexCourse):
                 rests[r] = rest
             elif quiet:
                 still.append(r)
-        left = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
+        remaining = end_on_orbits(self.cells, np.array(still, dtype=np.int64), budget, near)
         for r in rows[self.cells.is_active[rows]].tolist():
             if r not in cycles and r not in rests and (rest := rest_of_turns(self.cells, r)) is not None:
                 rests[r] = rest
         put_rests(self.cells, rests)
-        left = np.array(
-            [r for r in left.tolist() if self.cells.is_active[r] and _repeats(self.cells, r)], dtype=np.int64
+        remaining = np.array(
+            [r for r in remaining.tolist() if self.cells.is_active[r] and _repeats(self.cells, r)], dtype=np.int64
         )
-        stands = np.array([is_at_equilibrium(self.cells, r) for r in left.tolist()], dtype=np.bool_)
-        put_centres(self.cells, left[~stands])
-        self.end_standing(left[stands])
+        stands = np.array([is_at_equilibrium(self.cells, r) for r in remaining.tolist()], dtype=np.bool_)
+        put_centres(self.cells, remaining[~stands])
+        self.end_standing(remaining[stands])
         put_cycles(self.cells, cycles)
         return rows[self.cells.is_active[rows]]
 
@@ -210,16 +210,16 @@ def cycle_of(machine: Oscillator, trail: EventTrail, m: int) -> tuple[LimitCycle
     chatter = trail.legs[trail.first[-m:], LEG.chatter]
     while np.any(chatter == 0.0) and chatter[first] != 0.0:
         first = (first + 1) % m
-    own, turn, keys = turn_from(machine, trail, m, int(first))
+    turn_machine, turn, keys = turn_from(machine, trail, m, int(first))
     returns = trail.distance_between(len(trail.keys) - 1, len(trail.keys) - 1 - m) < CLOSING_DISTANCE
     try:
-        half = reduce_symmetry(own, turn, ASKED)
-        cycle = cycle_near(own, half) if half is not turn else None
-        cycle = cycle or cycle_near(own, turn)
+        half = reduce_symmetry(turn_machine, turn, ASKED)
+        cycle = cycle_near(turn_machine, half) if half is not turn else None
+        cycle = cycle or cycle_near(turn_machine, turn)
         if cycle is None and returns:
-            cycle = cycle_through(own, turn)
+            cycle = cycle_through(turn_machine, turn)
             return (cycle, cycle.motion.times[0]) if is_neutral(cycle) and cycle.error < CLOSING_DISTANCE else None
-        cycle = once_round(own, cycle) if cycle is not None and is_stable(cycle) else cycle
+        cycle = once_round(turn_machine, cycle) if cycle is not None and is_stable(cycle) else cycle
     except NoOscillatorError:
         return None
     if cycle is None or not (is_stable(cycle) or (is_neutral(cycle) and returns)):
@@ -270,8 +270,10 @@ def once_round(machine: OrbitMachines, cycle: LimitCycle) -> LimitCycle | None:
 
 def _repeats(cells: CellBatch, r: int) -> bool:
     """Return True if the sections of one motion are one state over its whole interval."""
-    kept = cells.known_sections(r)
-    return len(kept) > 1 and float(np.ptp(kept, axis=0).max()) <= CLOSING_DISTANCE * float(np.abs(kept).max())
+    sections = cells.known_sections(r)
+    return len(sections) > 1 and float(np.ptp(sections, axis=0).max()) <= CLOSING_DISTANCE * float(
+        np.abs(sections).max()
+    )
 
 
 def put_centres(cells: CellBatch, rows: Rows) -> None:
@@ -291,7 +293,7 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
     free = np.array([r for r, (cycle, _) in cycles_of.items() if not is_stable(cycle)], dtype=np.int64)
     put_averaged(cells, free)
     write_results(cells, free, regime=UNDETERMINED, error=np.nan, reason=FREE_PHASE)
-    cycles_of = {r: there for r, there in cycles_of.items() if is_stable(there[0])}
+    cycles_of = {r: passage for r, passage in cycles_of.items() if is_stable(passage[0])}
     if not cycles_of:
         return
     rows, every = np.array(list(cycles_of), dtype=np.int64), np.arange(len(cycles_of))
@@ -300,16 +302,16 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
     natural = cells.oscillators.period[rows].copy()
     set_period(cells.oscillators, rows, periods)
     begins = [_after_first(cycle) for cycle in cycles]
-    own = at_rows(cells.oscillators, rows)
+    machines = at_rows(cells.oscillators, rows)
     codes = [cycle.motion.plan.legs[k][0].code for cycle, k in zip(cycles, begins, strict=True)]
-    segments = own.table.machines.segments
+    segments = machines.table.machines.segments
     mode = np.array([code.number_of(*segments) for code in codes])
     states = np.stack([cycle.motion.turn.states[0, k] for cycle, k in zip(cycles, begins, strict=True)])
-    motions, reasons = begin(own, np.full(len(rows), NO_REASON, dtype=np.int8), states, mode)
-    start, batch = motions.h.copy(), batch_of(own, motions)
+    motions, reasons = begin(machines, np.full(len(rows), NO_REASON, dtype=np.int8), states, mode)
+    start, batch = motions.h.copy(), batch_of(machines, motions)
     motions.tally[:, WORK], batch.periods[:] = WORK_OF_A_TRIAL, 1
     run(batch, every)
-    after = physical_states(own, motions, every)
+    after = physical_states(machines, motions, every)
     size = np.abs(states).max(axis=1)
     closes = (motions.tally[:, STATUS] == RUNNING) & (reasons == NO_REASON) & (motions.mode[:, 0] == mode)
     closes &= np.abs(after - states).max(axis=1) <= CLOSING_DISTANCE * size
@@ -318,15 +320,15 @@ def put_cycles(cells: CellBatch, cycles_of: dict[int, tuple[LimitCycle, Array]])
     closes &= ~edge
     set_period(cells.oscillators, rows[~closes], natural[~closes])
     put_centres(cells, rows[edge])
-    kept = np.flatnonzero(closes)
-    rows, orbits = rows[kept], cells.orbits
+    closing = np.flatnonzero(closes)
+    rows, orbits = rows[closing], cells.orbits
     for r in rows.tolist():
         cycle, times = cycles_of[r]
-        cells.cycles[r] = _as_passed(own, cycle, times)
+        cells.cycles[r] = _as_passed(machines, cycle, times)
         orbits.exponents[r] = -np.sort(-np.append(cycle.logs, 0.0))
         orbits.symmetric[r], orbits.error[r] = cycle.motion.itinerary.symmetric, 1e-14 * (1.0 + abs(cycle.logs[0]))
-    orbits.h[rows], orbits.mode[rows, 0], orbits.period[rows] = start[kept], mode[kept], 1
-    orbits.tally[rows] = motions.tally[kept]
+    orbits.h[rows], orbits.mode[rows, 0], orbits.period[rows] = start[closing], mode[closing], 1
+    orbits.tally[rows] = motions.tally[closing]
     put_periodic(cells, rows)
     largest = np.array([cycles_of[r][0].logs[0] for r in rows.tolist()])
     write_results(cells, rows, largest=largest)  # without the 0 along the cycle

@@ -46,9 +46,9 @@ def shears(previous: Array, now: Array, apart: Array) -> Mask:
     return np.asarray(linear & (now > 0.0) & (now < SHEAR_LIMIT))
 
 
-def periods_for(periods: Array, error: Array, wanted: Array | float) -> Array:
-    """Return the periods until an average with this error after these periods reaches the wanted error."""
-    return np.asarray(periods * np.minimum(error / wanted, FARTHEST) ** 2)
+def periods_for(periods: Array, error: Array, target: Array | float) -> Array:
+    """Return the periods until an average with this error after these periods reaches the target error."""
+    return np.asarray(periods * np.minimum(error / target, FARTHEST) ** 2)
 
 
 def current_average(cells: CellBatch, rows: Rows) -> GrowthAverage:
@@ -84,14 +84,14 @@ def combined_average(cells: CellBatch, rows: Rows) -> tuple[GrowthAverage, Array
     both = (count > 0.0) & (e.periods > 0.0)
     apart = np.where(both, np.abs(mean - e.mean) * np.sqrt(count * e.periods) / total, 0.0)
     plain = np.hypot(e.error * e.periods, error * count) / total
-    whole = GrowthAverage(
+    combined = GrowthAverage(
         mean=(e.mean * e.periods + mean * count) / total,
         error=np.maximum(plain, apart),
         periods=total,
         growth=growth + e.growth,
         impacts=impacts + e.impacts,
     )
-    return whole, plain
+    return combined, plain
 
 
 def has_changed(cells: CellBatch, rows: Rows) -> Mask:

@@ -64,13 +64,13 @@ def energy_norms(metric: Array, h: Array) -> Array:
 
 def sizes(oscillators: Oscillator, h: Array) -> Array:
     """Return the sum (N,) of energy norms of block states h (N, n, 2), forced motion and displacements to stops."""
-    own, n, metric = oscillators, h.shape[1], oscillators.gap.metric
-    rows, stops, _ = own.contacts
+    n, metric = h.shape[1], oscillators.gap.metric
+    rows, stops, _ = oscillators.contacts
     reach = np.max(np.where(np.isfinite(stops), np.abs(stops), 0.0), axis=-1)
     x = rows * (reach / np.maximum(np.vecdot(rows, rows), 1e-300))[..., None]
-    there = (own.to_blocks[:, None, :, :n] @ x[..., None]).reshape(*x.shape[:2], n, 2)
-    at_stops = np.sum(energy_norms(metric[:, None], there), axis=1)
-    return energy_norms(metric, h) + energy_norms(metric, own.gap.swing) + at_stops
+    stop_states = (oscillators.to_blocks[:, None, :, :n] @ x[..., None]).reshape(*x.shape[:2], n, 2)
+    at_stops = np.sum(energy_norms(metric[:, None], stop_states), axis=1)
+    return energy_norms(metric, h) + energy_norms(metric, oscillators.gap.swing) + at_stops
 
 
 class CellCycle(NamedTuple):
@@ -148,7 +148,7 @@ class CellBatch:
     ) -> None:
         N, n = oscillators.gap_row.shape
         adaptive = settings.method == "adaptive"
-        kept = max(settings.max_period, RETURNS if adaptive else 0) + 1
+        n_sections = max(settings.max_period, RETURNS if adaptive else 0) + 1
         self.directions = 2 * n
         self.drifts = oscillators.drifts
         one = 2 if unforced else 1  # without a force one exponent is 0
@@ -156,7 +156,7 @@ class CellBatch:
         self.unforced, self.cycles = unforced, dict[int, CellCycle]()
         self.oscillators, self.settings, self.results = oscillators, settings, results
         motions, reasons = begin(oscillators, reasons, starts, mode, self.vectors)
-        self.batch = batch_of(oscillators, motions, kept)
+        self.batch = batch_of(oscillators, motions, n_sections)
         without_frames = motions._replace(V=np.zeros((N, 0, n, 2)), growth=np.zeros((N, 0)))
         self.bare = self.batch._replace(motions=without_frames)
         invalid = reasons != NO_REASON
@@ -184,7 +184,7 @@ class CellBatch:
 
     def set_interval(self, rows: Rows, periods: Rows | int) -> None:
         """Give these cells an interval of this number of periods."""
-        self.batch.periods[rows], self.batch.done[rows] = periods, 0
+        self.batch.periods[rows], self.batch.completed[rows] = periods, 0
 
     def run(self, rows: Rows, *, to_end: bool = False) -> Rows:
         """Advance these cells; return the cells that have reached the end of their intervals.
@@ -195,8 +195,8 @@ class CellBatch:
         for batch, some in ((self.batch, rows[framed]), (self.bare, rows[~framed])):
             run(batch, some, to_end=to_end)
         through = rows[has_ended(self.batch)[rows]]
-        self.periods_used[through] += self.batch.done[through]
-        self.periods_flown[through] += self.batch.done[through]
+        self.periods_used[through] += self.batch.completed[through]
+        self.periods_flown[through] += self.batch.completed[through]
         return through
 
     def known_section_count(self) -> Rows:
@@ -221,14 +221,14 @@ class CellBatch:
 
         Without damping the momentum of the drift changes only by load, force and friction.
         """
-        sections, kept = self.batch.sections, self.known_section_count()[rows]
+        sections, counts = self.batch.sections, self.known_section_count()[rows]
         if not self.drifts or sections.shape[1] <= STEPS:
             return np.zeros(len(rows), dtype=np.bool_)
         momentum = sections[rows, -STEPS - 1 :, -1, 0]
         steps, last = np.diff(momentum, axis=1), momentum[:, -1]
         low, high = np.min(np.abs(steps), axis=1), np.max(np.abs(steps), axis=1)
         away = np.all(steps * last[:, None] > 0.0, axis=1) & (low > SAME_STEP * np.abs(last))
-        return np.asarray((kept > STEPS) & away & (high - low <= SAME_STEP * high))
+        return np.asarray((counts > STEPS) & away & (high - low <= SAME_STEP * high))
 
     def fly_off(self, rows: Rows) -> Mask:
         """Return the mask of cells that move by the same step in each period, at one velocity, with no stop ahead.

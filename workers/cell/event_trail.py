@@ -135,8 +135,8 @@ def turn_from(
     rows, keys = np.roll(rows, -begin, axis=0), np.roll(keys, -begin)
     rows[-begin or len(rows) :, LEG.start] += T
     rows[:, LEG.start] -= rows[0, LEG.start]
-    own = with_modes(machine.table.machines._replace(omega=np.array([2.0 * np.pi / T])))
-    return own, orbit_from_turn([leg_from_row(machine, row) for row in rows], before, 0, float(T)), keys
+    turn_machine = with_modes(machine.table.machines._replace(omega=np.array([2.0 * np.pi / T])))
+    return turn_machine, orbit_from_turn([leg_from_row(machine, row) for row in rows], before, 0, float(T)), keys
 
 
 def passages(cells: CellBatch, r: int, count: int) -> Array:

@@ -61,24 +61,24 @@ def stop_reasons(motions: Motion, cells: Rows) -> Reasons:
     return stopped
 
 
-def batch_of(oscillators: Any, motions: Motion, kept: int = 0) -> MotionBatch:
-    """Return a batch of motions without periods to simulate, with room for the last ``kept`` sections of each."""
+def batch_of(oscillators: Any, motions: Motion, n_sections: int = 0) -> MotionBatch:
+    """Return a batch of motions without periods to simulate, with room for the last ``n_sections`` sections of each."""
     N, n = motions.h.shape[:2]
     return MotionBatch(
         oscillators,
         motions,
         periods=np.zeros(N, dtype=np.int64),
-        done=np.zeros(N, dtype=np.int64),
+        completed=np.zeros(N, dtype=np.int64),
         levels=np.zeros((N, LEVELS, 4)),
         weighted=np.zeros((N, 2)),
-        sections=np.zeros((N, kept, n, 2)),
+        sections=np.zeros((N, n_sections, n, 2)),
     )
 
 
 def has_ended(batch: MotionBatch) -> Mask:
     """Return the mask of cells with nothing left to do: their periods, their motion or their work have ended."""
     tally = batch.motions.tally
-    return (batch.done >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
+    return (batch.completed >= batch.periods) | (tally[:, STATUS] != RUNNING) | (tally[:, WORK] < 0.0)
 
 
 def run(batch: MotionBatch, cells: Rows, *, to_end: bool = True, lanes: int = LANES) -> None:
@@ -113,7 +113,7 @@ def sections_from(oscillators: Oscillator, motions: Motion, counts: Rows) -> Arr
     for k in range(states.shape[1]):
         going = every[(k < counts) & (motions.tally[:, STATUS] == RUNNING)]
         states[going, k] = physical_states(oscillators, motions, going)
-        batch.periods[:], batch.done[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
+        batch.periods[:], batch.completed[:], motions.tally[:, WORK] = 1, 0, WORK_OF_A_TRIAL
         if len(rest := going[counts[going] > k + 1]):
             run(batch, rest)
     return states
@@ -127,4 +127,4 @@ def run_periods(oscillator: Oscillator, motion: Motion, periods: int) -> int:
     batch = batch_of(many_of(oscillator), map_fields(motion, lambda field: field[None]))
     batch.periods[0] = periods
     run(batch, np.zeros(1, dtype=np.int64))
-    return int(batch.done[0])
+    return int(batch.completed[0])

@@ -68,17 +68,17 @@ def measure(cells: CellBatch, definition: Definition, params: Mapping[str, Array
         periods, closes = measured_periods(cells, some)
         states, codes = starts_of(cells, some, closes)
         meters = _meters(machines, definition, values)
-        readings, whole = follow_motions(machines, meters, states, codes, periods, closes & hybrid)
+        readings, complete = follow_motions(machines, meters, states, codes, periods, closes & hybrid)
         span = periods * machines.period
         variables = _of_measures(definition, definition.outputs(values)[2], readings, span)
         if hybrid:
-            own = machines.table.machines
-            variables |= _of_machine(own, readings, closes, periods)
-            variables |= _of_elements(definition, own, readings, closes, periods)
-            variables |= _of_laws(definition, own, readings, values)
+            mode_machines = machines.table.machines
+            variables |= _of_machine(mode_machines, readings, closes, periods)
+            variables |= _of_elements(definition, mode_machines, readings, closes, periods)
+            variables |= _of_laws(definition, mode_machines, readings, values)
             counted, lost = cells.results["impact_energy"][some], np.sum(readings.stop, axis=1) / periods
             variables["impact_energy"] = np.where(np.isnan(counted), lost, counted)
-        write_results(cells, some[whole], **{name: value[whole] for name, value in variables.items()})
+        write_results(cells, some[complete], **{name: value[complete] for name, value in variables.items()})
 
 
 def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array]) -> None:
@@ -99,8 +99,8 @@ def explain(cells: CellBatch, definition: Definition, params: Mapping[str, Array
 
 def with_modes(cells: CellBatch, rows: Rows, definition: Definition, values: Mapping[str, Array]) -> Oscillator:
     """Return the machines of these cells with modes, whose legs are read; values (N,) of each parameter."""
-    own = cells.oscillators
-    return at_rows(own, rows) if own.has_modes else build_hybrid(definition.hybrid(values))[0]
+    oscillators = cells.oscillators
+    return at_rows(oscillators, rows) if oscillators.has_modes else build_hybrid(definition.hybrid(values))[0]
 
 
 def measured_periods(cells: CellBatch, rows: Rows) -> tuple[Rows, Mask]:
@@ -132,18 +132,18 @@ def starts_of(cells: CellBatch, rows: Rows, closes: Mask) -> tuple[Array, Rows]:
 def _meters(machines: Oscillator, definition: Definition, values: Mapping[str, Array]) -> MeasurePlan:
     """Return the measured quantities: measures, arguments of laws, and the range of the pictured coordinate."""
     rows, orders, _ = definition.outputs(values)
-    own: HybridMachines = machines.table.machines
-    more = [*_arguments(definition, own), (machines.gap_row, 0.0)]
+    mode_machines: HybridMachines = machines.table.machines
+    more = [*_arguments(definition, mode_machines), (machines.gap_row, 0.0)]
     peaks = [*("peak" in measure.report for _, measure in definition.measures), *(True for _ in more)]
     return MeasurePlan(
         rows=np.concatenate([rows, np.stack([row for row, _ in more], axis=1)], axis=1),
         orders=np.concatenate([orders, np.tile([order for _, order in more], (len(rows), 1))], axis=1),
         peaks=np.tile(np.array(peaks, dtype=np.float64), (len(rows), 1)),
-        damping=own.damping,
-        contact_constants=own.contact_constants,
-        friction_constants=own.friction_constants,
-        contact_laws=own.contact_laws,
-        friction_laws=own.friction_laws,
+        damping=mode_machines.damping,
+        contact_constants=mode_machines.contact_constants,
+        friction_constants=mode_machines.friction_constants,
+        contact_laws=mode_machines.contact_laws,
+        friction_laws=mode_machines.friction_laws,
     )
 
 
@@ -173,11 +173,11 @@ def follow_motions(
     closes    (N,) mask of motions for which the periods are one turn of an orbit
     """
     N, readings = len(states), _nothing_read(meters)
-    states, codes, done, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
+    states, codes, completed, status = states.copy(), codes.copy(), np.zeros(N, dtype=np.int64), np.full(N, RUNNING)
     allowance, turns = MIN_WORK + WORK_PER_PERIOD * periods.astype(np.float64), closes.astype(np.int64)
 
     def read(some: Rows) -> None:
-        motion = states, codes, done, periods, turns, allowance, some
+        motion = states, codes, completed, periods, turns, allowance, some
         status[some] = read_motions(machines, meters, readings, *motion)[some]
 
     machines.with_modes(read, np.arange(N))

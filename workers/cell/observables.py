@@ -37,10 +37,10 @@ def observe(cells: CellBatch, definition: Definition, params: Mapping[str, Array
         periods, closes = measured_periods(cells, some)
         motions = *starts_of(cells, some, closes), periods, closes
         outputs = outputs_for(observables, definition, values)
-        shown, whole = record_observables(
+        observed, complete = record_observables(
             machines, observables, outputs, motions, cells.settings.observe_values, definition.turns
         )
-        write_results(cells, some[whole], **{name: value[whole] for name, value in shown.items()})
+        write_results(cells, some[complete], **{name: value[complete] for name, value in observed.items()})
 
 
 def record_observables(
@@ -63,8 +63,8 @@ def record_observables(
     The periods of a motion that closes are one turn of an orbit.
     """
     states, codes, periods, closes = motions
-    N, M, own = len(states), len(observables), machines.table.machines
-    wanted = ObservableSelection(
+    N, M, mode_machines = len(states), len(observables), machines.table.machines
+    selection = ObservableSelection(
         np.array([KINDS.index(observable.kind) for observable in observables]),
         np.array([observable.contact for observable in observables]),
         np.array([observable.side for observable in observables]),
@@ -75,29 +75,29 @@ def record_observables(
     starts, states, codes, status = (states, codes), states.copy(), codes.copy(), np.full(N, RUNNING)
     periods = periods.astype(np.int64)  # results have int32, for which kernels would be compiled again
     turns_of_outputs = any(observable.kind in (MAXIMUM, MINIMUM) for observable in observables)
-    done = np.where(closes & turns_of_outputs, -periods, 0)
-    allowance = MIN_WORK + WORK_PER_PERIOD * (periods - done).astype(np.float64)
+    completed = np.where(closes & turns_of_outputs, -periods, 0)
+    allowance = MIN_WORK + WORK_PER_PERIOD * (periods - completed).astype(np.float64)
     meters = MeasurePlan(
         *outputs,
         np.zeros_like(outputs[1]),
-        own.damping,
-        own.contact_constants,
-        own.friction_constants,
-        own.contact_laws,
-        own.friction_laws,
+        mode_machines.damping,
+        mode_machines.contact_constants,
+        mode_machines.friction_constants,
+        mode_machines.contact_laws,
+        mode_machines.friction_laws,
     )
 
     def see(some: Rows) -> None:
-        motion = starts, states, codes, done, periods, closes.astype(np.int64), allowance, some
-        status[some] = observe_motions(machines, meters, wanted, seen, *motion)[some]
+        motion = starts, states, codes, completed, periods, closes.astype(np.int64), allowance, some
+        status[some] = observe_motions(machines, meters, selection, seen, *motion)[some]
 
     machines.with_modes(see, np.arange(N))
     numbers, results = np.where(endless > 0, -1, counts), Values()
     for m, observable in enumerate(observables):
-        shown = seen.values[:, m]
+        column = seen.values[:, m]
         if observable.kind == IMPACT_PHASE:  # phase of the machine, with frequency omega / turns
-            shown = np.mod(turns * shown, observable.modulus)
-        results |= {observable.variable: shown, observable.number: numbers[:, m]}
+            column = np.mod(turns * column, observable.modulus)
+        results |= {observable.variable: column, observable.number: numbers[:, m]}
     return results, status == RUNNING
 
 
@@ -128,10 +128,10 @@ def observe_orbits(
     machines, reasons = build_hybrid(definition.hybrid(values))
     begun, reasons = begin(machines, reasons, states)
     motions = states, begun.mode, periods, np.ones(len(states), dtype=bool)
-    shown, whole = record_observables(
+    observed, complete = record_observables(
         machines, observables, outputs_for(observables, definition, values), motions, limit, definition.turns
     )
-    there = whole & (reasons == NO_REASON)
+    valid = complete & (reasons == NO_REASON)
     for observable in observables:
-        shown[observable.variable][~there], shown[observable.number][~there] = np.nan, 0
-    return shown
+        observed[observable.variable][~valid], observed[observable.number][~valid] = np.nan, 0
+    return observed

@@ -13,7 +13,7 @@ from workers.model.oscillator import COLUMN, NUMBER, Array, Mask, Oscillator, Ro
 from workers.orbit.newton import settle_cells
 from workers.orbit.rest import rest_to_rest
 
-NEAR_ORBIT = 1e-2
+NEAR_RETURN = 1e-2
 """Maximum distance of a return, relative to the motion's scale, that may lead to a stable orbit."""
 
 LONG_PERIOD, LONG_ORBIT_BATCH = 1000, 64
@@ -38,11 +38,11 @@ def end_on_orbits(cells: CellBatch, rows: Rows, budget: Rows, near: Array) -> Ro
 
 def _settled(rows: Rows, oscillators: Oscillator, *arguments: Any) -> Mask:
     """Return the result of settle_cells for these cells, which is repeated for cells that needed a new mode."""
-    *asked, orbits, spent = arguments
+    *inputs, orbits, spent = arguments
     proved = np.zeros(len(oscillators.tau), dtype=np.bool_)
 
     def settle(tried: Rows) -> None:
-        proved[tried] = settle_cells(oscillators, *asked, tried, orbits, spent)
+        proved[tried] = settle_cells(oscillators, *inputs, tried, orbits, spent)
 
     if len(rows):
         oscillators.with_modes(settle, rows)
@@ -73,11 +73,11 @@ def _prove_long(cells: CellBatch, rows: Rows) -> Mask:
     batch.periods[:] = length
     resting = cells.is_at_rest(rows)
     run(batch, every[~resting])
-    kept = np.where(batch.done == length, length, 0)
-    flown = batch.done + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, kept)
-    through = every[kept > 0]
+    counts = np.where(batch.completed == length, length, 0)
+    flown = batch.completed + rest_to_rest(batch.oscillators, batch.motions, every[resting], batch.sections, counts)
+    through = every[counts > 0]
     proved[through] = _settled(
-        through, batch.oscillators, batch.motions, batch.sections, kept, np.full(len(rows), NEAR_ORBIT), LONG_PERIOD,
+        through, batch.oscillators, batch.motions, batch.sections, counts, np.full(len(rows), NEAR_RETURN), LONG_PERIOD,
         budget - flown, orbits, spent,
     )  # fmt: skip
     cells.periods_used[rows] += flown + spent
@@ -129,15 +129,15 @@ def rests_alone(machines: HybridMachines) -> Mask:
 
     Force and load press the mass on the stop at some phase, or springs may do so.
     """
-    own, harmonics = machines, np.hypot(machines.force_sin, machines.force_cos).sum(axis=2)[..., 0]  # (N, P)
-    if own.dimension > 2:
-        return np.zeros(len(own.omega), dtype=np.bool_)
-    row, stops = own.row[..., 0], own.stops  # (N, C), (N, C, 2)
-    stands = np.isfinite(stops) & ((own.soft == 0.0) & (own.R < 1.0))[..., None]
+    harmonics = np.hypot(machines.force_sin, machines.force_cos).sum(axis=2)[..., 0]  # (N, P)
+    if machines.dimension > 2:
+        return np.zeros(len(machines.omega), dtype=np.bool_)
+    row, stops = machines.row[..., 0], machines.stops  # (N, C), (N, C, 2)
+    stands = np.isfinite(stops) & ((machines.soft == 0.0) & (machines.R < 1.0))[..., None]
     x = (np.where(stands, stops, 0.0) / row[..., None])[:, None]
-    pull = own.load[:, :, 0, None, None] - own.stiffness[:, :, 0, 0, None, None] * x  # (N, P, C, 2)
+    pull = machines.load[:, :, 0, None, None] - machines.stiffness[:, :, 0, 0, None, None] * x  # (N, P, C, 2)
     press = np.sign(row)[:, None, :, None] * np.array([-1.0, 1.0]) * pull + harmonics[..., None, None]
-    pressed = np.any(press > 0.0, axis=1) | np.any(own.soft > 0.0, axis=1)[:, None, None]
+    pressed = np.any(press > 0.0, axis=1) | np.any(machines.soft > 0.0, axis=1)[:, None, None]
     return np.asarray(np.any(stands & pressed, axis=(1, 2)))
 
 
@@ -146,8 +146,8 @@ def most_on_stops(oscillators: Oscillator) -> Array:
 
     It is -infinity if the stop is missing.
     """
-    held, stops = oscillators.held, np.stack([oscillators.b_upper, -oscillators.b_lower], axis=1)
-    level = held.offset[:, 0] + held.blocks[:, 0, 0, -1, COLUMN.c0, None] * stops
+    sticking, stops = oscillators.sticking, np.stack([oscillators.b_upper, -oscillators.b_lower], axis=1)
+    level = sticking.offset[:, 0] + sticking.blocks[:, 0, 0, -1, COLUMN.c0, None] * stops
     return np.where(
-        np.isfinite(stops), held.numbers[:, 0, :, NUMBER.amplitude] - np.array([1.0, -1.0]) * level, -np.inf
+        np.isfinite(stops), sticking.numbers[:, 0, :, NUMBER.amplitude] - np.array([1.0, -1.0]) * level, -np.inf
     )

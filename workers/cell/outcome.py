@@ -148,8 +148,8 @@ def put_periodic(cells: CellBatch, rows: Rows) -> None:
     oscillators, tally, largest = at_rows(cells.oscillators, rows), orbits.tally, orbits.exponents[:, 0]
     total = np.sum(orbits.exponents, axis=1)
     if oscillators.has_modes:
-        whole = tally[:, motion.LOST] == cells.drifts
-        defect = np.where(whole, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
+        complete = tally[:, motion.LOST] == cells.drifts
+        defect = np.where(complete, total - tally[:, motion.CONTRACTION] / orbits.period, math.nan)
     else:
         defect = _defect(oscillators, total, tally, impact_count(tally) / orbits.period)
     error = np.fmax(orbits.error, np.abs(defect))
@@ -234,9 +234,11 @@ def put_growth(cells: CellBatch, rows: Rows, tally: Array, average: GrowthAverag
     """
     spectrum = -np.sort(-average.growth / average.periods[:, None], axis=1)
     spectrum[np.arange(spectrum.shape[1]) >= cells.directions - tally[:, motion.LOST, None]] = -math.inf
-    whole = cells.settings.exponents == "spectrum"
-    write_results(cells, rows, largest=average.mean, error=average.error, average=spectrum if whole else average.mean)
-    if whole:
+    all_exponents = cells.settings.exponents == "spectrum"
+    write_results(
+        cells, rows, largest=average.mean, error=average.error, average=spectrum if all_exponents else average.mean
+    )
+    if all_exponents:
         total, hits = np.sum(average.growth, axis=1) / average.periods, average.impacts / average.periods
         defect = _defect(at_rows(cells.oscillators, rows), total, tally, hits)
         write_results(cells, rows, spectrum=spectrum, kaplan_yorke=kaplan_yorke(spectrum), sum_law_defect=defect)
@@ -281,8 +283,8 @@ def put_by_average(
     """
     if not len(rows):
         return
-    whole, plain = combined_average(cells, rows)
-    chaotic, clearly = (clearly_positive(whole.mean, error, whole.periods) for error in (plain, whole.error))
+    combined, plain = combined_average(cells, rows)
+    chaotic, clearly = (clearly_positive(combined.mean, error, combined.periods) for error in (plain, combined.error))
     chaotic, recurs = chaotic & recurs, np.broadcast_to(recurs, rows.shape)
     unclear_reasons = np.where(recurs, np.int8(unclear), np.int8(results.NEVER_RECURS))
     reasons = np.where(clearly, clear, np.int8(results.NOT_STATIONARY))
@@ -301,9 +303,9 @@ def put_states(cells: CellBatch, rows: Rows, oscillators: Oscillator, h: Array, 
     write_results(cells, rows, state=physical_states(oscillators, motions, every))
     K = cells.settings.section_samples
     if K:
-        kept = np.where(period > 0, np.minimum(period, K), K)
-        states = sections_from(oscillators, motions, kept)
-        write_results(cells, rows, section=states[every[:, None], np.arange(K) % kept[:, None]])
+        lengths = np.where(period > 0, np.minimum(period, K), K)
+        states = sections_from(oscillators, motions, lengths)
+        write_results(cells, rows, section=states[every[:, None], np.arange(K) % lengths[:, None]])
 
 
 def _defect(oscillators: Oscillator, total: Array, tally: Array, hits: Array | float) -> Array:

@@ -39,8 +39,8 @@ def free_range(oscillators: Oscillator, h: Array) -> Array:
     still = np.where((gap.lam == 0.0)[..., None] & [True, False], h, 0.0)
     steady = np.all(h == still, axis=(1, 2))
     closed = gap.sin_part.shape[1] == 1
-    sought = np.flatnonzero(~(steady & closed))
-    reach = _followed(oscillators, h, mode, np.where(steady, 1, FOLLOWED), sought)
+    rows = np.flatnonzero(~(steady & closed))
+    reach = _followed(oscillators, h, mode, np.where(steady, 1, FOLLOWED), rows)
     forced = 2.0 * gap.amplitude
     reach = np.where(steady & closed, forced, reach)
     fast = ~steady & np.isnan(reach)

@@ -17,7 +17,7 @@ from workers.cell import averages, outcome
 from workers.cell.averages import clearly_positive, current_average, periods_for, shears
 from workers.cell.cell_batch import RETURNS, CellBatch
 from workers.cell.exponents import impact_count
-from workers.cell.orbits import LONG_PERIOD, NEAR_ORBIT, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
+from workers.cell.orbits import LONG_PERIOD, NEAR_RETURN, end_on_long_orbits, end_on_orbits, has_coexisting_orbit
 from workers.cell.recurrence import Recurrence
 from workers.kernel.motion import CONTRACTION
 from workers.model.oscillator import COLUMN, Array, Mask, Oscillator, Rows
@@ -33,8 +33,8 @@ MIN_TRANSIENT, RELAXATIONS, MAX_TRANSIENT_SHARE = 256, 3.0, 0.25
 """The transient: minimum number of periods, number of relaxation times, and maximum share of max_periods."""
 
 NEAR_LATER = 1e-3
-"""NEAR_ORBIT after the first interval. The motion has had time to come nearer, and chaos often returns within
-NEAR_ORBIT itself, at the cost of a trial each time."""
+"""NEAR_RETURN after the first interval. The motion has had time to come nearer, and chaos often returns within
+NEAR_RETURN itself, at the cost of a trial each time."""
 
 WARM_UP = 64
 """Periods in which the tangent frame aligns before its growth counts."""
@@ -152,7 +152,7 @@ class AdaptiveSchedule:
         """Decide each cell in ``through``, which has reached the end of its interval."""
         cells = self.cells
         rows = outcome.end_stopped(cells, through)
-        stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_ORBIT, NEAR_LATER)
+        stage, near = self.stage[rows], np.where(cells.periods_flown <= FIRST_INTERVAL, NEAR_RETURN, NEAR_LATER)
         self.warming(rows[stage == WARMING])
         rows = self.end_on_orbits(rows[stage != WARMING], cells.budget(), near)
         if not len(rows):
@@ -195,7 +195,7 @@ class AdaptiveSchedule:
         rows = self.end_on_long_orbits(rows)
         if cells.vectors:
             averages.lose_all(cells, rows)
-        survived = np.maximum(cells.survived_periods(rows) - cells.batch.done[rows], 0)
+        survived = np.maximum(cells.survived_periods(rows) - cells.batch.completed[rows], 0)
         outcome.put_averaged(cells, rows)
         outcome.write_results(cells, rows, regime=LOCKING, reason=RESTED, survived=survived)
 
@@ -244,8 +244,8 @@ class AdaptiveSchedule:
         averages.begin(cells, rows)
         self.stage[rows], self.weighted[rows] = AVERAGING, math.nan
         earlier = cells.previous_average.periods[rows]
-        wanted = periods_for(earlier, cells.previous_average.error[rows], self.half)
-        self.interval[rows] = np.maximum(np.minimum(wanted, 2.0 * earlier), FIRST_AVERAGE)
+        needed = periods_for(earlier, cells.previous_average.error[rows], self.half)
+        self.interval[rows] = np.maximum(np.minimum(needed, 2.0 * earlier), FIRST_AVERAGE)
 
     # Averaging
 
@@ -276,15 +276,15 @@ class AdaptiveSchedule:
         Both averages together must reach the requested accuracy unless they differ, and chaos must have survived. A
         positive exponent must be clearly positive.
         """
-        (whole, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
-        least = np.where(whole.mean > 0.0, whole.mean / averages.CLEAR, math.inf)
+        (combined, _), error = averages.combined_average(self.cells, rows), current_average(self.cells, rows).error
+        least = np.where(combined.mean > 0.0, combined.mean / averages.CLEAR, math.inf)
         accuracy = np.minimum(self.settings.tolerance, least)
         changed = averages.has_changed(self.cells, rows)
-        precise = (changed | (whole.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
+        precise = (changed | (combined.error <= accuracy)) & (error <= 2.0 * self.half) & self.recurrence.recurred[rows]
         watch = self._to_watch(rows)
         enough = (precise & (watch <= 0)) | (self._left(rows) <= 0)
-        wanted = periods_for(whole.periods, whole.error, accuracy) - whole.periods
-        self._average_on(rows[~enough], np.maximum(wanted, watch)[~enough])
+        missing = periods_for(combined.periods, combined.error, accuracy) - combined.periods
+        self._average_on(rows[~enough], np.maximum(missing, watch)[~enough])
         self._end(rows[enough & ~changed])
         self._restart_changed(rows[enough & changed])
 
@@ -347,7 +347,7 @@ class AdaptiveSchedule:
         Equal averages are combined. Otherwise the motion has changed, and the later average replaces the earlier one.
         Without exponents the cell is aperiodic at the end.
         """
-        self.watched[rows] += self.cells.batch.done[rows]
+        self.watched[rows] += self.cells.batch.completed[rows]
         missing = self._missing(rows)
         self._watch(rows[missing > 0], missing[missing > 0])
         if self.cells.vectors:

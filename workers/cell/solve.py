@@ -9,7 +9,7 @@ import numpy as np
 from workers.cell import averages
 from workers.cell.autonomous import course_of
 from workers.cell.cell_batch import CellBatch
-from workers.cell.orbits import NEAR_ORBIT, end_on_orbits
+from workers.cell.orbits import NEAR_RETURN, end_on_orbits
 from workers.cell.outcome import end_impact_free, end_stopped, put_averaged, put_chaotic, write_results
 from workers.cell.recurrence import Recurrence
 from workers.cell.schedule import none_of
@@ -41,14 +41,14 @@ def _solve_fixed(cells: CellBatch) -> None:
     ready = _through(cells, ready, settings.periods)
     recurrence.update(cells, ready, np.full(len(ready), settings.transient_periods > 0))
     put_averaged(cells, ready)
-    kept = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
-    averaged = {name: cells.results[name].copy() for name in kept}
+    names = {"average", "sum_law_defect", "state", "section"} & cells.results.keys()
+    averaged = {name: cells.results[name].copy() for name in names}
     rest = end_impact_free(cells, ready)
     rest = end_on_orbits(
         cells,
         rest,
         np.full_like(cells.periods_used, settings.max_periods),
-        np.full(len(cells.periods_used), NEAR_ORBIT),
+        np.full(len(cells.periods_used), NEAR_RETURN),
     )
     known = np.setdiff1d(ready, rest)
     write_results(cells, known, **{name: values[known] for name, values in averaged.items()})

@@ -31,7 +31,7 @@ VERTEX, SAME_RAY = 1e-12, 1e-6
 """Rounding of rates and signals in an equilibrium, as a share of their terms; and maximum change of the direction from
 an equilibrium in a turn round it, as a share of the distance."""
 
-BESIDE, FEW_TURNS = 1e-4, 8
+PUSH_DISTANCE, FEW_TURNS = 1e-4, 8
 """Distance from an equilibrium, relative to its displacement, at which a motion is started; number of natural periods
 for which it is followed."""
 
@@ -73,7 +73,7 @@ def rest_beside(cells: CellBatch, r: int) -> Rest | None:
     if cells.directions > 2:
         return None
     state = physical_states(cells.oscillators, cells.batch.motions, np.array([r]))[0]
-    push = BESIDE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
+    push = PUSH_DISTANCE * (1.0 + abs(state[0])) * 2.0 * np.pi / cells.oscillators.period[r]
     rest = _rest_from(cells, r, state + np.array([0.0, push]), FEW_TURNS)
     return rest if rest is not None and abs(rest.state[0] - state[0]) <= CLOSING_DISTANCE * abs(state[0]) else None
 
@@ -92,9 +92,9 @@ def _rest_from(cells: CellBatch, r: int, state: Array, periods: int) -> Rest | N
 
 def numbers_of(cells: CellBatch, r: int, states: Array) -> NDArray[np.int64]:
     """Return the numbers (K,) of the modes of physical states (K, 2n) of a cell."""
-    own = cells.oscillators.table
-    elements = at_rows(own.elements, np.array([r]))
-    return np.array([mode_code_of_state(elements, z).number_of(*own.machines.segments) for z in states])
+    table = cells.oscillators.table
+    elements = at_rows(table.elements, np.array([r]))
+    return np.array([mode_code_of_state(elements, z).number_of(*table.machines.segments) for z in states])
 
 
 def rest_without_events(cells: CellBatch, r: int) -> Rest | None:
@@ -128,10 +128,10 @@ def _rest_in_mode(machine: Oscillator, sections: Array, inside: Mask, number: in
     straight = (misses <= SAME_RAY * decay * far) & inside[:-1] & inside[1:]
     if not (logs[0] < 0.0 and np.any(straight)):
         return None
-    there = away[int(np.argmax(straight))]
+    direction = away[int(np.argmax(straight))]
     rows, (low, high) = pieces.rows, pieces.ends.T
-    value, change = rows[:, :size] @ rest + rows[:, size], rows[:, :size] @ there
-    rounding = VERTEX * (np.abs(rows[:, :size]) @ (np.abs(rest) + np.abs(there)) + np.abs(rows[:, size]))
+    value, change = rows[:, :size] @ rest + rows[:, size], rows[:, :size] @ direction
+    rounding = VERTEX * (np.abs(rows[:, :size]) @ (np.abs(rest) + np.abs(direction)) + np.abs(rows[:, size]))
     within = (value + change < high + rounding) & (value + change > low - rounding)
     within &= (value <= high + rounding) & (value >= low - rounding)
     rest[size // 2 :] = 0.0
@@ -164,32 +164,32 @@ def rest_of(machine: Oscillator, trail: EventTrail) -> Rest | None:
     m = next(turns, 0)
     if m == 0:
         return None
-    own, orbit, _ = turn_from(machine, trail, m, 0)
+    turn_machine, orbit, _ = turn_from(machine, trail, m, 0)
     begins = trail.legs[np.append(trail.first, len(trail.legs))[[last - m + 1, last + 1]] - 1]
     before, after = begins[:, LEG_STATE : LEG_STATE + size]
     try:
-        motion = OrbitMotion(own, orbit.itinerary, orbit.times[None], before[None])
+        motion = OrbitMotion(turn_machine, orbit.itinerary, orbit.times[None], before[None])
         rest = _state_at_rest(motion, _sizes(trail.legs[trail.first[last - m] :], 0.0, orbit.length, size))
     except NoOscillatorError:
         return None
     if rest is None or motion.plan.slows:
         return None
     scale = _sizes(trail.legs[trail.first[last - m] :], rest, orbit.length, size)
-    there, back = (before - rest) / scale, (after - rest) / scale
-    factor = float(there @ back / (there @ there))
-    turned = float(np.max(np.abs(back - factor * there))) / abs(factor)
+    offset, back = (before - rest) / scale, (after - rest) / scale
+    factor = float(offset @ back / (offset @ offset))
+    turned = float(np.max(np.abs(back - factor * offset))) / abs(factor)
     if not (0.0 < factor < 1.0 - SAME_RAY and turned <= SAME_RAY):
         return None
     flight = trail.legs[trail.first[last - m + 1], LEG.start] - begins[0, LEG.start]
     rate = _rates(motion.pieces.acceleration[0, motion.plan.table[0, MODE]])
     start = rest + expm(rate * flight) @ (before - rest)
-    others = np.abs(multipliers(OrbitMotion(own, orbit.itinerary, orbit.times[None], start[None]))[0])
+    others = np.abs(multipliers(OrbitMotion(turn_machine, orbit.itinerary, orbit.times[None], start[None]))[0])
     if not np.all(others <= factor * (1.0 + SAME_RAY)):
         return None  # rounding leads away from such a turn
     logs = np.log(np.sort(np.append(others, factor)))[::-1]
     rounding = float(np.max(np.abs(rest) / scale)) / factor
     error = turned + 1e-14 * (1.0 + abs(logs[0]) + rounding)
-    return Rest(rest, int(begins[1, LEG.number]), logs / orbit.span(own), error / orbit.span(own))
+    return Rest(rest, int(begins[1, LEG.number]), logs / orbit.span(turn_machine), error / orbit.span(turn_machine))
 
 
 def _sizes(legs: Array, rest: Array | float, length: float | Array, size: int) -> Array:
@@ -210,10 +210,10 @@ def _state_at_rest(motion: OrbitMotion, size: Array) -> Array | None:
     modes, signals, ends = events[:, MODE], events[:, SIGNAL], events[:, END]
     for k in range(pieces.lost.shape[1]):
         rest = _rest_of_mode(pieces.to_physical[0, k], pieces.blocks[0, k, 0])
-        there, most = np.append(rest, 1.0), np.append(np.maximum(np.abs(rest), size), 1.0)
-        forces, terms = pieces.acceleration[0] @ there, np.abs(pieces.acceleration[0]) @ most
+        augmented, most = np.append(rest, 1.0), np.append(np.maximum(np.abs(rest), size), 1.0)
+        forces, terms = pieces.acceleration[0] @ augmented, np.abs(pieces.acceleration[0]) @ most
         rows, end = pieces.rows[0, modes, signals], pieces.ends[0, modes, signals, ends]
-        misses, sizes = rows @ there - end, np.abs(rows) @ most + np.abs(end)
+        misses, sizes = rows @ augmented - end, np.abs(rows) @ most + np.abs(end)
         still = np.all(np.abs(rest[n:]) <= VERTEX * size[n:]) and np.all(np.abs(forces) <= VERTEX * terms)
         if still and np.all(np.abs(misses) <= VERTEX * sizes):
             rest[n:] = 0.0
@@ -244,5 +244,5 @@ def is_at_equilibrium(cells: CellBatch, r: int) -> bool:
     slot = np.flatnonzero(table.codes[r] == motions.mode[r, 0])
     if np.any(state[len(state) // 2 :] != 0.0) or not len(slot):
         return False
-    rows, there = table.pieces.acceleration[r, slot[0]], np.append(state, 1.0)
-    return bool(np.all(np.abs(rows @ there) <= VERTEX * (np.abs(rows) @ np.abs(there))))
+    rows, augmented = table.pieces.acceleration[r, slot[0]], np.append(state, 1.0)
+    return bool(np.all(np.abs(rows @ augmented) <= VERTEX * (np.abs(rows) @ np.abs(augmented))))

@@ -3,7 +3,7 @@
 The equations are solved by Newton's method and give the Floquet multipliers of each orbit.
 """
 
-from workers.continuation.branches import BranchRun, BranchStart, branch, leaving_branch
+from workers.continuation.branches import BranchRun, BranchStart, branch, switch_branch
 from workers.continuation.curves import curve
 from workers.continuation.events import Event, SolutionPoint
 from workers.continuation.extended_system import Condition
@@ -25,8 +25,8 @@ __all__ = [
     "branch",
     "curve",
     "family_of",
-    "leaving_branch",
     "orbit_from_state",
     "section_state",
     "section_states",
+    "switch_branch",
 ]

@@ -130,8 +130,10 @@ def _not_in_range(motion: OrbitMotion, k: int) -> AdmissibilityFault | None:
 
 def _phase(motion: OrbitMotion, k: int, later: float = 0.0) -> float:
     """Return the phase of the force at the time ``later`` after the beginning of leg k."""
-    own = motion.lin
-    return math.fmod(float(own.tau[0]) + float(own.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi)
+    machines = motion.lin
+    return math.fmod(
+        float(machines.tau[0]) + float(machines.omega[0]) * (float(motion.begins[0, k]) + later), 2.0 * math.pi
+    )
 
 
 def _of_leg(
@@ -150,18 +152,18 @@ def _of_leg(
     if k and motion.plan.legs[k - 1][1] == lost and motion.plan.table[k - 1, ACT] == REBOUNDS:
         begun[leg.signal] = 2 * leg.side
     while True:
-        left = end - begin - since
+        remaining = end - begin - since
         s, signal, side = event_of_leg(
-            motion.pieces, 0, motion.plan.table[k, MODE], z, _phase(motion, k, since), begun, left + tolerance
+            motion.pieces, 0, motion.plan.table[k, MODE], z, _phase(motion, k, since), begun, remaining + tolerance
         )
-        here = begin + since + s
+        time = begin + since + s
         touched = next(
-            (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, here, period)), None
+            (t for t in touches if (t.signal, t.side) == (signal, side) and _near(motion, t, time, period)), None
         )
-        if signal == -1 or (abs(here - end) <= tolerance and ((signal, side) in expected or not expected)):
+        if signal == -1 or (abs(time - end) <= tolerance and ((signal, side) in expected or not expected)):
             return None
         if touched is None or not _turns_back(motion, touched, period):
-            return AdmissibilityFault(CONTACT, time=here, signal=signal, side=side)
+            return AdmissibilityFault(CONTACT, time=time, signal=signal, side=side)
         since = max(touched.time - begin, since + s)
         if since >= end - begin:
             return None
@@ -190,9 +192,9 @@ def _events_at_end(motion: OrbitMotion, k: int, tolerance: float) -> set[tuple[i
     return events
 
 
-def _near(motion: OrbitMotion, touch: Graze, here: float, period: float) -> bool:
+def _near(motion: OrbitMotion, touch: Graze, time: float, period: float) -> bool:
     span = float(motion.span[0])
-    apart = (touch.time - here) / span
+    apart = (touch.time - time) / span
     return abs(apart - round(apart)) * span <= NEAR_TOUCH * period
 
 

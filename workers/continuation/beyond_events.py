@@ -133,13 +133,13 @@ def orbits_beyond(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
 
     Each is an extended system with its solution (N,). ``bounds`` (2, free) are the lower and upper parameter bounds.
     """
-    for beside in _beside_branch(equations, event) if equations.free == 1 else _beside_curve(equations, event, bounds):
-        far, near = (_recorded(equations.family, beside, share, bounds) for share in (1.0, SECOND_OFFSET))
+    for nearby in _beside_branch(equations, event) if equations.free == 1 else _beside_curve(equations, event, bounds):
+        far, near = (_recorded(equations.family, nearby, share, bounds) for share in (1.0, SECOND_OFFSET))
         if far is None or near is None or far.itinerary != near.itinerary:
             continue
         if is_same_sequence(far.itinerary, equations.itinerary):
             continue  # the orbit that ends at the event
-        solved = _solved(equations, event, beside, far, near)
+        solved = _solved(equations, event, nearby, far, near)
         if solved is not None and is_within(solved[0].values(solved[1]), bounds):
             yield solved
 
@@ -165,30 +165,32 @@ def _beside_curve(equations: ExtendedSystem, event: Event, bounds: Array) -> Ite
             solved = solve(change, X + side * share * tangent * change.scale, row)
             if not solved.converged:
                 continue
-            here, left = change.values(solved.X), change.orbit(solved.X)
-            along = (here - values) / change.width
+            nearby_values, nearby_orbit = change.values(solved.X), change.orbit(solved.X)
+            along = (nearby_values - values) / change.width
             depth = CURVE_DEPTH * share if event.conditions[0].kind in OF_MULTIPLIERS else CURVE_DEPTH
             across = depth * np.array([-along[1], along[0]]) * change.width
             for away in (across, -across):
-                yield from _at_depth(equations, event, _NearbyOrbit(left, here, away, along * change.width), bounds)
+                yield from _at_depth(
+                    equations, event, _NearbyOrbit(nearby_orbit, nearby_values, away, along * change.width), bounds
+                )
 
 
-def _at_depth(equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
+def _at_depth(equations: ExtendedSystem, event: Event, nearby: _NearbyOrbit, bounds: Array) -> Iterator[_NearbyOrbit]:
     """Yield the nearby orbit with the step after which its multipliers meet the condition, to first order.
 
     Multipliers change with the square root of the length of the step. Yield nothing if there is no such step.
     """
-    deep, (condition, *_) = _recorded(equations.family, beside, 1.0, bounds), event.conditions
-    same = deep is None or is_same_sequence(deep.itinerary, beside.orbit.itinerary)
+    deep, (condition, *_) = _recorded(equations.family, nearby, 1.0, bounds), event.conditions
+    same = deep is None or is_same_sequence(deep.itinerary, nearby.orbit.itinerary)
     if deep is None or same or condition.kind not in OF_MULTIPLIERS:
-        yield beside
+        yield nearby
         return
-    here, there = (
+    miss, deep_miss = (
         _misses(equations, condition, event.kappa, orbit, values)
-        for orbit, values in ((beside.orbit, beside.values), (deep, beside.values + beside.away))
+        for orbit, values in ((nearby.orbit, nearby.values), (deep, nearby.values + nearby.away))
     )
-    if here * there < 0.0:
-        yield beside._replace(away=(here / (here - there)) ** 2 * beside.away)
+    if miss * deep_miss < 0.0:
+        yield nearby._replace(away=(miss / (miss - deep_miss)) ** 2 * nearby.away)
 
 
 def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit: Orbit, values: Array) -> float:
@@ -201,18 +203,18 @@ def _misses(equations: ExtendedSystem, condition: Condition, kappa: float, orbit
     return float(np.prod(of_turn[0] - (1.0 if condition.kind == UNIT else -1.0)).real)
 
 
-def _recorded(family: Family, beside: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
+def _recorded(family: Family, nearby: _NearbyOrbit, share: float, bounds: Array) -> Orbit | None:
     """Return the orbit recorded along the motion from the section state of a nearby orbit, at a ``share`` of its step.
 
     Return None if the parameters are out of bounds, the motion cannot be followed, or the symmetry is another one.
     """
-    orbit, here = beside.orbit, beside.values
-    values = here + share * beside.away
+    orbit, origin = nearby.orbit, nearby.values
+    values = origin + share * nearby.away
     if not is_within(values, bounds):
         return None
     try:
-        continued = continued_to(family, many_of([orbit], here[None]), values[None])
-        known, at = (continued.orbits, values) if continued.converged[0] else (many_orbits([orbit]), here)
+        continued = continued_to(family, many_of([orbit], origin[None]), values[None])
+        known, at = (continued.orbits, values) if continued.converged[0] else (many_orbits([orbit]), origin)
         state = states_at_sections(family.model(at[None]), known)[0, 0]
         machine, cycle = family.model(values[None]), None
         if orbit.itinerary.is_cycle:
@@ -232,34 +234,34 @@ def is_within(values: Array, bounds: Array) -> bool:
 
 
 def _solved(
-    equations: ExtendedSystem, event: Event, beside: _NearbyOrbit, far: Orbit, near: Orbit
+    equations: ExtendedSystem, event: Event, nearby: _NearbyOrbit, far: Orbit, near: Orbit
 ) -> tuple[ExtendedSystem, Array] | None:
     """Return the extended system and solution of an orbit recorded past an event; None if there is no solution.
 
     ``far`` is the orbit recorded at the end of the step, ``near`` the one at the share SECOND_OFFSET of the step.
     """
-    (here, orbit, contacts, *_), free, values = event.point, equations.free, beside.values + beside.away
-    own = [
+    (event_values, orbit, contacts, *_), free, values = event.point, equations.free, nearby.values + nearby.away
+    other_conditions = [
         condition._replace(kappa=event.kappa) if condition.kind == PAIR else condition
         for condition in event.conditions[:-1]
     ]
     try:
-        span = orbit.span(equations.model(here))
-        conditions = conditions_on(far, tuple(own), orbit, span)
+        span = orbit.span(equations.model(event_values))
+        conditions = conditions_on(far, tuple(other_conditions), orbit, span)
         if conditions is None:
             return None
-        there = ExtendedSystem(equations.family, far, conditions, values, equations.width)
-        row, changes = np.zeros(len(there.scale)), far.unknown_times - near.unknown_times
+        extended = ExtendedSystem(equations.family, far, conditions, values, equations.width)
+        row, changes = np.zeros(len(extended.scale)), far.unknown_times - near.unknown_times
         if free > 1 or not np.any(changes) or is_same_sequence(far.itinerary, orbit.itinerary):
-            row[len(row) - free :] = beside.along / equations.width
+            row[len(row) - free :] = nearby.along / equations.width
         else:
-            row[there.states - there.m : there.states] = changes
-        X = there.pack(far, contacts[: there.grazes] + time_shift(far, orbit, span), values)
-        there = there.rebordered(X)
-        solved = solve(there, X, row / there.scale / np.linalg.norm(row))
+            row[extended.states - extended.m : extended.states] = changes
+        X = extended.pack(far, contacts[: extended.grazes] + time_shift(far, orbit, span), values)
+        extended = extended.rebordered(X)
+        solved = solve(extended, X, row / extended.scale / np.linalg.norm(row))
     except (NoOscillatorError, ValueError, np.linalg.LinAlgError):
         return None
-    return (there, solved.X) if solved.converged else None
+    return (extended, solved.X) if solved.converged else None
 
 
 def is_same_sequence(one: Itinerary, other: Itinerary) -> bool:

@@ -139,7 +139,7 @@ def branch(
     return follow_both_ways(equations, solved.X, bounds, resolution, budget, until)
 
 
-def leaving_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
+def switch_branch(family: Family, event: Event, width: float, amplitude: float = 0.02) -> BranchStart:
     """Return the doubled orbit next to a period doubling, or the asymmetric one next to a symmetry breaking.
 
     family     machines over one free parameter
@@ -157,13 +157,13 @@ def leaving_branch(family: Family, event: Event, width: float, amplitude: float 
     critical = square.critical(square.pack(orbit, none, values))
     sizes = np.abs(critical)  # either sign is a null vector: the first entry above rounding decides
     critical = critical * np.sign(critical[np.argmax(sizes > NOISE * np.max(sizes))])
-    whole = double_orbit(orbit, orbit.span(square.model(values)))
-    equations = ExtendedSystem(family, whole, (), values, widths)
+    doubled = double_orbit(orbit, orbit.span(square.model(values)))
+    equations = ExtendedSystem(family, doubled, (), values, widths)
     unit = np.concatenate([critical, -critical[len(critical) - square.m :], np.zeros(1)])
-    if whole.itinerary.is_cycle:  # times count from the first event, and so does the length of a turn
+    if doubled.itinerary.is_cycle:  # times count from the first event, and so does the length of a turn
         unit[len(critical) - square.m : -1] -= unit[len(critical) - square.m]
     unit /= np.linalg.norm(unit)
-    X = equations.pack(whole, none, values) + amplitude * unit * equations.scale
+    X = equations.pack(doubled, none, values) + amplitude * unit * equations.scale
     solved = solve(equations, X, unit / equations.scale)
     if not solved.converged:
         raise ValueError(f"Newton's method finds no orbit near the {event.kind}; try another amplitude")
@@ -301,25 +301,25 @@ def _next(walk: PseudoArclength, seen: MonitoredPoint, bounds: Array, until: Unt
 
     Return None if the step went too far, or slid onto another orbit, and can be repeated with a shorter length.
     """
-    eq, here = walk.equations, walk.X
+    eq, X_before = walk.equations, walk.X
     if not walk.advance():  # the equations are singular where a branch meets the orbit that it left
-        return _meeting(ContinuationStep(eq, here, here)) or _corner(ContinuationStep(eq, here, here))
-    there, end, values = walk.X, "", eq.values(walk.X)
+        return _meeting(ContinuationStep(eq, X_before, X_before)) or _corner(ContinuationStep(eq, X_before, X_before))
+    X_after, end, values = walk.X, "", eq.values(walk.X)
     outside = np.flatnonzero((values < bounds[0]) | (values > bounds[1]))
     if len(outside):
-        edge = ContinuationStep(eq, here, there).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
+        edge = ContinuationStep(eq, X_before, X_after).at_value(outside[0], np.clip(values, *bounds)[outside[0]])
         if not edge.converged:
             return _StepOutcome(EDGE)
-        there, end = edge.X, EDGE
+        X_after, end = edge.X, EDGE
     elif (start := walk.closes()) is not None:
-        there, end = start, CLOSED
-    after = monitor_point(eq, there)
-    step, slid = ContinuationStep(after.equations, here, there), not is_minimal(eq.motion(there))
+        X_after, end = start, CLOSED
+    after = monitor_point(eq, X_after)
+    step, slid = ContinuationStep(after.equations, X_before, X_after), not is_minimal(eq.motion(X_after))
     may_repeat = walk.length > MIN_STEP_SHARE * walk.longest
     if slid and may_repeat:
         return None
     if slid:
-        passage = _meeting(step) or _meeting(ContinuationStep(eq, here, here)) or _StepOutcome(SHORTER)
+        passage = _meeting(step) or _meeting(ContinuationStep(eq, X_before, X_before)) or _StepOutcome(SHORTER)
     else:
         passage = _meeting(step) or _passage(step, seen, after, end, until)
     if passage.end == INADMISSIBLE and may_repeat:  # the step may have slid onto another root of an event
@@ -340,10 +340,10 @@ def _accounted_for(before: MonitoredPoint, passage: _StepOutcome) -> _StepOutcom
     for event in passage.events:
         if event.conditions[-1].kind not in OWN_MULTIPLIERS:
             return passage  # a multiplier may be infinite where the orbit ceases
-        own, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
-        if count not in (others, others + own):
+        change, others = OWN_MULTIPLIERS[event.conditions[-1].kind], event.point.unstable
+        if count not in (others, others + change):
             return None
-        count = others if count > others else others + own
+        count = others if count > others else others + change
     after = passage.after
     if after is None or after.fault is not None:
         return passage

@@ -76,12 +76,14 @@ def is_impact_loss(event: Event) -> bool:
 
 def without_impact(orbit: Orbit, impact: int) -> tuple[Orbit, Condition, Array]:
     """Return an orbit without an impact whose speed is zero, the condition of the graze there, and its time (1,)."""
-    kept, own = [i for i in range(len(orbit.times)) if i != impact], orbit.itinerary
-    ((leg,), time) = own.chains[impact], orbit.times[impact : impact + 1]
+    others, itinerary = [i for i in range(len(orbit.times)) if i != impact], orbit.itinerary
+    ((leg,), time) = itinerary.chains[impact], orbit.times[impact : impact + 1]
     still = (leg._replace(begun=(0,) * len(leg.begun), signal=-1, side=0),)
-    legs = tuple(own.chains[i] for i in kept) or (still,)
-    periods = own.periods or int(not kept)
-    rest = own._replace(sides=tuple(own.sides[i] for i in kept), periods=periods, legs=legs).bare
+    legs = tuple(itinerary.chains[i] for i in others) or (still,)
+    periods = itinerary.periods or int(not others)
+    rest = itinerary._replace(sides=tuple(itinerary.sides[i] for i in others), periods=periods, legs=legs).bare
     graze = Condition(GRAZE, side=leg.side, signal=leg.signal)
-    first = orbit.times[kept[0]] if own.is_cycle and kept else 0.0  # times of a cycle count from its first event
-    return Orbit(rest, orbit.times[kept] - first, orbit.speeds[kept], orbit.length), graze, time - first
+    first = (
+        orbit.times[others[0]] if itinerary.is_cycle and others else 0.0
+    )  # times of a cycle count from its first event
+    return Orbit(rest, orbit.times[others] - first, orbit.speeds[others], orbit.length), graze, time - first

@@ -52,8 +52,8 @@ def cycle_near(machine: OrbitMachines, orbit: Orbit) -> LimitCycle | None:
         return motion_of_unknowns(machine, itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
-        there = motion(X, rows)
-        return there.turn.residuals, there.linearised()
+        trial = motion(X, rows)
+        return trial.turn.residuals, trial.linearised()
 
     with np.errstate(all="ignore"):
         solved = newton(

@@ -20,7 +20,7 @@ from workers.continuation.extended_system import Condition
 from workers.continuation.families import Family, machine_of
 from workers.continuation.itinerary import Itinerary, Leg, Orbit
 from workers.model.family import NoOscillatorError
-from workers.model.hybrid_modes import ON, OPEN, ROUNDING, SIGNALS, ModeCode, null_space
+from workers.model.hybrid_modes import ON, OPEN, SIGNALS, ZERO_SHARE, ModeCode, null_space
 from workers.model.oscillator import Array
 from workers.model.system import System
 from workers.orbit.recorded_legs import mode_code_of_state
@@ -59,7 +59,7 @@ class Equilibrium(NamedTuple):
     @property
     def unstable(self) -> int:
         """Number of exponents that grow."""
-        return int(np.sum(self.exponents.real > ROUNDING * np.max(np.abs(self.exponents), initial=0.0)))
+        return int(np.sum(self.exponents.real > ZERO_SHARE * np.max(np.abs(self.exponents), initial=0.0)))
 
     def point(self, unstable: int) -> SolutionPoint:
         """Return the equilibrium as a solution point.
@@ -110,23 +110,25 @@ def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibri
     Return None if there is no equilibrium without friction that sticks or turns round.
     """
     lin = family.model(values[None])
-    own, tried, signs = lin.elements, set[ModeCode](), np.sign(code.slips)
-    rigid = own.soft[0] == 0.0
+    elements, tried, signs = lin.elements, set[ModeCode](), np.sign(code.slips)
+    rigid = elements.soft[0] == 0.0
     while code not in tried and len(tried) < MAX_MODES:
         tried.add(code)
         try:
             pieces = lin.mode(code)
         except NoOscillatorError:
             return None
-        n = own.row.shape[2]
-        held = [c for c, state in enumerate(code.contacts) if rigid[c] and state != OPEN]
-        G, stops = own.row[0, held], [own.stops[0, c, int(code.contacts[c] > 0)] for c in held]
+        n = elements.row.shape[2]
+        closed = [c for c, state in enumerate(code.contacts) if rigid[c] and state != OPEN]
+        G, stops = elements.row[0, closed], [elements.stops[0, c, int(code.contacts[c] > 0)] for c in closed]
         (A, B), a = np.split(pieces.acceleration[0, :, : 2 * n], 2, axis=1), pieces.acceleration[0, :, 2 * n]
         x, _, rank, _ = np.linalg.lstsq(np.vstack([A, G]), np.concatenate([-a, stops]))
         if rank < n:
             return None
         z = np.concatenate([x, np.zeros(n)])
-        after = _mode_at(code, mode_code_of_state(own, z), rigid, pieces.rows[0] @ np.append(z, 1.0), pieces.ends[0])
+        after = _mode_at(
+            code, mode_code_of_state(elements, z), rigid, pieces.rows[0] @ np.append(z, 1.0), pieces.ends[0]
+        )
         if after == code:
             across = null_space(G[None])[0]
             flow = np.block([[np.zeros((across.shape[1],) * 2), np.eye(across.shape[1])],
@@ -140,21 +142,21 @@ def equilibrium_near(family: Family, values: Array, code: ModeCode) -> Equilibri
     return None
 
 
-def _mode_at(code: ModeCode, shown: ModeCode, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> ModeCode:
+def _mode_at(code: ModeCode, seen: ModeCode, rigid: NDArray[np.bool_], signals: Array, ends: Array) -> ModeCode:
     """Return the mode of an equilibrium that was solved in the mode ``code``.
 
     Laws decide the segments. A rigid contact sticks if its displacement is beyond its stop, and opens if it would have
     to pull.
     """
-    contacts = list(shown.contacts)
+    contacts = list(seen.contacts)
     for c in np.flatnonzero(rigid).tolist():
-        value, (low, high), held = signals[SIGNALS * c], ends[SIGNALS * c], code.contacts[c]
-        contacts[c] = held
-        if held == OPEN and not low <= value <= high:
+        value, (low, high), state = signals[SIGNALS * c], ends[SIGNALS * c], code.contacts[c]
+        contacts[c] = state
+        if state == OPEN and not low <= value <= high:
             contacts[c] = ON if value > high else -ON
-        elif held != OPEN and not low <= value <= high:
+        elif state != OPEN and not low <= value <= high:
             contacts[c] = OPEN
-    return ModeCode(0, tuple(contacts), shown.slips)
+    return ModeCode(0, tuple(contacts), seen.slips)
 
 
 def equilibria(
@@ -187,44 +189,44 @@ def equilibria(
         [point for _, point, _ in entries],
         [Event(kind, (Condition(kind),), point) for _, point, kind in entries if kind],
     )
-    ends = tuple(kind if (kind := way[-1][2] if way else "") == BORDER else EDGE for way in (back, ahead))
+    ends = tuple(kind if (kind := side[-1][2] if side else "") == BORDER else EDGE for side in (back, ahead))
     return EquilibriumBranch(
-        BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([way.state for way, *_ in entries])
+        BranchRun(points, events, (ends[0], ends[1]), 0), np.stack([equilibrium.state for equilibrium, *_ in entries])
     )
 
 
 def _towards(family: Family, first: Equilibrium, values: Array) -> Iterator[tuple[Equilibrium, SolutionPoint, str]]:
     """Yield the equilibria along ``values``, with their solution points and the kinds of their events."""
-    here = first
+    current = first
     for value in values.tolist():
-        there = equilibrium_near(family, np.array([value]), here.code)
-        while there is None or there.unstable != here.unstable:
-            near, far = _halved(family, here, there, value)
+        candidate = equilibrium_near(family, np.array([value]), current.code)
+        while candidate is None or candidate.unstable != current.unstable:
+            near, far = _halved(family, current, candidate, value)
             if far is None:
                 yield near, near.point(near.unstable), BORDER
                 return
             low, high = sorted((near, far), key=lambda end: end.unstable)
             crossing = high.exponents[low.unstable]
             yield far, point_of_event(far, low.unstable, abs(crossing.imag)), HOPF if crossing.imag else FOLD
-            here = far
-        yield there, there.point(there.unstable), ""
-        here = there
+            current = far
+        yield candidate, candidate.point(candidate.unstable), ""
+        current = candidate
 
 
 def _halved(
-    family: Family, here: Equilibrium, there: Equilibrium | None, value: float
+    family: Family, near: Equilibrium, far: Equilibrium | None, value: float
 ) -> tuple[Equilibrium, Equilibrium | None]:
     """Return the last equilibrium before the first change of stability on a step, and the next one, None if it ends."""
     for _ in range(HALVINGS):
-        middle = 0.5 * (here.values + value)
-        if middle[0] in (here.values[0], value):
+        middle = 0.5 * (near.values + value)
+        if middle[0] in (near.values[0], value):
             break
-        between = equilibrium_near(family, middle, here.code)
-        if between is not None and between.unstable == here.unstable:
-            here = between
+        between = equilibrium_near(family, middle, near.code)
+        if between is not None and between.unstable == near.unstable:
+            near = between
         else:
-            there, value = between, float(middle[0])
-    return here, there
+            far, value = between, float(middle[0])
+    return near, far
 
 
 def point_of_event(equilibrium: Equilibrium, unstable: int, frequency: float) -> SolutionPoint:

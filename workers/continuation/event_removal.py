@@ -27,15 +27,15 @@ def without_event(orbit: Orbit, event: int, span: float) -> tuple[Orbit, Leg, fl
     """
     m, choices = len(orbit.itinerary.sides), []
     for count in range(1, min(LOST_AT_ONCE, m) + 1):
-        place = int(m > count)  # an event remains before the lost ones
+        n_before = int(m > count)  # an event remains before the lost ones
         for first in range(event - count + 1, event + 1):
-            other = rotated(orbit, (first - place) % m, span)
-            lost = slice(place, place + count)
+            other = rotated(orbit, (first - n_before) % m, span)
+            lost = slice(n_before, n_before + count)
             legs, times = other.itinerary.legs[lost], other.times[lost]
-            kept = _before(other, place)
-            if all(len(chain) == 1 for chain in legs[:-1]) and legs[-1][0].code == kept[-1].code:
+            legs_before = _before(other, n_before)
+            if all(len(chain) == 1 for chain in legs[:-1]) and legs[-1][0].code == legs_before[-1].code:
                 choices.append(
-                    (float(times[-1] - times[0]), _dropped(other, kept, lost), legs[0][0], float(np.mean(times)))
+                    (float(times[-1] - times[0]), _dropped(other, legs_before, lost), legs[0][0], float(np.mean(times)))
                 )
     if not choices:
         return None
@@ -56,11 +56,11 @@ def _before(orbit: Orbit, event: int) -> tuple[Leg, ...]:
 def _dropped(orbit: Orbit, before: tuple[Leg, ...], lost: slice) -> Orbit:
     """Return the orbit without some events; ``before`` are the legs that end at the first of these."""
     sides, periods, symmetric, legs = orbit.itinerary
-    kept = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
+    remaining = [i for i in range(len(sides)) if not lost.start <= i < lost.stop]
     chain = before + legs[lost][-1][1:]
-    after = (*legs[: lost.start - 1], chain, *legs[lost.stop :]) if kept else (_of_phases(chain),)
-    itinerary = Itinerary(tuple(sides[i] for i in kept), periods or int(not kept), symmetric, after)
-    return Orbit(itinerary, orbit.times[kept], orbit.speeds[kept], orbit.length)
+    after = (*legs[: lost.start - 1], chain, *legs[lost.stop :]) if remaining else (_of_phases(chain),)
+    itinerary = Itinerary(tuple(sides[i] for i in remaining), periods or int(not remaining), symmetric, after)
+    return Orbit(itinerary, orbit.times[remaining], orbit.speeds[remaining], orbit.length)
 
 
 def _of_phases(chain: tuple[Leg, ...]) -> tuple[Leg, ...]:

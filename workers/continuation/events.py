@@ -106,32 +106,32 @@ class MonitoredPoint(NamedTuple):
 def _point(equations: ExtendedSystem, X: Array) -> tuple[SolutionPoint, Complex]:
     """Return the solution point of unknowns X (N,), and the finite multipliers not fixed by the conditions."""
     mu = multipliers(equations.motion(X))[0]
-    left = mu[np.isfinite(mu)]
+    others = mu[np.isfinite(mu)]
     for condition, total in zip(equations.conditions, equations.totals, strict=True):
-        if condition.kind in (UNIT, MINUS_ONE) and len(left):
-            own = np.argmin(np.abs(left - (1.0 if condition.kind == UNIT else -1.0)))
-            left = left[np.arange(len(left)) != own]
-        if condition.kind == PAIR and len(left) > 1:
-            left = np.delete(left, pair_near(left[None], np.array([total]))[2][0])
-    unstable, contacts = int(np.sum(np.abs(left) > 1.0)), equations.contacts(X).copy()
-    return SolutionPoint(equations.values(X).copy(), equations.orbit(X), contacts, mu, unstable), left
+        if condition.kind in (UNIT, MINUS_ONE) and len(others):
+            nearest = np.argmin(np.abs(others - (1.0 if condition.kind == UNIT else -1.0)))
+            others = others[np.arange(len(others)) != nearest]
+        if condition.kind == PAIR and len(others) > 1:
+            others = np.delete(others, pair_near(others[None], np.array([total]))[2][0])
+    unstable, contacts = int(np.sum(np.abs(others) > 1.0)), equations.contacts(X).copy()
+    return SolutionPoint(equations.values(X).copy(), equations.orbit(X), contacts, mu, unstable), others
 
 
 def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
     """Return the test functions at unknowns X (N,) that solve the equations, which are bordered at X first."""
     equations = equations.rebordered(X)
-    (point, others), motion, own = _point(equations, X), equations.motion(X), equations.conditions
-    kind = own[0].kind if own else None
+    (point, others), motion, conditions = _point(equations, X), equations.motion(X), equations.conditions
+    kind = conditions[0].kind if conditions else None
     functions = {}
     for name, z in ((UNIT, 1), (MINUS_ONE, -1)):
         if kind == SPEED:  # J_z is singular there for any z
-            functions[name] = _function(float(np.prod(others - z).real), (*own, Condition(name)))
+            functions[name] = _function(float(np.prod(others - z).real), (*conditions, Condition(name)))
         elif kind != name:
             sign, log = np.linalg.slogdet(motion.linearised(z)[0])
             own_share = 2.0 - z * equations.totals[0] if kind == PAIR else 1.0  # (z - mu)(z - 1 / mu) / z
-            functions[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*own, Condition(name)))
+            functions[name] = TestFunction(float(sign) * np.sign(own_share), float(log), (*conditions, Condition(name)))
     if kind == UNIT:
-        functions[CUSP] = _function(float(equations.curvature(motion)[0]), (*own, Condition(CUSP)))
+        functions[CUSP] = _function(float(equations.curvature(motion)[0]), (*conditions, Condition(CUSP)))
         functions["double"] = _function(float(np.prod(1.0 - others).real), _resonance(1.0))
     if kind == MINUS_ONE:
         functions["double"] = _function(float(np.prod(1.0 + others).real), _resonance(-1.0))
@@ -139,7 +139,7 @@ def monitor_point(equations: ExtendedSystem, X: Array) -> MonitoredPoint:
         kappa = 0.5 * equations.totals[0]
         functions |= {name: _function(kappa - angle, _resonance(angle)) for angle, name in ANGLES.items()}
     else:
-        functions[PAIR] = _pairs(others, own)
+        functions[PAIR] = _pairs(others, conditions)
     return MonitoredPoint(equations, point, functions, fault(equations, X))
 
 
@@ -156,8 +156,8 @@ def fault(equations: ExtendedSystem, X: Array) -> AdmissibilityFault | None:
 
 def touches(equations: ExtendedSystem, X: Array) -> list[Graze]:
     """Return the grazes of a solution X (N,)."""
-    own = (condition for condition in equations.conditions if condition.kind == GRAZE)
-    return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), own, strict=True)]
+    grazes = (condition for condition in equations.conditions if condition.kind == GRAZE)
+    return [Graze(float(t), c.signal, c.side) for t, c in zip(equations.contacts(X), grazes, strict=True)]
 
 
 def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
@@ -182,7 +182,7 @@ def name_of(conditions: tuple[Condition, ...], symmetric: bool) -> str:
     return f"graze_{other[0]}" if len(other) == 1 else "_".join(sorted(other))
 
 
-def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:
+def _pairs(others: Complex, conditions: tuple[Condition, ...]) -> TestFunction:
     """Return prod (mu_i mu_j - 1) over all pairs of multipliers: zero if a pair lies on the unit circle."""
     i, j = np.triu_indices(len(others), 1)
     with np.errstate(all="ignore"):
@@ -190,7 +190,7 @@ def _pairs(others: Complex, own: tuple[Condition, ...]) -> TestFunction:
         value = float(np.prod(products - 1.0).real)
     nearest = np.argmin(np.abs(products.real - 1.0)) if len(products) else None
     kappa = 0.0 if nearest is None else 0.5 * float((others[i] + others[j])[nearest].real)
-    return _function(value, (*own, Condition(PAIR, kappa=kappa)))
+    return _function(value, (*conditions, Condition(PAIR, kappa=kappa)))
 
 
 def _resonance(kappa: float) -> tuple[Condition, ...]:
@@ -263,12 +263,12 @@ def find_origin(step: ContinuationStep, to: Itinerary) -> Event | None:
     if the event is not found.
     """
     eq = step.equations
-    own = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
-    if own != eq.conditions:
+    grazes = tuple(condition for condition in eq.conditions if condition.kind == GRAZE)
+    if grazes != eq.conditions:
         return None
-    a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.here, step.there))
+    a, b = (float(np.linalg.norm(difference(eq.motion(X), to))) + 1e-300 for X in (step.start, step.end))
     guess = step.guess(a / (a + b))
-    solved = solution(eq, reduce_orbit(eq.orbit(guess), to), (*own, Condition(MINUS_ONE)), eq.contacts(guess), guess)
+    solved = solution(eq, reduce_orbit(eq.orbit(guess), to), (*grazes, Condition(MINUS_ONE)), eq.contacts(guess), guess)
     return None if solved is None else event_of(*solved)
 
 
@@ -280,8 +280,8 @@ def halves_met(step: ContinuationStep) -> Itinerary | None:
     """
     for to in reductions(step.equations.itinerary):
         if 2 * len(to.sides) == step.equations.m:
-            a, b = (difference(step.equations.motion(X), to) for X in (step.here, step.there))
-            if a @ b <= 0.0 or (step.here is step.there and np.max(np.abs(a)) < NEAR_HALVES):
+            a, b = (difference(step.equations.motion(X), to) for X in (step.start, step.end))
+            if a @ b <= 0.0 or (step.start is step.end and np.max(np.abs(a)) < NEAR_HALVES):
                 return to
     return None
 

@@ -75,16 +75,16 @@ def conditions_on(
 
     ``span`` is the length of a turn. Return None if the event of a condition is gone.
     """
-    kept, later = [], time_shift(orbit, former, span)
+    transferred, later = [], time_shift(orbit, former, span)
     for condition in conditions:
         if condition.kind in (SPEED, ONSET, ENDS, MEETS):
             near, flips = _apart(orbit, former, span, later)
             if not np.any(near[:, condition.impact] < SAME_EVENT):
                 return None
-            place = int(np.argmin(near[:, condition.impact]))
-            condition = condition._replace(impact=place, side=int(flips[place, condition.impact]) * condition.side)
-        kept.append(condition)
-    return tuple(kept)
+            index = int(np.argmin(near[:, condition.impact]))
+            condition = condition._replace(impact=index, side=int(flips[index, condition.impact]) * condition.side)
+        transferred.append(condition)
+    return tuple(transferred)
 
 
 def time_shift(orbit: Orbit, former: Orbit, span: float) -> float:

@@ -61,11 +61,11 @@ def hopf_curve(
     ``values``.
     """
     walk = _HopfCurveWalk(family, orbit, bounds_of(family.free, window), resolution)
-    ways = walk.begin(np.asarray(values, dtype=np.float64))
-    ahead, end = walk.along(ways[0], budget)
+    angles = walk.begin(np.asarray(values, dtype=np.float64))
+    ahead, end = walk.along(angles[0], budget)
     if end == CLOSED:
         return BranchRun([walk.first, *ahead, walk.first], [], (CLOSED, CLOSED), 0)
-    back, other = walk.along(ways[1], budget) if len(ways) > 1 else ([], INADMISSIBLE)
+    back, other = walk.along(angles[1], budget) if len(angles) > 1 else ([], INADMISSIBLE)
     return BranchRun([*back[::-1], walk.first, *ahead], [], (other, end), 0)
 
 
@@ -80,39 +80,43 @@ class _HopfCurveWalk:
     def begin(self, values: Array) -> list[float]:
         """Return the directions, as angles, in which the curve leaves its first point."""
         self.start = (values - self.low) / self.width
-        counts = [here.unstable for angle in self._circle() if (here := self._seen(self.start, angle)) is not None]
+        counts = [
+            equilibrium.unstable
+            for angle in self._circle()
+            if (equilibrium := self._seen(self.start, angle)) is not None
+        ]
         if len(set(counts)) < 2:
             raise ValueError("no equilibrium changes its stability around the Hopf point")
         self.least = min(counts)
-        ways = self._crossings(self.start)
-        point = self._point(self.start, ways[0]) if ways else None
+        angles = self._crossings(self.start)
+        point = self._point(self.start, angles[0]) if angles else None
         if point is None:
             raise ValueError("no pair of exponents crosses the imaginary axis around the Hopf point")
         self.first = point._replace(values=values)
-        return ways
+        return angles
 
     def along(self, angle: float, budget: int) -> tuple[list[SolutionPoint], str]:
         """Return the points of one direction, and why it ends."""
-        here, points = self.start, list[SolutionPoint]()
+        center, points = self.start, list[SolutionPoint]()
         while len(points) < budget:
-            there = here + self.length * np.array([math.cos(angle), math.sin(angle)])
-            if np.any((there < 0.0) | (there > 1.0)):
-                edge = self._at_edge(here, there)
+            next_center = center + self.length * np.array([math.cos(angle), math.sin(angle)])
+            if np.any((next_center < 0.0) | (next_center > 1.0)):
+                edge = self._at_edge(center, next_center)
                 return points + ([edge] if edge is not None else []), EDGE
-            point = self._point(here, angle)
+            point = self._point(center, angle)
             if point is None:
                 return points, FOLD
             points.append(point)
-            if len(points) > 2 and np.linalg.norm(there - self.start) < self.length:
+            if len(points) > 2 and np.linalg.norm(next_center - self.start) < self.length:
                 return points, CLOSED
-            way = self._onward(there, angle)
-            if way is None:
+            next_angle = self._onward(next_center, angle)
+            if next_angle is None:
                 return points, INADMISSIBLE
-            here, angle = there, way
+            center, angle = next_center, next_angle
         return points, BUDGET
 
-    def _equilibrium(self, place: Array) -> Equilibrium | None:
-        return equilibrium_near(self.family, self.low + place * self.width, self.code)
+    def _equilibrium(self, position: Array) -> Equilibrium | None:
+        return equilibrium_near(self.family, self.low + position * self.width, self.code)
 
     def _seen(self, center: Array, angle: float) -> Equilibrium | None:
         return self._equilibrium(center + self.length * np.array([math.cos(angle), math.sin(angle)]))
@@ -162,34 +166,37 @@ class _HopfCurveWalk:
 
     def _point(self, center: Array, angle: float) -> SolutionPoint | None:
         """Return the point of the curve at a crossing; None if no pair of exponents crosses the imaginary axis."""
-        beside = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
-        return self._between(beside, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
+        neighbours = [self._seen(center, angle + sign * 1e-9) for sign in (-1.0, 1.0)]
+        return self._between(neighbours, center + self.length * np.array([math.cos(angle), math.sin(angle)]))
 
-    def _between(self, beside: list[Equilibrium | None], place: Array) -> SolutionPoint | None:
-        seen = sorted((there for there in beside if there is not None), key=lambda there: there.unstable)
+    def _between(self, neighbours: list[Equilibrium | None], position: Array) -> SolutionPoint | None:
+        seen = sorted(
+            (equilibrium for equilibrium in neighbours if equilibrium is not None),
+            key=lambda equilibrium: equilibrium.unstable,
+        )
         if len(seen) < 2 or len(seen[1].exponents) <= self.least or not seen[1].exponents[self.least].imag:
             return None
         frequency = abs(float(seen[1].exponents[self.least].imag))
-        return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + place * self.width)
+        return point_of_event(seen[0], self.least, frequency)._replace(values=self.low + position * self.width)
 
-    def _at_edge(self, here: Array, there: Array) -> SolutionPoint | None:
+    def _at_edge(self, start: Array, end: Array) -> SolutionPoint | None:
         """Return the point at which the curve leaves the window between two points; None if it is not found."""
-        axis = int(np.argmax(np.maximum(-there, there - 1.0)))
-        edge, other = float(np.clip(there[axis], 0.0, 1.0)), 1 - axis
-        share = (edge - here[axis]) / (there[axis] - here[axis])
-        place = here + share * (there - here)
-        place[axis] = edge
+        axis = int(np.argmax(np.maximum(-end, end - 1.0)))
+        edge, other = float(np.clip(end[axis], 0.0, 1.0)), 1 - axis
+        share = (edge - start[axis]) / (end[axis] - start[axis])
+        position = start + share * (end - start)
+        position[axis] = edge
 
         def at(value: float) -> Equilibrium | None:
-            shifted = place.copy()
+            shifted = position.copy()
             shifted[other] = value
             return self._equilibrium(shifted)
 
-        low, high = place[other] - self.length, place[other] + self.length
+        low, high = position[other] - self.length, position[other] + self.length
         before = self._is_stable(at(low))
         if self._is_stable(at(high)) == before:
             return None
         while low < (middle := 0.5 * (low + high)) < high:
             low, high = (middle, high) if self._is_stable(at(middle)) == before else (low, middle)
-        place[other] = high
-        return self._between([at(high - 1e-9), at(high + 1e-9)], place) if 0.0 <= high <= 1.0 else None
+        position[other] = high
+        return self._between([at(high - 1e-9), at(high + 1e-9)], position) if 0.0 <= high <= 1.0 else None

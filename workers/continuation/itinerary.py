@@ -110,8 +110,8 @@ class Itinerary(NamedTuple):
         """Number of sections of the whole orbit: forcing periods, or passages of the rarest event of a cycle."""
         if not self.is_cycle:
             return self.periods
-        whole = self.twice if self.symmetric else self
-        return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in whole.chains).values())
+        full = self.twice if self.symmetric else self
+        return min(Counter((leg.signal, leg.side, leg.code) for leg, *_ in full.chains).values())
 
     def impacts(self, side: int) -> int:
         """Return how often a stop on this side is reached in the whole orbit."""
@@ -120,8 +120,8 @@ class Itinerary(NamedTuple):
 
     def legs_after(self, first: int, sign: int) -> tuple[tuple[Leg, ...], ...]:
         """Return the legs from event ``first`` on; for sign -1 their mirror images."""
-        kept = self.legs[first:]
-        return kept if sign > 0 else tuple(tuple(leg.mirrored for leg in legs) for legs in kept)
+        later_legs = self.legs[first:]
+        return later_legs if sign > 0 else tuple(tuple(leg.mirrored for leg in legs) for legs in later_legs)
 
     @property
     def twice(self) -> "Itinerary":
@@ -135,8 +135,8 @@ class Itinerary(NamedTuple):
 
         For sign -1 it equals the mirror image of that event.
         """
-        here, before = (self.sides[k:], self.sides[: len(self.sides) - k])
-        same = all(a == sign * b for a, b in zip(here, before, strict=True))
+        later, before = (self.sides[k:], self.sides[: len(self.sides) - k])
+        same = all(a == sign * b for a, b in zip(later, before, strict=True))
         return same and self.legs_after(k, 1) == self.legs_after(0, sign)[: max(0, len(self.legs) - k)]
 
 

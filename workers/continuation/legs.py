@@ -140,20 +140,20 @@ def turns_of_modes(pieces, elements, plan, ends, tau, omega, sign, t, start, min
             if i == NO_EVENT:
                 continue
             saltate(modes, elements, plan, leg, r, omega[r], z, later, minimum[r, i], D, room)
-            own, row = size + i, modes.rows[k, g, :size]
+            equation, row = size + i, modes.rows[k, g, :size]
             value, _ = guard_value(modes, k, g, z, later)
             signals[r, 0, i], signals[r, 1, i] = value, guard_rate(modes, k, g, f, omega[r], later)
-            residuals[r, own] = value - modes.ends[k, g, plan[leg, END]]
-            for e in range(own + 1):
-                tangents[r, own, e] = product(row, W[e], 0)
-            tangents[r, own, own] += signals[r, 1, i]
+            residuals[r, equation] = value - modes.ends[k, g, plan[leg, END]]
+            for e in range(equation + 1):
+                tangents[r, equation, e] = product(row, W[e], 0)
+            tangents[r, equation, equation] += signals[r, 1, i]
             for j in range(size):
-                W[own, j] += f[j]
-            alive = own + 1
+                W[equation, j] += f[j]
+            alive = equation + 1
             act_on(elements, r, act, g, z, W[:alive])
             right_hand_side(modes, plan[leg + 1, MODE], z, later, late)
             for j in range(size):
-                W[own, j] -= late[j]
+                W[equation, j] -= late[j]
             signals[r, 2, i] = guard_rate(modes, k, g, late, omega[r], later)
         for j in range(size):
             residuals[r, j], shifts[r, j, j] = sign * z[j] - start[r, j], 1.0
@@ -180,13 +180,13 @@ def between_events(pieces, plan, begins, states, tau, omega, sign, span, signal,
         modes = row_in(by_reference(pieces), r)
         rounding = AT_ONCE * (abs(s[r, i]) + span[r])
         turn = math.floor((s[r, i] + rounding - begins[r, 0]) / span[r])
-        here, leg = s[r, i] - turn * span[r], 0
-        while leg + 1 < legs and begins[r, leg + 1] <= here + rounding:
+        time, leg = s[r, i] - turn * span[r], 0
+        while leg + 1 < legs and begins[r, leg + 1] <= time + rounding:
             leg += 1
         z, k = states[r, leg].copy(), plan[leg, MODE]
         before = harmonics_at(tau[r] + omega[r] * begins[r, leg], modes.waves.shape[2])
-        later = harmonics_at(tau[r] + omega[r] * here, modes.waves.shape[2])
-        fly_leg(modes, k, here - begins[r, leg], before, later, z, none, h, V)
+        later = harmonics_at(tau[r] + omega[r] * time, modes.waves.shape[2])
+        fly_leg(modes, k, time - begins[r, leg], before, later, z, none, h, V)
         right_hand_side(modes, k, z, later, f)
         values[0, r, i], _ = guard_value(modes, k, signal, z, later)
         values[1, r, i] = guard_rate(modes, k, signal, f, omega[r], later)

@@ -10,7 +10,7 @@ from workers.model.oscillator import Array, Rows
 
 NEWTON_STEPS = 12
 
-DONE, ROUNDING = 1e-14, 1e-10
+DONE, ROUNDING_STEP = 1e-14, 1e-10
 """Expected distance from the solution at which Newton's method ends; longest step that may be rounding. Both are in
 units of the scale, as all lengths in this module."""
 
@@ -77,9 +77,11 @@ def newton(
         X[rows[good]] += (change * scale[rows])[good]
         ratio = np.minimum(size / before if step > 1 else np.sqrt(size), 1.0)
         stalled = (step > 1) & (size > 0.3 * before)
-        done = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (stalled & (exact | (good & (size < ROUNDING))))
-        converged[rows[done]], last[rows] = True, size
-        on = good & ~done
+        finished = (good & (size * np.maximum(ratio, 1e-7) < DONE)) | (
+            stalled & (exact | (good & (size < ROUNDING_STEP)))
+        )
+        converged[rows[finished]], last[rows] = True, size
+        on = good & ~finished
         stale = (size > JACOBIAN_REUSE_STEP) & ((step == 1) | (size > 1e-2 * before))
         rows = rows[on]
         if np.any(stale[on]):

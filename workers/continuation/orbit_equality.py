@@ -32,9 +32,9 @@ def distance(one: Orbit, other: Orbit, omega: float) -> float:
     if a.is_cycle:  # so that a turn is 2 pi
         omega = 2.0 * np.pi / float(one.length)
     sides, others = np.array(one.itinerary.sides), np.array(other.itinerary.sides)
-    whole = float(other.length) if a.is_cycle else 2.0 * np.pi * a.periods / omega
-    times, m = np.append(other.times, other.times + whole), len(sides)
-    best, longer = np.inf if m else 0.0, omega * abs(whole - float(one.length)) if a.is_cycle else 0.0
+    duration = float(other.length) if a.is_cycle else 2.0 * np.pi * a.periods / omega
+    times, m = np.append(other.times, other.times + duration), len(sides)
+    best, longer = np.inf if m else 0.0, omega * abs(duration - float(one.length)) if a.is_cycle else 0.0
     for mirror, turn in product((1, -1), range(m)):
         if np.array_equal(mirror * np.roll(others, -turn), sides):
             # a whole number of forcing periods, plus a half for mirror images
@@ -66,9 +66,9 @@ def beginnings(one: Itinerary, other: Itinerary) -> tuple[int, ...]:
     """
     if (one.periods, one.symmetric, len(one.sides)) != (other.periods, other.symmetric, len(other.sides)):
         return ()
-    whole, wanted = _sequence(one.twice if one.symmetric and one.sides else one), _sequence(other)
-    turned = ((k, whole[k:] + whole[:k]) for k in range(len(whole)))
-    return tuple(k for k, sequence in turned if sequence[: len(wanted)] == wanted)
+    full, target = _sequence(one.twice if one.symmetric and one.sides else one), _sequence(other)
+    turned = ((k, full[k:] + full[:k]) for k in range(len(full)))
+    return tuple(k for k, sequence in turned if sequence[: len(target)] == target)
 
 
 def _sequence(itinerary: Itinerary) -> list[tuple[int, tuple[object, ...]]]:

@@ -37,12 +37,12 @@ def record_orbit(
     if not phases and all(motion.code == FLYING for motion in motions):
         motions = _between_impacts(machine, state, periods)
     legs = [Leg(motion.code, motion.begun, motion.signal, motion.side) for motion in motions]
-    kept = [i for i, leg in enumerate(legs) if phases or leg.signal >= 0]
-    first = next((i for i in kept if legs[i].signal >= 0), None)
+    indices = [i for i, leg in enumerate(legs) if phases or leg.signal >= 0]
+    first = next((i for i in indices if legs[i].signal >= 0), None)
     if first is None:
-        itinerary = Itinerary((), periods, symmetric, (tuple(legs[i] for i in kept or [0]),)).bare
+        itinerary = Itinerary((), periods, symmetric, (tuple(legs[i] for i in indices or [0]),)).bare
         return Orbit(itinerary, np.zeros(0), np.zeros(0))
-    turn = [motions[i] for i in kept if i >= first] + [motions[i] for i in kept if i < first]
+    turn = [motions[i] for i in indices if i >= first] + [motions[i] for i in indices if i < first]
     return reduce_symmetry(machine, orbit_from_turn(turn, legs[first - 1].code, periods), ASKED if symmetric else ALIKE)
 
 
@@ -66,8 +66,8 @@ def _cycle(machine: OrbitMachines, state: Array, period: float) -> Orbit:
 
     The recorded motion is cut in the middle of that leg, since it may not close exactly yet.
     """
-    own = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
-    motions = [motion for motion in record_legs(own.oscillators, state, 3) if motion.signal >= 0]
+    turn_machine = with_modes(machine.machines._replace(omega=np.array([2.0 * np.pi / period])))
+    motions = [motion for motion in record_legs(turn_machine.oscillators, state, 3) if motion.signal >= 0]
     times = np.array([motion.time for motion in motions])
     lengths = np.diff(times)[: np.sum(times < 1.5 * period)]
     if not len(lengths):
@@ -113,8 +113,8 @@ def reduce_symmetry(machine: OrbitMachines, orbit: Orbit, alike: float = ALIKE) 
     span = orbit.span(machine)
     if symmetric or not sides:
         return orbit
-    whole = orbit.itinerary.is_cycle or periods % 2 == 1
-    if len(sides) % 2 or not whole or not machine.mirrored[0] or not orbit.itinerary.repeats(half, -1):
+    can_halve = orbit.itinerary.is_cycle or periods % 2 == 1
+    if len(sides) % 2 or not can_halve or not machine.mirrored[0] or not orbit.itinerary.repeats(half, -1):
         return orbit
     if np.max(np.abs(orbit.times[half:] - orbit.times[:half] - 0.5 * span)) > alike * span:
         return orbit

@@ -19,7 +19,7 @@ from workers.continuation.shooting import OrbitMotion
 from workers.model.family import OrbitMachines, machines_over
 from workers.model.oscillator import Array, Mask, Rows
 from workers.model.system import System
-from workers.orbit.section import AT_SECTION
+from workers.orbit.section import PAST_SECTION
 
 FARTHEST = 0.5
 """Maximum length of Newton's first step, in radians of the force and relative to the motion and its fastest impact."""
@@ -48,9 +48,9 @@ def group_indices(keys: Iterable[Hashable | None]) -> list[NDArray[np.int64]]:
     Keys of None are left out.
     """
     places_of: dict[Hashable, list[int]] = {}
-    for place, key in enumerate(keys):
+    for index, key in enumerate(keys):
         if key is not None:
-            places_of.setdefault(key, []).append(place)
+            places_of.setdefault(key, []).append(index)
     return [np.array(places, dtype=np.int64) for places in places_of.values()]
 
 
@@ -71,26 +71,26 @@ def continued_to(family: Family, orbits: OrbitBatch, values: Array) -> OrbitBatc
     if not itinerary.sides or not may_be.any():
         return orbits._replace(values=values, converged=may_be)
     known = np.flatnonzero(may_be)
-    own, here = lin.at_rows(known), orbits.orbits.at_rows(known)
+    machines, known_orbits = lin.at_rows(known), orbits.orbits.at_rows(known)
     if not itinerary.is_cycle:
-        phases = here.times * family.model(orbits.values[known]).omega[:, None]
-        here = here._replace(times=phases / own.omega[:, None])
-    start = motion_of(own, here)
-    scale = np.concatenate([start.scale()[0], np.ones(here.times.shape) / start.lin.omega[:, None]], axis=1)
+        phases = known_orbits.times * family.model(orbits.values[known]).omega[:, None]
+        known_orbits = known_orbits._replace(times=phases / machines.omega[:, None])
+    start = motion_of(machines, known_orbits)
+    scale = np.concatenate([start.scale()[0], np.ones(known_orbits.times.shape) / start.lin.omega[:, None]], axis=1)
 
     def motion(X: Array, rows: Rows) -> OrbitMotion:
-        return motion_of_unknowns(own.at_rows(rows), itinerary, X)
+        return motion_of_unknowns(machines.at_rows(rows), itinerary, X)
 
     def with_jacobian(X: Array, rows: Rows) -> tuple[Array, Array]:
-        there = motion(X, rows)
-        return there.turn.residuals, there.linearised()
+        trial = motion(X, rows)
+        return trial.turn.residuals, trial.linearised()
 
     solved = newton(
         lambda X, rows: motion(X, rows).turn.residuals, with_jacobian, start.unknowns, scale, farthest=FARTHEST,
         sizes=start.forced_sizes,
     )  # fmt: skip
     after, converged = orbits.orbits.at_rows(np.arange(len(values))), np.zeros(len(values), dtype=np.bool_)
-    fields = motion_of_unknowns(own, itinerary, solved.X).orbits[1:]
+    fields = motion_of_unknowns(machines, itinerary, solved.X).orbits[1:]
     after.times[known], after.speeds[known], after.length[known] = fields
     converged[known] = solved.converged
     return OrbitBatch(after, values, converged)
@@ -170,7 +170,7 @@ def section_states(
     known   True for the states of cycles after all events, see ``comparison_states``
 
     In a symmetric machine, the negative states at a shift of 1/2 are the section states of the mirror images. An event
-    at a section counts as past, also if rounding delays it by up to AT_SECTION T.
+    at a section counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     rows = np.stack(list(values.values()), axis=1) if values else np.zeros((len(orbits), 0))
     machines, _ = machines_over(system, {}, tuple(values))(rows)
@@ -188,7 +188,7 @@ def states_at_sections(machines: OrbitMachines, many: Orbit, shift: float = 0.0)
         return _states_after(machines, many, _rarest(machines, many.itinerary, shift > 0.0))
     period = 2.0 * np.pi / machines.omega[:, None]
     since = np.mod(many.times / period - shift, 1.0)
-    many = many._replace(times=np.where(since <= AT_SECTION, many.times - AT_SECTION * period, many.times))
+    many = many._replace(times=np.where(since <= PAST_SECTION, many.times - PAST_SECTION * period, many.times))
     states, _ = motion_of(machines, many).states_at((np.arange(many.itinerary.periods) + shift) * period)
     return np.asarray(states + machines.rest[:, None])
 

@@ -21,7 +21,7 @@ MIN_STEP = 1e-6
 """Shortest step, in units of the longest."""
 
 
-BESIDE, SAME = 0.1, 1e-6
+OVERSHOOT, SAME_SOLUTION = 0.1, 1e-6
 """Distance from a step, in step lengths, at which its curve may pass the start; and maximum difference of equal
 solutions, in units of the scale."""
 
@@ -82,17 +82,17 @@ class PseudoArclength:
         The same orbit may have events that are whole periods later by now, or may begin with another one of its events.
         """
         assert self.former is not None
-        eq, here, (of, start) = self.equations, self.former[0], self.start
-        if here is start or np.max(np.abs(eq.values(here) - of.values(start)) / eq.width) > 1.5 * self.longest:
+        eq, previous, (of, start) = self.equations, self.former[0], self.start
+        if previous is start or np.max(np.abs(eq.values(previous) - of.values(start)) / eq.width) > 1.5 * self.longest:
             return None
-        step = ContinuationStep(eq, here, self.X)
-        chord = (self.X - here) / eq.scale
-        for there in _as_unknowns(of, start, eq, here):
-            share = float((there - here) / eq.scale @ chord) / float(chord @ chord)
-            if -BESIDE < share < 1.0 + BESIDE:
+        step = ContinuationStep(eq, previous, self.X)
+        chord = (self.X - previous) / eq.scale
+        for candidate in _as_unknowns(of, start, eq, previous):
+            share = float((candidate - previous) / eq.scale @ chord) / float(chord @ chord)
+            if -OVERSHOOT < share < 1.0 + OVERSHOOT:
                 passed = step.solution(share)
-                if passed.converged and np.max(np.abs(passed.X - there) / eq.scale) < SAME:
-                    return there
+                if passed.converged and np.max(np.abs(passed.X - candidate) / eq.scale) < SAME_SOLUTION:
+                    return candidate
         return None
 
     def _predicted(self) -> Array:
@@ -125,46 +125,46 @@ def _as_unknowns(equations: ExtendedSystem, X: Array, other: ExtendedSystem, nea
     There is one result for each event from which on the events and modes of both systems agree.
     """
     orbit, contacts, values = equations.orbit(X), equations.contacts(X), equations.values(X)
-    lin, own, times = equations.model(values), other.itinerary, other.orbit(near).times
+    lin, itinerary, times = equations.model(values), other.itinerary, other.orbit(near).times
     span, period = orbit.span(lin), 2.0 * math.pi / float(lin.omega[0])
-    whole = span * (2 if own.symmetric else 1)
-    for first in beginnings(orbit.itinerary, own):
-        there = begun_with(orbit, first, own, span)
+    full_span = span * (2 if itinerary.symmetric else 1)
+    for first in beginnings(orbit.itinerary, itinerary):
+        turned = begun_with(orbit, first, itinerary, span)
         later = 0.0
-        if own.is_cycle:  # times count from the first event
+        if itinerary.is_cycle:  # times count from the first event
             later = -float(orbit.times[first % len(times)] + first // len(times) * span)
         elif len(times):
-            later = period * round(float(np.mean(times - there.times)) / period)
-            there = there._replace(times=there.times + later)
+            later = period * round(float(np.mean(times - turned.times)) / period)
+            turned = turned._replace(times=turned.times + later)
         touched = contacts + later
-        touched = touched + whole * np.round((other.contacts(near) - touched) / whole)
-        unmoved = equations.itinerary == own and first == 0 and later == 0.0 and np.array_equal(touched, contacts)
-        yield X if unmoved else other.pack(there, touched, values)
+        touched = touched + full_span * np.round((other.contacts(near) - touched) / full_span)
+        unmoved = equations.itinerary == itinerary and first == 0 and later == 0.0 and np.array_equal(touched, contacts)
+        yield X if unmoved else other.pack(turned, touched, values)
 
 
 class ContinuationStep(NamedTuple):
-    """A step along the solutions of equations with one unknown too many, from unknowns ``here`` (N,) to ``there``."""
+    """A step along the solutions of equations with one unknown too many, from unknowns ``start`` (N,) to ``end``."""
 
     equations: ExtendedSystem
-    here: Array
-    there: Array
+    start: Array
+    end: Array
 
     def guess(self, share: float) -> Array:
         """Return the unknowns (N,) at this share of the chord."""
-        return self.here + share * (self.there - self.here)
+        return self.start + share * (self.end - self.start)
 
     def solution(self, share: float) -> NewtonResult:
         """Return the solution at this share of the step, on the plane across the step."""
         eq = self.equations
-        chord = (self.there - self.here) / eq.scale
+        chord = (self.end - self.start) / eq.scale
         return solve(eq, self.guess(share), chord / eq.scale / np.linalg.norm(chord))
 
     def at_value(self, index: int, value: float) -> NewtonResult:
         """Return the solution at which parameter ``index`` has this value."""
-        eq, place = self.equations, len(self.here) - self.equations.free + index
-        guess = self.guess((value - self.here[place]) / (self.there[place] - self.here[place]))
-        guess[place] = value
-        return solve(eq, guess, np.eye(1, len(guess), place)[0] / eq.scale)
+        eq, column = self.equations, len(self.start) - self.equations.free + index
+        guess = self.guess((value - self.start[column]) / (self.end[column] - self.start[column]))
+        guess[column] = value
+        return solve(eq, guess, np.eye(1, len(guess), column)[0] / eq.scale)
 
     def share_of(self, X: Array) -> float | None:
         """Return the share of the step at which a solution X of other equations lies; None if it is far from the step.
@@ -172,11 +172,11 @@ class ContinuationStep(NamedTuple):
         Contact times are ignored.
         """
         eq = self.equations
-        here, there, place, scale = (
+        start, end, point, scale = (
             np.concatenate([field[: eq.states], field[len(field) - eq.free :]])
-            for field in (self.here, self.there, X, eq.scale)
+            for field in (self.start, self.end, X, eq.scale)
         )
-        chord, off = (there - here) / scale, (place - here) / scale
+        chord, off = (end - start) / scale, (point - start) / scale
         length = float(np.linalg.norm(chord))
         share = float(off @ chord) / length**2
         near = -0.5 < share < 1.5 and float(np.linalg.norm(off - share * chord)) <= max(length, 1e-6)
@@ -188,5 +188,5 @@ class ContinuationStep(NamedTuple):
         The maximum distance is the length of the step, or ``near`` if that is larger.
         """
         eq = self.equations
-        length = float(np.linalg.norm((self.there - self.here) / eq.scale))
+        length = float(np.linalg.norm((self.end - self.start) / eq.scale))
         return bool(np.linalg.norm((values - guess) / eq.width) <= max(length, near, 1e-6))

@@ -172,10 +172,10 @@ class OrbitMotion:
     @cached_property
     def pieces(self) -> HybridModes:
         """The modes of the orbit, along an axis after the first."""
-        made = [self.lin.mode(code) for code in self.plan.codes]
-        if len(made) == 1:
-            return HybridModes(*(field[:, None] for field in made[0]))
-        return HybridModes(*(np.stack(fields, axis=1) for fields in zip(*made, strict=True)))
+        modes = [self.lin.mode(code) for code in self.plan.codes]
+        if len(modes) == 1:
+            return HybridModes(*(field[:, None] for field in modes[0]))
+        return HybridModes(*(np.stack(fields, axis=1) for fields in zip(*modes, strict=True)))
 
     @cached_property
     def ends(self) -> Array:
@@ -203,9 +203,19 @@ class OrbitMotion:
     @cached_property
     def turn(self) -> TurnResult:
         """The result of one turn from the state just before the first event."""
-        own, plan, sign = self.lin, self.plan.table, float(self.itinerary.sign)
-        given = self.pieces, own.elements, plan, self.ends, own.tau, own.omega, sign, self.times, self.start
-        return TurnResult(*turns_of_modes(*given, self._least))
+        machines, plan, sign = self.lin, self.plan.table, float(self.itinerary.sign)
+        arguments = (
+            self.pieces,
+            machines.elements,
+            plan,
+            self.ends,
+            machines.tau,
+            machines.omega,
+            sign,
+            self.times,
+            self.start,
+        )
+        return TurnResult(*turns_of_modes(*arguments, self._least))
 
     @property
     def _least(self) -> Array:
@@ -234,10 +244,10 @@ class OrbitMotion:
 
         With light damping or a low frequency the forced parts are far larger than the motion.
         """
-        own, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
-        blocks = np.abs(own.forced).sum(axis=(-2, -1)).reshape(*own.to_physical.shape[:-1], 1)
-        states = (np.abs(own.to_physical) @ blocks)[..., 0].max(axis=1)
-        return np.concatenate([states, np.abs(own.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
+        pieces, (modes, signals) = self.pieces, self.plan.reached[:, [MODE, SIGNAL]].T
+        blocks = np.abs(pieces.forced).sum(axis=(-2, -1)).reshape(*pieces.to_physical.shape[:-1], 1)
+        states = (np.abs(pieces.to_physical) @ blocks)[..., 0].max(axis=1)
+        return np.concatenate([states, np.abs(pieces.waves[:, modes, signals]).sum(axis=(-2, -1))], axis=1)
 
     def linearised(self, z: complex = 1) -> Table:
         """Return J_z (N, M, M): the equations linearised for perturbations that grow by z in a turn.
@@ -261,10 +271,19 @@ class OrbitMotion:
 
         An event at such a time counts as past.
         """
-        own, sign = self.lin, float(self.itinerary.sign)
-        mirror = 1.0 if sign > 0.0 else float(mirror_sign(signal, own.elements.soft.shape[1]))
-        given = self.pieces, self.plan.table, self.begins, self.turn.states, own.tau, own.omega, sign, self.span
-        states, signals = between_events(*given, signal, mirror, np.ascontiguousarray(s))
+        machines, sign = self.lin, float(self.itinerary.sign)
+        mirror = 1.0 if sign > 0.0 else float(mirror_sign(signal, machines.elements.soft.shape[1]))
+        arguments = (
+            self.pieces,
+            self.plan.table,
+            self.begins,
+            self.turn.states,
+            machines.tau,
+            machines.omega,
+            sign,
+            self.span,
+        )
+        states, signals = between_events(*arguments, signal, mirror, np.ascontiguousarray(s))
         return states, signals
 
     def distance_to_end(self, signal: int, side: int, s: Array) -> list[Array]:
@@ -308,9 +327,9 @@ class OrbitMotion:
     @cached_property
     def _pushed(self) -> Array:
         """Displacement (N,) of free masses by the force alone; 1 without a force."""
-        own = self.lin.machines
-        force = np.hypot(own.force_sin, own.force_cos).max(axis=(1, 2))
-        reach = np.abs(np.linalg.solve(own.mass, force[..., None])[..., 0]).max(axis=1) / own.omega**2
+        machines = self.lin.machines
+        force = np.hypot(machines.force_sin, machines.force_cos).max(axis=(1, 2))
+        reach = np.abs(np.linalg.solve(machines.mass, force[..., None])[..., 0]).max(axis=1) / machines.omega**2
         return np.where(reach > 0.0, reach, 1.0)
 
     def scale(self) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ def leaving(step: ContinuationStep, reason: AdmissibilityFault) -> LocatedEvent 
 
     ``reason`` is why the orbit is not admissible at the end of the step.
     """
-    low, high, X = 0.0, 1.0, step.there
+    low, high, X = 0.0, 1.0, step.end
     for _ in range(HALVINGS):
         event = _of_fault(step, X, reason)
         if event is not None:
@@ -59,24 +59,24 @@ def nearly_lost(step: ContinuationStep) -> LocatedEvent | None:
 
     Return None if all events are impacts, since the equations are smooth beyond the loss of an impact.
     """
-    motion = step.equations.motion(step.here)
+    motion = step.equations.motion(step.start)
     if motion.plan.impacts:
         return None
     rates = np.abs(motion.turn.signals[0, 1]) / motion.scale()[1][0]
     slowest = int(np.argmin(rates))
     near = NEARLY if step.equations.conditions and rates[slowest] < NEARLY else 0.0
-    return _of_loss(step, step.here, motion, AdmissibilityFault(LOST, slowest), near)
+    return _of_loss(step, step.start, motion, AdmissibilityFault(LOST, slowest), near)
 
 
 def _of_fault(step: ContinuationStep, X: Array, reason: AdmissibilityFault) -> LocatedEvent | None:
     """Return the graze, the lost event or the change of stick that causes a fault at X; None if it is not found."""
-    own, motion = step.equations.conditions, step.equations.motion(X)
+    conditions, motion = step.equations.conditions, step.equations.motion(X)
     if reason.reason == ORDER:
         return None
     if reason.reason != CONTACT:
         return (_of_loss if reason.reason == LOST else _of_holding)(step, X, motion, reason)
     peak, graze = peak_of(motion, reason), Condition(GRAZE, side=reason.side, signal=reason.signal)
-    return None if peak is None else solve_on_step(step, X, (*own, graze), (peak,))
+    return None if peak is None else solve_on_step(step, X, (*conditions, graze), (peak,))
 
 
 def _of_holding(
@@ -113,16 +113,16 @@ def _of_loss(
     if shorter is None:
         return None
     orbit, leg, time = shorter
-    own = conditions_on(orbit, eq.conditions, eq.orbit(X), float(motion.span[0]))
-    if own is None:
+    transferred = conditions_on(orbit, eq.conditions, eq.orbit(X), float(motion.span[0]))
+    if transferred is None:
         return None
-    conditions = (*own, Condition(GRAZE, side=leg.side, signal=leg.signal))
+    conditions = (*transferred, Condition(GRAZE, side=leg.side, signal=leg.signal))
     contacts = np.append(eq.contacts(X) + time_shift(orbit, eq.orbit(X), float(motion.span[0])), time)
     if not orbit.itinerary.sides and motion.lin.elements.starts.shape[1] == 2 and not eq.conditions:
         # the forced response of one period, which grazes once in that period
         orbit = orbit._replace(itinerary=orbit.itinerary._replace(periods=1))
     solved = solution(eq, orbit, conditions, contacts, X)
-    before, after = (eq.motion(end).turn.signals[0, 1, reason.impact] for end in (step.here, step.there))
+    before, after = (eq.motion(end).turn.signals[0, 1, reason.impact] for end in (step.start, step.end))
     share = float(np.clip(before / (before - after), 0.0, 1.0)) if before != after else 0.0  # where the rate is zero
     if (
         solved is None
@@ -133,7 +133,7 @@ def _of_loss(
     event = event_of(*solved)
     if event.last == GRAZING:
         lost = CONTACT_LOST if motion.lin.elements.soft[0, leg.signal // SIGNALS] > 0.0 else IMPACT_LOST
-        event = event._replace(last=lost, kind=event.kind if own else lost)
+        event = event._replace(last=lost, kind=event.kind if transferred else lost)
     if asks_multipliers(eq) and not is_smooth(motion.lin.machines, event):
         return None  # the orbit with the event has other multipliers
     return LocatedEvent(share, event)

@@ -47,11 +47,11 @@ def standard_error(levels):
         blocks = levels[k, COUNT]
         if blocks < FEWEST_BLOCKS:
             return error
-        here = math.sqrt(levels[k, SQUARES] / (blocks - 1.0) / blocks)
+        level_error = math.sqrt(levels[k, SQUARES] / (blocks - 1.0) / blocks)
         if k == 0:
-            first = here
-        starts = not enough and 8.0**k > 2.0 * count * (here / first) ** 4
-        error = here if starts or not here < error else error
+            first = level_error
+        starts = not enough and 8.0**k > 2.0 * count * (level_error / first) ** 4
+        error = level_error if starts or not level_error < error else error
         enough = enough or starts
     return error
 

@@ -20,14 +20,14 @@ __all__ = ["borrow", "many_type", "many_value", "row_of", "row_type", "row_value
 Given = TypeVar("Given")
 
 
-def borrow(given: Given) -> Given:
+def borrow(value: Given) -> Given:
     """Return the same array or record, uncounted in kernels; it must not outlive the owner of its memory."""
-    return given
+    return value
 
 
 @type_callable(borrow)
 def _typed(context: Any) -> Any:
-    return lambda given: given
+    return lambda value: value
 
 
 @lower_builtin(borrow, types.Any)
@@ -72,11 +72,11 @@ def row_value(context: Any, builder: Any, kind: Any, value: Any, r: Any) -> Any:
         return value
     many = make_array(kind)(context, builder, value)
     shape, strides = unpack_tuple(builder, many.shape), unpack_tuple(builder, many.strides)
-    place = pointer_add(builder, many.data, builder.mul(r, strides[0]))
+    address = pointer_add(builder, many.data, builder.mul(r, strides[0]))
     if kind.ndim == 1:
-        return context.unpack_value(builder, kind.dtype, place)
+        return context.unpack_value(builder, kind.dtype, address)
     row = make_array(row_type(kind))(context, builder)
-    populate_array(row, place, shape[1:], strides[1:], many.itemsize, meminfo=None)
+    populate_array(row, address, shape[1:], strides[1:], many.itemsize, meminfo=None)
     return row._getvalue()
 
 
@@ -100,11 +100,11 @@ def many_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     if isinstance(kind, types.Array):
         row = make_array(kind)(context, builder, value)
         shape, strides = unpack_tuple(builder, row.shape), unpack_tuple(builder, row.strides)
-        place, size, length = row.data, row.itemsize, builder.mul(row.nitems, row.itemsize)
+        address, size, length = row.data, row.itemsize, builder.mul(row.nitems, row.itemsize)
     else:
-        place = alloca_once(builder, context.get_data_type(kind))
-        context.pack_value(builder, kind, value, place)
+        address = alloca_once(builder, context.get_data_type(kind))
+        context.pack_value(builder, kind, value, address)
         shape, strides = [], []
         size = length = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind)))
-    populate_array(many, place, [one, *shape], [length, *strides], size, meminfo=None)
+    populate_array(many, address, [one, *shape], [length, *strides], size, meminfo=None)
     return many._getvalue()

@@ -20,9 +20,9 @@ __all__ = [
     "as_many",
     "by_reference",
     "by_value",
-    "lent_as",
     "make_reference",
     "row_in",
+    "type_by_reference",
     "with_phase",
     "without_mode_table",
 ]
@@ -30,9 +30,9 @@ __all__ = [
 Given = TypeVar("Given")
 
 
-def by_reference(given: Given) -> Given:
+def by_reference(value: Given) -> Given:
     """Return the same record; kernels pass it by reference, with the same fields."""
-    return given
+    return value
 
 
 def row_in(record: Given, r: int) -> Given:
@@ -48,9 +48,9 @@ def as_many(record: Given) -> Given:
     return many_of(record)
 
 
-def by_value(given: Given) -> Given:
+def by_value(value: Given) -> Given:
     """Return the same record or array; kernels pass it by value again."""
-    return given
+    return value
 
 
 def with_phase(oscillator: Any, tau: Any) -> Any:
@@ -68,10 +68,10 @@ class RecordRef(types.Type):
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
-        super().__init__(f"Lent({kind})")
+        super().__init__(f"Reference({kind})")
 
 
-def lent_as(kind: Any) -> Any:
+def type_by_reference(kind: Any) -> Any:
     """Return the type by reference of a type: records and arrays by address, numbers as they are."""
     return RecordRef(kind) if isinstance(kind, types.BaseTuple | types.Array) else kind
 
@@ -81,32 +81,32 @@ class RowRef(types.Type):
 
     def __init__(self, kind: types.Type) -> None:
         self.kind: Any = kind
-        super().__init__(f"LentRow({kind})")
+        super().__init__(f"RowReference({kind})")
 
 
 @register_model(RecordRef)
 class _RecordRefModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, lent: RecordRef) -> None:
-        super().__init__(manager, lent, manager.lookup(lent.kind).get_value_type().as_pointer())
+    def __init__(self, manager: Any, reference: RecordRef) -> None:
+        super().__init__(manager, reference, manager.lookup(reference.kind).get_value_type().as_pointer())
 
 
 @infer_getattr
 class _RecordRefAttributes(AttributeTemplate):
     key = RecordRef
 
-    def generic_resolve(self, lent: RecordRef, name: str) -> Any:  # type: ignore[override]
-        fields = getattr(lent.kind, "fields", ())
+    def generic_resolve(self, reference: RecordRef, name: str) -> Any:  # type: ignore[override]
+        fields = getattr(reference.kind, "fields", ())
         if name not in fields:
             return None
-        field = lent.kind[fields.index(name)]
+        field = reference.kind[fields.index(name)]
         return RecordRef(field) if isinstance(field, types.BaseTuple) else field
 
 
 @lower_getattr_generic(RecordRef)
-def _attribute(context: Any, builder: Any, lent: RecordRef, place: Any, name: str) -> Any:
-    index = lent.kind.fields.index(name)
-    at = builder.gep(place, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
-    field = lent.kind[index]
+def _attribute(context: Any, builder: Any, reference: RecordRef, address: Any, name: str) -> Any:
+    index = reference.kind.fields.index(name)
+    at = builder.gep(address, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    field = reference.kind[index]
     return at if isinstance(field, types.BaseTuple) else without_counts(context, builder, field, builder.load(at))
 
 
@@ -129,20 +129,20 @@ class _RowRefAttributes(AttributeTemplate):
 
 @lower_getattr_generic(RowRef)
 def _row_attribute(context: Any, builder: Any, row: RowRef, value: Any, name: str) -> Any:
-    own = create_struct_proxy(row)(context, builder, value=value)
+    proxy = create_struct_proxy(row)(context, builder, value=value)
     index = row.kind.fields.index(name)
-    at = builder.gep(own.record, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
+    at = builder.gep(proxy.record, [context.get_constant(types.int32, part) for part in (0, index)], inbounds=True)
     field = row.kind[index]
     if isinstance(field, types.BaseTuple):
-        return _row_at(context, builder, RowRef(field), at, own.number)
-    return row_value(context, builder, field, builder.load(at), own.number)
+        return _row_at(context, builder, RowRef(field), at, proxy.number)
+    return row_value(context, builder, field, builder.load(at), proxy.number)
 
 
 def _row_at(context: Any, builder: Any, row: RowRef, record: Any, number: Any) -> Any:
     """Return the value of row ``number`` of the batch of records at the address ``record``."""
-    own = create_struct_proxy(row)(context, builder)
-    own.record, own.number = record, number
-    return own._getvalue()
+    proxy = create_struct_proxy(row)(context, builder)
+    proxy.record, proxy.number = record, number
+    return proxy._getvalue()
 
 
 @type_callable(row_in)
@@ -158,25 +158,25 @@ def _row_in_compiled(context: Any, builder: Any, signature: Any, arguments: Any)
 
 @type_callable(as_many)
 def _as_many_typed(context: Any) -> Any:
-    return lambda row: RecordRef(row.kind if isinstance(row, RowRef) else many_type(lent_as(row).kind))
+    return lambda row: RecordRef(row.kind if isinstance(row, RowRef) else many_type(type_by_reference(row).kind))
 
 
 @lower_builtin(as_many, types.Any)
 def _as_many_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     kind, value = signature.args[0], arguments[0]
     if isinstance(kind, RowRef):
-        own = create_struct_proxy(kind)(context, builder, value=value)
-        record, kind = builder.load(own.record), kind.kind
-        value = row_value(context, builder, kind, record, own.number)
+        proxy = create_struct_proxy(kind)(context, builder, value=value)
+        record, kind = builder.load(proxy.record), kind.kind
+        value = row_value(context, builder, kind, record, proxy.number)
         kind = row_type(kind)
     else:
-        kind, value = lent_as(kind).kind, given_value(builder, kind, value)
+        kind, value = type_by_reference(kind).kind, given_value(builder, kind, value)
     return alloca_once_value(builder, many_value(context, builder, kind, value))
 
 
 @type_callable(by_reference)
 def _lend_typed(context: Any) -> Any:
-    return lambda kind: lent_as(kind)
+    return lambda kind: type_by_reference(kind)
 
 
 @lower_builtin(by_reference, types.Any)
@@ -190,26 +190,26 @@ def given_value(builder: Any, kind: types.Type, value: Any) -> Any:
 
 
 def make_reference(context: Any, builder: Any, kind: types.Type, value: Any) -> Any:
-    """Return a value of type ``kind`` in the form of ``lent_as``."""
-    return alloca_once_value(builder, value) if lent_as(kind) != kind else value
+    """Return a value of type ``kind`` in the form of ``type_by_reference``."""
+    return alloca_once_value(builder, value) if type_by_reference(kind) != kind else value
 
 
 @type_callable(row_of)
 def _row_typed(context: Any) -> Any:
-    return lambda record, r: RecordRef(row_type(lent_as(record).kind))
+    return lambda record, r: RecordRef(row_type(type_by_reference(record).kind))
 
 
 @lower_builtin(row_of, types.Any, types.Integer)
 def _row_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     record, r = given_value(builder, signature.args[0], arguments[0]), signature.args[1]
     r = context.cast(builder, arguments[1], r, types.intp)
-    return alloca_once_value(builder, row_value(context, builder, lent_as(signature.args[0]).kind, record, r))
+    return alloca_once_value(builder, row_value(context, builder, type_by_reference(signature.args[0]).kind, record, r))
 
 
 @type_callable(without_mode_table)
 def _rigid_typed(context: Any) -> Any:
     def typer(oscillators: types.Type) -> RecordRef:
-        kind = lent_as(oscillators).kind
+        kind = type_by_reference(oscillators).kind
         return RecordRef(types.NamedTuple([*kind.types[:-1], types.none], kind.instance_class))
 
     return typer
@@ -217,20 +217,20 @@ def _rigid_typed(context: Any) -> Any:
 
 @lower_builtin(without_mode_table, types.Any)
 def _rigid_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    place = make_reference(context, builder, signature.args[0], arguments[0])
-    return builder.bitcast(place, context.get_value_type(signature.return_type))
+    address = make_reference(context, builder, signature.args[0], arguments[0])
+    return builder.bitcast(address, context.get_value_type(signature.return_type))
 
 
 @type_callable(with_phase)
 def _phase_typed(context: Any) -> Any:
-    return lambda osc, tau: lent_as(osc)
+    return lambda osc, tau: type_by_reference(osc)
 
 
 @lower_builtin(with_phase, types.Any, types.Float)
 def _phase_compiled(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     osc = given_value(builder, signature.args[0], arguments[0])
-    place = signature.return_type.kind.fields.index("tau")
-    return alloca_once_value(builder, builder.insert_value(osc, arguments[1], place))
+    index = signature.return_type.kind.fields.index("tau")
+    return alloca_once_value(builder, builder.insert_value(osc, arguments[1], index))
 
 
 @type_callable(by_value)

@@ -67,11 +67,11 @@ def _prepare_cache() -> Path | None:
     return folder
 
 
-def _remove_unused(own: Path) -> None:
-    """Remove the folders of other sources beside ``own`` in which no file was read or written for UNUSED_DAYS."""
+def _remove_unused(current: Path) -> None:
+    """Remove the folders of other sources beside ``current`` in which no file was read or written for UNUSED_DAYS."""
     oldest = time.time() - UNUSED_DAYS * 86400.0
-    for folder in own.parent.glob("workers-*"):
-        if folder == own or not re.fullmatch("workers-[0-9a-f]{16}", folder.name):
+    for folder in current.parent.glob("workers-*"):
+        if folder == current or not re.fullmatch("workers-[0-9a-f]{16}", folder.name):
             continue
         try:
             if not folder.is_symlink() and _last_use(folder) < oldest:

@@ -17,7 +17,7 @@ ORDER = 17
 SHORT = 1.0
 """Maximum phase, in radians of the fastest oscillation, for which the series is exact to rounding: SHORT^17 / 18!."""
 
-NEWTON_STEPS, NEAR = 4, 1e-2
+NEWTON_STEPS, HOP_DIFFERENCE = 4, 1e-2
 """Number of Newton steps for the end of a hop, and tolerated difference to the end that the search found, as a share of
 the hop. The search sees only y."""
 
@@ -58,8 +58,8 @@ def with_estimate(ends, end):
 
 
 @inlined
-def chatter_end(ends, left, R):
-    """Return the end of a chatter with ``left`` to go, to fourth order, from estimates at its last three impacts.
+def chatter_end(ends, remaining, R):
+    """Return the end of a chatter with ``remaining`` time, to fourth order, from estimates at its last three impacts.
 
     The error of ``chatter_left`` is a w^3 + b w^4 + ...; at the next impact these terms are multiplied by R^3 and R^4.
     Richardson's extrapolation removes both terms, or the first if there are only two estimates.
@@ -67,8 +67,8 @@ def chatter_end(ends, left, R):
     cube, fourth = R**3 / (1.0 - R**3), R**4 / (1.0 - R**4)
     before, after = ends[1] + cube * (ends[1] - ends[0]), ends[2] + cube * (ends[2] - ends[1])
     best = after + fourth * (after - before)
-    best = best if abs(best - ends[2]) <= AGREES * left else after  # false for NaN
-    return best if abs(best - ends[2]) <= AGREES * left else ends[2]
+    best = best if abs(best - ends[2]) <= AGREES * remaining else after  # false for NaN
+    return best if abs(best - ends[2]) <= AGREES * remaining else ends[2]
 
 
 @inlined
@@ -122,7 +122,7 @@ def hop(blocks, waves, omega, h, phase, side, w, s, rate):
         height, slope = series(u, w, t)
         t -= height / slope
     _, slope = series(u, w, t)
-    if abs(t - s) <= NEAR * s and slope < 0.0:
+    if abs(t - s) <= HOP_DIFFERENCE * s and slope < 0.0:
         return t, -t * slope
     return s, 0.0
 

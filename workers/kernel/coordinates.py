@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from workers.kernel.by_reference import by_value
 from workers.kernel.external import FLOATS, external
 from workers.kernel.hybrid.state import (
-    ROUNDING,
+    ROW_ROUNDING,
     enter_frame,
     harmonics_at,
     leave_frame,
@@ -20,7 +20,7 @@ from workers.kernel.hybrid.state import (
 )
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import BEYOND, FLIGHT, OSCILLATOR, Motion, has_modes, motion_at
-from workers.kernel.sticking import load_on_stop, to_held
+from workers.kernel.sticking import load_on_stop, to_sticking
 from workers.model.hybrid_modes import DETACHED, ON
 from workers.model.oscillator import COLUMN, HEAD, Oscillator
 from workers.results import BEYOND_STOP, InvalidError
@@ -68,16 +68,16 @@ def start_at(oscillator, state, h):
                 full += oscillator.to_blocks[2 * j + k, i] * state[i]
             h[j, k] = full - wave(oscillator.gap.forced[j, k], turn)[0] - blocks[j, COLUMN.rest0 + k]
         coasts = blocks[j, COLUMN.lam] == 0.0 and blocks[j, COLUMN.eta] == 0.0
-        if coasts and abs(h[j, 1]) <= ROUNDING * blocks[j, COLUMN.swing1]:
+        if coasts and abs(h[j, 1]) <= ROW_ROUNDING * blocks[j, COLUMN.swing1]:
             h[j, 1] = 0.0  # otherwise rounding of h would drift for ever
         y += row[j] * state[j]
         v += row[j] * state[n + j]
         y_sum += abs(row[j] * state[j])
         v_sum += abs(row[j] * state[n + j])
-    side = side_of(y, ROUNDING * y_sum, oscillator.head[HEAD.upper], oscillator.head[HEAD.lower])
+    side = side_of(y, ROW_ROUNDING * y_sum, oscillator.head[HEAD.upper], oscillator.head[HEAD.lower])
     if side == 0:
         return BEYOND if y > oscillator.head[HEAD.upper] or y < oscillator.head[HEAD.lower] else FLIGHT
-    return mode_at_rest(oscillator, side, h, turn) if abs(v) <= ROUNDING * v_sum else FLIGHT
+    return mode_at_rest(oscillator, side, h, turn) if abs(v) <= ROW_ROUNDING * v_sum else FLIGHT
 
 
 @inline_always
@@ -85,7 +85,7 @@ def mode_at_rest(oscillator, side, h, turn):
     """Return the mode of a state on a stop with v = 0: sticking if the load presses, else about to leave."""
     n = h.shape[0]
     u, nothing = np.empty((n, 2)), np.empty((0, n, 2))
-    to_held(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
+    to_sticking(oscillator, h, nothing, turn, np.empty(2 * n), np.empty((0, 2 * n)), u, nothing)
     return FLIGHT + side * (ON if load_on_stop(oscillator, u, turn, side) > 0.0 else DETACHED)
 
 
@@ -103,8 +103,8 @@ def put_on_stop(row, stop, x):
     row  (n,)          gap row g
     x    (n or more,)  a state, of which only the first n numbers count
 
-    g . x then equals the stop to rounding, see ROUNDING. It equals the stop exactly if it is one coordinate with weight
-    +-1.
+    g . x then equals the stop to rounding, see ROW_ROUNDING. It equals the stop exactly if it is one coordinate with
+    weight +-1.
     """
     k, others = 0, 0.0
     for i in range(len(row)):

@@ -43,15 +43,15 @@ def velocity_of(gap):
 
 
 @inline_always
-def next_turn(velocity, offset, h, phase, falls, signal_starts, left, scratch):
-    """Return (time, side, evaluations) of the next turning point within ``left``, as ``next_crossing`` does.
+def next_turn(velocity, offset, h, phase, falls, signal_starts, remaining, scratch):
+    """Return (time, side, evaluations) of the next turning point within ``remaining``, as ``next_crossing`` does.
 
     The motion starts at block state h (n, 2), falling or rising; h is moved to the turning point or to the end. The
     zero of y' is a stop of the signal y': the upper stop if y falls, the lower if y rises.
     """
     upper, lower = (0.0, -np.inf) if falls else (np.inf, 0.0)
     signal = by_reference(velocity)
-    s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, signal_starts, left, scratch)
+    s, side, evaluations = next_crossing(signal, h, phase, offset, upper, lower, signal_starts, remaining, scratch)
     flow(velocity.blocks, s, h)
     return s, side, evaluations
 

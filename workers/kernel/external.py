@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import cfunc, config, njit, types
 from numba.extending import lower_builtin, type_callable
 
-from workers.kernel.by_reference import lent_as, make_reference
+from workers.kernel.by_reference import make_reference, type_by_reference
 from workers.kernel.cache import CACHE, in_own_folder
 from workers.kernel.unrolling import not_unrolled
 
@@ -81,7 +81,7 @@ class ExternalFunction:
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.alone = njit(nogil=True, error_model="numpy")(function)
         update_wrapper(self, function)
-        self.lent = tuple(map(lent_as, kinds))
+        self.reference_types = tuple(map(type_by_reference, kinds))
         self.pointer = ctypes.c_void_p()
         llvmlite.binding.add_symbol(self.name, ctypes.addressof(self.pointer))
         type_callable(self)(self._typed)
@@ -96,19 +96,23 @@ class ExternalFunction:
     def compile(self) -> None:
         """Compile the function, or load it from the cache, and set its pointer."""
         with in_own_folder(), not_unrolled():
-            self.compiled = cfunc(self.result(*self.lent), cache=CACHE is not None, error_model="numpy")(self.function)
+            self.compiled = cfunc(self.result(*self.reference_types), cache=CACHE is not None, error_model="numpy")(
+                self.function
+            )
         self.pointer.value = self.compiled.address
 
     def _typed(self, context: Any) -> Callable[..., Any]:
         def typer(*kinds: types.Type) -> types.Type | None:
-            return self.result if tuple(map(lent_as, kinds)) == self.lent else None
+            return self.result if tuple(map(type_by_reference, kinds)) == self.reference_types else None
 
         typer.__signature__ = inspect.signature(self.function)  # type: ignore[attr-defined]
         return typer
 
     def _code(self, context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         values = [make_reference(context, builder, *typed) for typed in zip(signature.args, arguments, strict=True)]
-        values = [context.get_value_as_argument(builder, *typed) for typed in zip(self.lent, values, strict=True)]
+        values = [
+            context.get_value_as_argument(builder, *typed) for typed in zip(self.reference_types, values, strict=True)
+        ]
         kind = ir.FunctionType(context.get_argument_type(self.result), [value.type for value in values])
         function = builder.load(context.get_c_value(builder, kind.as_pointer(), self.name))
         result = builder.call(function, values)

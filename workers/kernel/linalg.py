@@ -124,14 +124,14 @@ def over(z, real):
 
 
 @inlined
-def couples(below, before, here):
+def couples(below, before, after):
     """Return True if an entry below the diagonal exceeds the rounding of its two diagonal neighbours."""
     if max(abs(below.real), abs(below.imag)) < NOTHING:
         return False
-    sides = abs(before.real) + abs(before.imag) + abs(here.real) + abs(here.imag)
+    sides = abs(before.real) + abs(before.imag) + abs(after.real) + abs(after.imag)
     if max(abs(below.real), abs(below.imag)) > 2.0 * EPS * sides:  # mostly true, which saves the roots
         return True
-    return abs(below) > EPS * (abs(before) + abs(here))
+    return abs(below) > EPS * (abs(before) + abs(after))
 
 
 @inline_always

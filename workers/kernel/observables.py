@@ -23,12 +23,12 @@ from workers.kernel.signal import derivative_bounds, evaluate
 from workers.model.observables import ENERGY_LOSS, IMPACT_PHASE, IMPACT_SPEED, KINDS, MAXIMUM, MINIMUM, SECTION
 from workers.model.oscillator import NUMBER, Array, Rows
 
-AT_SECTION, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
+SECTION_STATE, PHASE, SPEED, HIGHEST, LOWEST, LOSS = (
     KINDS.index(kind) for kind in (SECTION, IMPACT_PHASE, IMPACT_SPEED, MAXIMUM, MINIMUM, ENERGY_LOSS)
 )
 """Kinds of observables as numbers."""
 
-ROUNDING = 1e-12
+LEAST_RISE = 1e-12
 """Share of an output's terms by which the output must rise or fall between two turning points for them to count."""
 
 
@@ -104,7 +104,7 @@ def head(seen, m, highest, direction, y, counts):
     """Continue an output in this direction from y. A turning point of rounding size does not count."""
     course = seen.course[m]
     if course[COURSE.heading] * direction < 0.0:
-        near = abs(y - course[COURSE.at]) <= ROUNDING * course[COURSE.size]
+        near = abs(y - course[COURSE.at]) <= LEAST_RISE * course[COURSE.size]
         if course[COURSE.turn] * course[COURSE.heading] < 0.0 and near:
             course[COURSE.turn] = 0.0
         else:
@@ -131,27 +131,31 @@ def see_output(modes, k, row, order, seen, m, highest, h, start, phase, s, begin
     before, rate = course[COURSE.value], abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
     reach = min(rate, abs(v) + abs(a) * s) * s  # a load alone has no bound
     course[COURSE.size] = max(course[COURSE.size], size + reach)
-    if abs(y - before) > ROUNDING * course[COURSE.size]:  # an impact makes velocities jump
+    if abs(y - before) > LEAST_RISE * course[COURSE.size]:  # an impact makes velocities jump
         head(seen, m, highest, np.sign(y - before), before, start > begins)
     if rate * s > LEVEL * size:
-        there, scratch, t, begun = h.copy(), np.empty(h.shape), 0.0, 0
+        block_state, scratch, t, begun = h.copy(), np.empty(h.shape), 0.0, 0
         rises = v > 0.0 or (v == 0.0 and (a > 0.0 or (a == 0.0 and jerk > 0.0)))
         while tally[STATUS] == RUNNING:
             head(seen, m, highest, 1.0 if rises else -1.0, y, start + t > begins)
             at = phase + omega * t
-            step, side, evaluations = next_turn(velocity, drift, there, at, not rises, begun, s - t, scratch)
+            step, side, evaluations = next_turn(velocity, drift, block_state, at, not rises, begun, s - t, scratch)
             spend(tally, evaluations)
             t += step
             if side == 2:
                 tally[STATUS] = MARCH_GAVE_UP
             if side == 0:
                 break
-            y, rises, begun = evaluate(blocks, waves, omega, there, 0.0, phase + omega * t, offset)[0], not rises, side
+            y, rises, begun = (
+                evaluate(blocks, waves, omega, block_state, 0.0, phase + omega * t, offset)[0],
+                not rises,
+                side,
+            )
     course[COURSE.value] = evaluate(blocks, waves, omega, h, s, phase, offset)[0]
 
 
 @kernel
-def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
+def see_outputs(table, meter, selection, seen, leg, since, begins, flies, tally):
     """Record the turning points of outputs on a leg, and their section values.
 
     since   time at the start of the period
@@ -163,9 +167,9 @@ def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
     h, nothing, flat = np.empty((size // 2, 2)), np.empty((0, size // 2, 2)), np.empty((0, size))
     phase = table.tau + table.omega * t
     enter(pieces, k, leg[LEG_STATE : LEG_STATE + size], flat, harmonics_at(phase, harmonics), h, nothing)
-    for m in range(len(wanted.kinds)):
-        kind, row, order = wanted.kinds[m], meter.rows[m], meter.orders[m]
-        if kind == AT_SECTION and t == 0.0 and flies and leg[LEG.signal] < 0.0:
+    for m in range(len(selection.kinds)):
+        kind, row, order = selection.kinds[m], meter.rows[m], meter.orders[m]
+        if kind == SECTION_STATE and t == 0.0 and flies and leg[LEG.signal] < 0.0:
             full, direct = output_row(pieces, k, row, order)
             mode, offset = mode_with(pieces, k, full, direct)
             put(seen, m, evaluate(mode.blocks, mode.waves, table.omega, h, 0.0, phase, offset)[0])
@@ -174,7 +178,7 @@ def see_outputs(table, meter, wanted, seen, leg, since, begins, flies, tally):
 
 
 @kernel
-def see_impact(table, wanted, seen, hit, since, begins):
+def see_impact(table, selection, seen, hit, since, begins):
     """Record an impact (3,) of a period that begins at the time ``since``, see hybrid.motion.through_modes.
 
     Speed 0 marks the start of sticking. If the contact bounces, infinitely many impacts precede it.
@@ -183,8 +187,8 @@ def see_impact(table, wanted, seen, hit, since, begins):
     c, side = int(abs(which)) - 1, np.sign(which)
     if since + t <= begins:
         return
-    for m in range(len(wanted.kinds)):
-        kind, contact, meant = wanted.kinds[m], wanted.contacts[m], wanted.sides[m]
+    for m in range(len(selection.kinds)):
+        kind, contact, meant = selection.kinds[m], selection.contacts[m], selection.sides[m]
         if kind not in (PHASE, SPEED) or (contact >= 0 and contact != c) or meant * side < 0.0:
             continue
         if speed == 0.0:
@@ -224,63 +228,69 @@ def loss_in(table, meter, legs, end, tally):
 
 
 @kernel
-def see_period(table, meter, wanted, seen, z, code, tally, since, duration, begins, flies):
+def see_period(table, meter, selection, seen, z, code, tally, since, duration, begins, flies):
     """Advance a motion by ``duration``, at most a period, and record its observables.
 
     State z (2n,) and the number of its mode in code (1,) change in place; see ``see_outputs``. If a mode is missing,
     the motion stays unchanged and nothing is recorded.
     """
-    there, number, legs, hits = record_period(table, z, code, tally, duration)
+    final, number, legs, hits = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
         return
     for i in range(len(legs)):
-        see_outputs(table, meter, wanted, seen, legs[i], since, begins, flies, tally)
+        see_outputs(table, meter, selection, seen, legs[i], since, begins, flies, tally)
     for i in range(len(hits)):
-        see_impact(table, wanted, seen, hits[i], since, begins)
-    if flies and np.any(wanted.kinds == LOSS):
-        kept = stored(table, meter, there, number[0]) - stored(table, meter, z, code[0])
-        lost = loss_in(table, meter, legs, there, tally) - kept
-        for m in range(len(wanted.kinds)):
-            if wanted.kinds[m] == LOSS:
+        see_impact(table, selection, seen, hits[i], since, begins)
+    if flies and np.any(selection.kinds == LOSS):
+        stored_change = stored(table, meter, final, number[0]) - stored(table, meter, z, code[0])
+        lost = loss_in(table, meter, legs, final, tally) - stored_change
+        for m in range(len(selection.kinds)):
+            if selection.kinds[m] == LOSS:
                 put(seen, m, lost)
-    copy_into(z, there)
+    copy_into(z, final)
     code[0] = number[0]
 
 
 @kernel
-def observe_motions(oscillators, meters, wanted, seen, starts, states, codes, done, periods, closes, allowance, cells):
+def observe_motions(
+    oscillators, meters, selection, seen, starts, states, codes, completed, periods, closes, allowance, cells
+):
     """Advance motions by their remaining periods, record observables, and return the status of each.
 
     starts             states (N, 2n) and mode numbers (N, 1) from which the counted motion begins
     states    (N, 2n)  physical states, changed in place
     codes     (N, 1)   numbers of their modes, changed in place
-    done      (N,)     number of periods done, of ``periods`` (N,); changed in place
+    completed (N,)     number of periods completed, of ``periods`` (N,); changed in place
     closes    (N,)     1 if the periods are one turn of an orbit, where events at the section count once
     allowance (N,)     number of evaluations allowed, changed in place
     cells              rows to advance, of machines with modes
 
-    A negative ``done`` is a turn before the one that counts. That turn shows whether outputs rise or fall where they
-    are constant at the section. Then the motion begins again from ``starts``. A motion that misses a mode continues at
-    the next call.
+    A negative ``completed`` is a turn before the one that counts. That turn shows whether outputs rise or fall where
+    they are constant at the section. Then the motion begins again from ``starts``. A motion that misses a mode
+    continues at the next call.
     """
     status = np.full(len(states), RUNNING)
     for r in cells:
         table = row_in(by_reference(oscillators), r).table
-        meter, own = row_of(meters, r), row_of(seen, r)
+        meter, row = row_of(meters, r), row_of(seen, r)
         period, turn, tally = 2.0 * math.pi / table.omega, closes[r] > 0, NOTHING_COUNTED.copy()
         begins = AROUND * period if turn else -1.0
-        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
-            flies = done[r] < periods[r]
-            if done[r] == 0:
+        while completed[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies = completed[r] < periods[r]
+            if completed[r] == 0:
                 copy_into(states[r], starts[0][r])
                 codes[r, 0] = starts[1][r, 0]
-                own.course[:, COURSE.value] = np.nan
+                row.course[:, COURSE.value] = np.nan
             tally[WORK] = allowance[r] - OVERDRAFT
-            duration, since, counts = period if flies else AROUND * period, done[r] * period, flies and done[r] >= 0
-            see_period(table, meter, wanted, own, states[r], codes[r], tally, since, duration, begins, counts)
+            duration, since, counts = (
+                period if flies else AROUND * period,
+                completed[r] * period,
+                flies and completed[r] >= 0,
+            )
+            see_period(table, meter, selection, row, states[r], codes[r], tally, since, duration, begins, counts)
             allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
-            done[r] += 1 if status[r] == RUNNING else 0
-        for m in range(len(wanted.kinds)):
-            if status[r] == RUNNING and wanted.kinds[m] in (HIGHEST, LOWEST):
-                put_turn(own, m, wanted.kinds[m] == HIGHEST)
+            completed[r] += 1 if status[r] == RUNNING else 0
+        for m in range(len(selection.kinds)):
+            if status[r] == RUNNING and selection.kinds[m] in (HIGHEST, LOWEST):
+                put_turn(row, m, selection.kinds[m] == HIGHEST)
     return status

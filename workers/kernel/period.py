@@ -218,14 +218,14 @@ def through_impacts(oscillator, motion, duration):
             v = side * speed
         load = load_at_rest(side, v, a, cA2k)
         following = outcome(load, v, R, scale, period)
-        left, w = 0.0, 0.0
+        remaining, w = 0.0, 0.0
         if load > 0.0 and 0.0 < R < 1.0:
-            left = chatter_left(load, side * jerk, cA2k, R * abs(v), R)
-            ends = with_estimate(ends if side == start else UNKNOWN, t + left)
+            remaining = chatter_left(load, side * jerk, cA2k, R * abs(v), R)
+            ends = with_estimate(ends if side == start else UNKNOWN, t + remaining)
             w = 0.0 if is_rebound(load, v, R, cA2k, scale, duration - t, period) else R * abs(v)
         start, state = side, OPEN
         if following == REST:
-            chatter = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
+            chatter = chatter_end(ends, remaining, R) - t if R > 0.0 else 0.0
             come_to_rest(blocks, cA2k, motion, v)
             write_down_rest(tally, impacts, t, side, abs(v), chatter)
             state = side

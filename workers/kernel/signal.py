@@ -139,7 +139,7 @@ def block_bounds(q0, q1, pull, eta, lam, d, inv_w, slow, fast, tilt, weight, gro
     return b0, a2 if oscillates else b2, a3 if oscillates else b3, a4 if oscillates else b4
 
 
-ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+DERIVATIVE_ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 """Relative error of a derivative of a signal, as a share of its terms. Along a direction in which a block seems not to
 move, the lost digits grow by the block's rate in each derivative."""
 
@@ -169,8 +169,8 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
     if np.inf == H:
         return np.inf, np.inf, np.inf, np.inf
     q2 = pull - 2.0 * eta * q1 - lam * q0
-    e0, e1 = ROUNDING * size0, ROUNDING * size1
-    e2 = 2.0 * abs(eta) * e1 + abs(lam) * e0 + ROUNDING * (abs(pull) + abs(2.0 * eta * q1) + abs(lam * q0))
+    e0, e1 = DERIVATIVE_ROUNDING * size0, DERIVATIVE_ROUNDING * size1
+    e2 = 2.0 * abs(eta) * e1 + abs(lam) * e0 + DERIVATIVE_ROUNDING * (abs(pull) + abs(2.0 * eta * q1) + abs(lam * q0))
     if pull != 0.0:  # lam = 0: q'' grows by e^(-2 eta s)
         b2 = (abs(q2) + e2) * exp(-2.0 * eta * H)
         b0 = abs(q0) + e0 + (abs(q1) + e1) * H + 0.5 * b2 * H * H
@@ -206,7 +206,7 @@ def growing_bounds(q0, q1, size0, size1, pull, eta, lam, d, inv_w, slow, fast, H
             elif order == 4:
                 b4 = min(b4, bound)
             following = -2.0 * eta * k1 - lam * k0
-            lost = 2.0 * abs(eta) * r1 + abs(lam) * r0 + ROUNDING * (abs(2.0 * eta * k1) + abs(lam * k0))
+            lost = 2.0 * abs(eta) * r1 + abs(lam) * r0 + DERIVATIVE_ROUNDING * (abs(2.0 * eta * k1) + abs(lam * k0))
             k0, k1, r0, r1 = k1, following, r1, lost
     return b0, b2, b3, b4
 

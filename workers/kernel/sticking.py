@@ -22,11 +22,11 @@ from workers.kernel.tangent import graded_flow
 from workers.model.oscillator import COLUMN, NUMBER, GuardedFlow
 
 ONLY = np.int64(0)
-"""Index of the only mode in Oscillator.held, the mode in which the mass sticks on a stop."""
+"""Index of the only mode in Oscillator.sticking, the mode in which the mass sticks on a stop."""
 
 
 @kernel
-def to_held(oscillator, h, V, harmonics, z, W, u, U):
+def to_sticking(oscillator, h, V, harmonics, z, W, u, U):
     """Write block state u (n, 2) and tangent vectors U (m, n, 2) of sticking motion, from h and V in flight.
 
     harmonics (H, 2)   sine and cosine of the harmonics of the force, see state.harmonics_at
@@ -34,24 +34,24 @@ def to_held(oscillator, h, V, harmonics, z, W, u, U):
 
     The last block is y. Its constant state, the stop, is left out of u, see ``load_on_stop``.
     """
-    held, n = oscillator.held, h.shape[0]
+    sticking, n = oscillator.sticking, h.shape[0]
     leave_flight(oscillator, h, harmonics, z)
     leave_frame(oscillator.to_physical, V, W)
-    enter(held, ONLY, z, W, harmonics, u, U)
+    enter(sticking, ONLY, z, W, harmonics, u, U)
     u[n - 1, 0] = u[n - 1, 1] = 0.0
     for e in range(len(U)):
         U[e, n - 1, 0] = U[e, n - 1, 1] = 0.0
 
 
 @kernel
-def from_held(oscillator, u, U, harmonics, side, z, W, h, V):
+def from_sticking(oscillator, u, U, harmonics, side, z, W, h, V):
     """Write block state h (n, 2) and tangent vectors V (m, n, 2) in flight, from u and U of sticking motion.
 
-    This is the inverse of ``to_held``.
+    This is the inverse of ``to_sticking``.
     """
-    held, n = oscillator.held, h.shape[0]
+    sticking, n = oscillator.sticking, h.shape[0]
     u[n - 1, 0] = stop_position(oscillator, side)
-    leave(held, ONLY, u, U, harmonics, z, W)
+    leave(sticking, ONLY, u, U, harmonics, z, W)
     for i in range(2 * n):
         h[i // 2, i % 2] = (
             product(oscillator.to_blocks[i], z, 0) - wave(oscillator.gap.forced[i // 2, i % 2], harmonics)[0]
@@ -78,8 +78,8 @@ def level_on_stop(oscillator, side):
 
     The signal is the force by which the stop holds y; this part acts without motion of the other coordinates.
     """
-    last = oscillator.held.blocks.shape[2] - 1
-    return oscillator.held.offset[0, 0] + oscillator.held.blocks[0, 0, last, COLUMN.c0] * stop_position(
+    last = oscillator.sticking.blocks.shape[2] - 1
+    return oscillator.sticking.offset[0, 0] + oscillator.sticking.blocks[0, 0, last, COLUMN.c0] * stop_position(
         oscillator, side
     )
 
@@ -87,9 +87,9 @@ def level_on_stop(oscillator, side):
 @kernel
 def load_on_stop(oscillator, u, harmonics, side):
     """Return the force that presses the sticking mass on the stop, from its block state u (n, 2)."""
-    held = oscillator.held
+    sticking = oscillator.sticking
     return -side * (
-        guard_of(held.blocks[0, 0], u) + wave(held.waves[0, 0], harmonics)[0] + level_on_stop(oscillator, side)
+        guard_of(sticking.blocks[0, 0], u) + wave(sticking.waves[0, 0], harmonics)[0] + level_on_stop(oscillator, side)
     )
 
 
@@ -104,14 +104,14 @@ def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
     Return (time, released, evaluations); ``released`` is 2 if the march gave up.
     """
     h, V = borrow(h), borrow(V)
-    held, n = oscillator.held, h.shape[0]
-    blocks, numbers = held.blocks[0, 0], held.numbers[0, 0]
+    sticking, n = oscillator.sticking, h.shape[0]
+    blocks, numbers = sticking.blocks[0, 0], sticking.numbers[0, 0]
     u, U, scratch = np.empty((n, 2)), np.empty((V.shape[0], n, 2)), np.empty((n - 1, 2))
-    turn = harmonics_at(phase, held.waves.shape[2])
+    turn = harmonics_at(phase, sticking.waves.shape[2])
     z, W = np.empty(2 * n), np.empty((V.shape[0], 2 * n))
-    to_held(oscillator, h, V, turn, z, W, u, U)
+    to_sticking(oscillator, h, V, turn, z, W, u, U)
     upper, lower = (0.0, -np.inf) if side > 0 else (np.inf, 0.0)
-    mode = by_reference(GuardedFlow(blocks[: n - 1], held.waves[0, 0], numbers, held.forced[0]))
+    mode = by_reference(GuardedFlow(blocks[: n - 1], sticking.waves[0, 0], numbers, sticking.forced[0]))
     inside = np.int64(0)  # typed: a literal would compile the callees once more
     s, crossed, evaluations = next_crossing(
         mode, u[: n - 1], phase, level_on_stop(oscillator, side), upper, lower, inside, H, scratch
@@ -122,5 +122,5 @@ def stay_on_stop(oscillator, h, V, growth, triangle, phase, side, H):
     else:
         flow_with_tangent(blocks, s, u, U)
     write_harmonics(phase + numbers[NUMBER.omega] * s, turn)
-    from_held(oscillator, u, U, turn, side, z, W, h, V)
+    from_sticking(oscillator, u, U, turn, side, z, W, h, V)
     return s, abs(crossed), evaluations

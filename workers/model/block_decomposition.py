@@ -81,8 +81,8 @@ def split(mass: Array, damping: Array, stiffness: Array) -> BlockDecomposition:
     between = np.ascontiguousarray(modes.swapaxes(1, 2)) @ damping @ modes
     eta = np.diagonal(between, axis1=1, axis2=2) / 2.0
     size = np.max(np.abs(between), axis=(1, 2), initial=0.0)
-    beside = np.abs(between) * (1.0 - np.eye(n))
-    coupled = np.max(beside, axis=(1, 2), initial=0.0) > COUPLED * size
+    off_diagonal = np.abs(between) * (1.0 - np.eye(n))
+    coupled = np.max(off_diagonal, axis=(1, 2), initial=0.0) > COUPLED * size
     passive = np.all(lam >= 0.0, axis=1)
     doubtful = np.flatnonzero(passive & (coupled | np.any(eta < 0.0, axis=1)))
     passive[doubtful] = resists(damping[doubtful])

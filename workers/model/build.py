@@ -76,7 +76,7 @@ def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]
     few, kind = _kinds(machines)
     structure = structure_of(few)
     at_rest = centred(structure, few)
-    held, against_held = _held(few, structure, at_rest, kind, machines.omega)
+    sticking, against_held = _sticking(few, structure, at_rest, kind, machines.omega)
     even = np.any(few.force[:, 1::2] != 0.0, axis=(1, 2))[kind]
     structure, at_rest = _of_kind(structure, kind), _of_kind(at_rest, kind)
     gap, against_free = free_motion(structure, at_rest, machines.omega)
@@ -102,12 +102,12 @@ def build(machines: SingleContactMachines) -> tuple[Oscillator, NDArray[np.int8]
         gap_row=machines.gap_row,
         head=np.stack(head, axis=-1),
         tau=phase_of(machines.tau),
-        held=held,
+        sticking=sticking,
         table=no_table(len(machines.omega)),
     )
     near = oscillators.head.copy()
     near[:, [HEAD.top, HEAD.bottom, HEAD.upper, HEAD.lower]] = 0.0  # an infinitely distant stop is valid
-    near_ones = oscillators._replace(head=near, held=held._replace(ends=held.offset))
+    near_ones = oscillators._replace(head=near, sticking=sticking._replace(ends=sticking.offset))
     reasons = np.where(finite(near_ones), NO_REASON, OUT_OF_DOUBLES).astype(np.int8)
     reasons[np.isinf(structure.inverse_gap_mass)] = OUT_OF_DOUBLES  # a push at the stop would move nothing
     reasons[structure.inverse_gap_mass <= 0.0] = NO_OSCILLATOR
@@ -138,8 +138,8 @@ def _kinds(machines: SingleContactMachines) -> tuple[SingleContactMachines, Kind
     if len(machines.omega) == 1:
         return machines, ...
     bits = numbers_of([getattr(machines, name) for name in OF_KIND])
-    whole = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
-    _, first, kind = np.unique(whole, return_index=True, return_inverse=True)
+    keys = bits.view(f"V{bits.itemsize * bits.shape[1]}")[:, 0]
+    _, first, kind = np.unique(keys, return_index=True, return_inverse=True)
     return at_rows(machines, first), kind
 
 
@@ -149,7 +149,7 @@ def _of_kind(record: Any, kind: Kinds) -> Any:
 
 
 @memoize_arrays
-def _held_structure(
+def _sticking_structure(
     mass: Array, damping: Array, stiffness: Array, gap_row: Array, force_sin: Array, force_cos: Array, load: Array
 ) -> ModeStructure:
     """Return the structure of the mode in which the upper stop holds machines with these fields OF_STRUCTURE."""
@@ -157,16 +157,16 @@ def _held_structure(
     machines = SingleContactMachines(
         mass, damping, stiffness, gap_row, force_sin, force_cos, load, none, none, none, none, none
     )
-    own = with_one_contact(machines, load, np.zeros((len(mass), 2)))
-    structure = structure_of_mode(own, ModeCode(0, (ON,), ()), along_contacts(own), {})
+    hybrid = with_one_contact(machines, load, np.zeros((len(mass), 2)))
+    structure = structure_of_mode(hybrid, ModeCode(0, (ON,), ()), along_contacts(hybrid), {})
     one = {name: getattr(structure, name)[:, :1] for name in ("rows", "direct", "ends")}  # signals that end it
     return structure._replace(**one)
 
 
-def _held(
+def _sticking(
     machines: SingleContactMachines, structure: FlightStructure, at_rest: RestState, kind: Kinds, omega: Array
 ) -> tuple[HybridModes, dict[int, Mask]]:
-    """Return ``Oscillator.held`` of machines of these kinds, and the reasons against it.
+    """Return ``Oscillator.sticking`` of machines of these kinds, and the reasons against it.
 
     machines            the first machine of each kind
     structure, at_rest  free flight of the kinds
@@ -178,10 +178,10 @@ def _held(
     """
     n, moves = machines.gap_row.shape[1], np.any(at_rest.loading.load)
     load, velocities = unbalanced(structure, at_rest, machines) if moves else (np.zeros_like(machines.load), None)
-    held = _of_kind(_held_structure(*(getattr(machines, name) for name in OF_STRUCTURE[:-1]), load), kind)
-    pieces, wrong = at_frequencies(held, omega)
+    sticking = _of_kind(_sticking_structure(*(getattr(machines, name) for name in OF_STRUCTURE[:-1]), load), kind)
+    pieces, wrong = at_frequencies(sticking, omega)
     if moves:
         moving = (pieces.to_blocks[:, :, n:] @ _of_kind(velocities, kind)[..., None])[..., 0]
         pieces.blocks[..., COLUMN.rest0 :] -= moving.reshape(len(omega), 1, n, 2)
-    modes = held.flow.modes
+    modes = sticking.flow.modes
     return HybridModes(*(field[:, None] for field in pieces)), against(modes, wrong == RESONANT, modes.rigid > 0)

@@ -13,14 +13,12 @@ from workers.model.entries import DefinitionError
 from workers.model.expression import Expression
 from workers.model.free_flight import UNSEEN
 from workers.model.hybrid_machines import HybridMachines, dependent, held_rows, yields
+from workers.model.hybrid_modes import ZERO_SHARE
 from workers.model.laws import SEGMENTS, segments_of
 from workers.model.oscillator import Array
 from workers.model.parameter import Parameter
 
 OF_EXPRESSION = ", within above 0 and the range around 0"
-
-ROUNDING = 1e-12
-"""Relative size of an eigenvalue up to which it counts as zero."""
 
 
 def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -> None:
@@ -56,8 +54,8 @@ def check_at_defaults(definition: Definition, parameters: Iterable[Parameter]) -
     _check_starts(machine.starts)
     for where, row in rows.items():
         if not row.any():
-            made = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
-            raise DefinitionError(f"{where}: found zeros only; give the row that makes {made}")
+            quantity = "y of the coordinates" if where.endswith("gap") else "the sliding velocity of the velocities"
+            raise DefinitionError(f"{where}: found zeros only; give the row that makes {quantity}")
     _check_independent(list(rows), held_rows(many))
     _check_independent(list(rows)[len(machine.row) :], many.friction_rows)
     _check_yields(rows, many)
@@ -71,8 +69,8 @@ def _contact(definition: Definition, c: int) -> str:
 
 def _entry_in(definition: Definition, p: int, key: str) -> str:
     """Return the entry that counts in phase p: the phase's own, or that of the whole machine."""
-    own = definition.phases and getattr(definition.phases[p], key) is not None
-    return f"system.phases[{p}].{key}" if own else f"system.{key}"
+    overridden = definition.phases and getattr(definition.phases[p], key) is not None
+    return f"system.phases[{p}].{key}" if overridden else f"system.{key}"
 
 
 def _forces(definition: Definition, machine: HybridMachines) -> Iterator[tuple[str, Array]]:
@@ -101,9 +99,9 @@ def _constants(definition: Definition, machine: HybridMachines) -> Iterator[tupl
         yield f"system.friction[{f}].belt", belt
 
 
-def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, whole: str) -> str:
+def _constant_in(changes: Changes, p: int, kind: str, name: str, key: str, entry: str) -> str:
     changed = key in dict(dict(changes).get(name, ()))
-    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{whole}.{key}"
+    return f"system.phases[{p}].{kind}.{name}.{key}" if changed else f"{entry}.{key}"
 
 
 def _check_constant(where: str, number: float) -> None:
@@ -127,9 +125,10 @@ def _check_static(definition: Definition, machine: HybridMachines) -> None:
 def _check_law(where: str, element: Contact | Friction | Spring, table: Array) -> None:
     """Raise DefinitionError unless the vertices ``table`` (V, 2) of an element's law are valid."""
     if not np.isfinite(table).all():
-        given = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
+        description = "no bound or value" if isinstance(element.law, Expression) else _shown(table)
         raise DefinitionError(
-            f"{where}: found {given} at the defaults, must be finite numbers" + OF_EXPRESSION * (given[0] == "n")
+            f"{where}: found {description} at the defaults, must be finite numbers"
+            + OF_EXPRESSION * (description[0] == "n")
         )
     if (n := segments_of(element, table)) > SEGMENTS:
         assert element.within is not None
@@ -199,16 +198,16 @@ def _check_starts(starts: Array) -> None:
             )
 
 
-def _check_independent(named: list[str], held: Array) -> None:
+def _check_independent(named: list[str], rows: Array) -> None:
     """Raise DefinitionError if rows that can stick together depend on each other.
 
     named  entries of the rows
-    held   (1, R, n) rows of rigid contacts and friction, zeros for other elements
+    rows   (1, R, n) rows of rigid contacts and friction, zeros for other elements
     """
     for k, where in enumerate(named):
-        if dependent(held[:, : k + 1])[0]:
+        if dependent(rows[:, : k + 1])[0]:
             raise DefinitionError(
-                f"{where}: found {_shown(held[0, k])} at the defaults, depends on rows of rigid contacts and friction "
+                f"{where}: found {_shown(rows[0, k])} at the defaults, depends on rows of rigid contacts and friction "
                 "before it; must be independent, or friction on the row of a contact or a multiple of it"
             )
 
@@ -216,7 +215,7 @@ def _check_independent(named: list[str], held: Array) -> None:
 def _check_mass(mass: Array) -> None:
     size = np.abs(mass).max(axis=1, keepdims=True)
     values = np.linalg.svd(mass / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    if not values[-1] > ROUNDING * values[0]:
+    if not values[-1] > ZERO_SHARE * values[0]:
         raise DefinitionError(f"system.mass: found {_shown(mass)} at the defaults, is singular; must have an inverse")
 
 
@@ -274,12 +273,12 @@ def _free_motions(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     even = all(np.array_equal(of, of.T) for of in (mass, stiffness))
     squares, modes = (of[0] for of in undamped_modes(mass[None], stiffness[None]))
     if even and np.isfinite(modes).all():
-        return modes[:, np.abs(squares) <= ROUNDING * max(float(np.max(np.abs(squares))), 1e-300)], modes
+        return modes[:, np.abs(squares) <= ZERO_SHARE * max(float(np.max(np.abs(squares))), 1e-300)], modes
     over_mass: Array = np.asarray(np.linalg.solve(mass, stiffness), np.float64)
     if not np.isfinite(over_mass).all():
         return over_mass, over_mass
     _, values, turned = np.linalg.svd(over_mass)
-    return np.asarray(turned[values <= ROUNDING * max(float(values[0]), 1e-300)].T, np.float64), over_mass
+    return np.asarray(turned[values <= ZERO_SHARE * max(float(values[0]), 1e-300)].T, np.float64), over_mass
 
 
 def _shown(entries: Array) -> str:

@@ -135,7 +135,7 @@ def name_taken(where: str, name: str) -> DefinitionError:
 def fault(where: str, value: object, valid_form: str) -> DefinitionError:
     """Return the error for an entry, with the value found and the valid form."""
     try:
-        shown = _short.repr(value)
+        text = _short.repr(value)
     except ValueError:  # an integer with more digits than Python writes
-        shown = "a whole number of thousands of digits"
-    return DefinitionError(f"{where}: found {shown}, {valid_form}")
+        text = "a whole number of thousands of digits"
+    return DefinitionError(f"{where}: found {text}, {valid_form}")

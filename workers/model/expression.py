@@ -251,5 +251,5 @@ def _check_names(tree: ast.expr, known: Collection[str]) -> None:
             raise ExpressionError(unknown_name("function", name, FUNCTIONS))
         _, least, most = FUNCTIONS[name]
         if not least <= count <= most:
-            wanted = f"{most} argument" + "s" * (most > 1) if least == most else f"{least} to {most} arguments"
-            raise ExpressionError(f"found {name} with {count}, must have {wanted}")
+            expected = f"{most} argument" + "s" * (most > 1) if least == most else f"{least} to {most} arguments"
+            raise ExpressionError(f"found {name} with {count}, must have {expected}")

@@ -111,7 +111,7 @@ class _MachineParts:
 
     def at(self, omega: Array, tau: Array) -> OrbitMachines:
         """Return the machines at forcing frequencies and phases (N,)."""
-        own = self.machines._replace(omega=omega, tau=tau)
+        machines = self.machines._replace(omega=omega, tau=tau)
 
         def make(code: ModeCode) -> HybridModes:
             pieces, wrong = build_modes_at(self.structures(code), omega)
@@ -119,7 +119,9 @@ class _MachineParts:
                 raise NoOscillatorError("a mode of this orbit has no bounded motion at these parameters")
             return pieces
 
-        return OrbitMachines(omega, tau, self.elements, self.rest, make, lambda: own, lambda: build_hybrid(own)[0])
+        return OrbitMachines(
+            omega, tau, self.elements, self.rest, make, lambda: machines, lambda: build_hybrid(machines)[0]
+        )
 
 
 class _MachineFactory:
@@ -128,7 +130,7 @@ class _MachineFactory:
     def __init__(self, system: System, fixed: Mapping[str, float], free: tuple[str, ...]) -> None:
         self.system, self.free = system, free
         self.fixed = {p.name: float(fixed.get(p.name, p.default)) for p in system.parameters if p.name not in free}
-        self.kept: dict[int, _MachineParts] = {}
+        self.parts: dict[int, _MachineParts] = {}
         self.changes = system.definition.unforced or system.definition.changes_with(free)
 
     @np.errstate(all="ignore")
@@ -137,13 +139,13 @@ class _MachineFactory:
         definition = self.system.definition
         values = {name: np.full(len(rows), value) for name, value in self.fixed.items()}
         values |= {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(self.free)}
-        parts = self.kept.get(len(rows))
+        parts = self.parts.get(len(rows))
         if parts is None or self.changes:
-            parts = self.kept[len(rows)] = _MachineParts(*self.from_rest(values))
-        own = parts.at(*definition.forcing(values))
-        known = np.isfinite(own.omega) & np.isfinite(own.tau)
+            parts = self.parts[len(rows)] = _MachineParts(*self.from_rest(values))
+        machines = parts.at(*definition.forcing(values))
+        known = np.isfinite(machines.omega) & np.isfinite(machines.tau)
         reasons = np.where(known, parts.reasons, OUT_OF_DOUBLES).astype(np.int8)
-        return own, self.system.out_of_range(values, reasons)
+        return machines, self.system.out_of_range(values, reasons)
 
     def from_rest(self, values: Mapping[str, Array]) -> tuple[HybridMachines, Array]:
         """Return the machines at values (N,) of each parameter, and ``rest`` (N, 2n), from which they are counted.
@@ -155,11 +157,11 @@ class _MachineFactory:
         if self.system.has_modes:
             machines = definition.hybrid(values)
             return machines, np.zeros((len(machines.omega), machines.dimension))
-        own = definition.machines(values)
-        structure = structure_of(own)
-        at_rest = centred(structure, own)
-        (N, n), blocks = own.gap_row.shape, at_rest.loading.rest
+        single = definition.machines(values)
+        structure = structure_of(single)
+        at_rest = centred(structure, single)
+        (N, n), blocks = single.gap_row.shape, at_rest.loading.rest
         rest = (structure.flow.modes.to_physical @ blocks.reshape(N, 2 * n, 1))[..., 0]
         rest[:, n:] = 0.0
         stops = np.stack([-at_rest.b_lower, at_rest.b_upper], axis=1)
-        return with_one_contact(own, unbalanced(structure, at_rest, own)[0], stops), rest
+        return with_one_contact(single, unbalanced(structure, at_rest, single)[0], stops), rest

@@ -134,29 +134,29 @@ def hybrid_faults(machines: HybridMachines) -> NDArray[np.int8]:
     stay below 1. Rows that can stick together must be independent, see ``held_rows``. A force along a row must move it
     that way, see ``yields``. Nothing may tie down a drifting coordinate.
     """
-    own = machines
-    lower, upper = own.stops[..., 0], own.stops[..., 1]
-    reasons = np.full(len(own.omega), NO_REASON, dtype=np.int8)
+    lower, upper = machines.stops[..., 0], machines.stops[..., 1]
+    reasons = np.full(len(machines.omega), NO_REASON, dtype=np.int8)
     reasons[~yields(machines)] = NO_OSCILLATOR
     fine = (
-        (lower < upper) & (own.R >= 0.0) & (own.R <= 1.0),
-        own.contact_constants >= 0.0,
-        (own.friction_constants[..., 0] >= 0.0) & (own.friction_constants[..., 1] >= own.friction_constants[..., 0]),
-        ~np.isnan(own.contact_laws[..., 0]),
-        ~np.isnan(own.friction_laws[..., 0]),
-        own.starts[:, :1] == 0.0,
-        np.diff(own.starts, axis=1) > 0.0,
+        (lower < upper) & (machines.R >= 0.0) & (machines.R <= 1.0),
+        machines.contact_constants >= 0.0,
+        (machines.friction_constants[..., 0] >= 0.0)
+        & (machines.friction_constants[..., 1] >= machines.friction_constants[..., 0]),
+        ~np.isnan(machines.contact_laws[..., 0]),
+        ~np.isnan(machines.friction_laws[..., 0]),
+        machines.starts[:, :1] == 0.0,
+        np.diff(machines.starts, axis=1) > 0.0,
     )
     for sound in fine:
         reasons[_any(~sound)] = OUT_OF_RANGE
-    reasons[dependent(held_rows(machines)) | dependent(own.friction_rows)] = OUT_OF_RANGE
-    if own.drifting >= 0:
-        ties = own.stiffness[..., own.drifting], own.row[..., own.drifting]
+    reasons[dependent(held_rows(machines)) | dependent(machines.friction_rows)] = OUT_OF_RANGE
+    if machines.drifting >= 0:
+        ties = machines.stiffness[..., machines.drifting], machines.row[..., machines.drifting]
         reasons[_any(ties[0] != 0.0) | _any(ties[1] != 0.0)] = NO_OSCILLATOR
-    bounded = own._replace(
-        stops=own.R, contact_laws=own.contact_laws[..., 1:], friction_laws=own.friction_laws[..., 1:]
+    bounded = machines._replace(
+        stops=machines.R, contact_laws=machines.contact_laws[..., 1:], friction_laws=machines.friction_laws[..., 1:]
     )
-    reasons[_any(np.isnan(own.stops)) | ~finite(bounded)] = OUT_OF_DOUBLES
+    reasons[_any(np.isnan(machines.stops)) | ~finite(bounded)] = OUT_OF_DOUBLES
     return reasons
 
 
@@ -166,15 +166,18 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
     Stops lie at equal distances from 0, and belts rest. Half a period later the law is the same, with the load and the
     even harmonics of the force negated.
     """
-    own, phases = machines, machines.sizes[0]
-    half, ahead = phases // 2, np.mod(np.roll(own.starts[:, :-1], -(phases // 2), axis=1) - own.starts[:, :-1], 1.0)
-    sign = np.where(np.arange(own.force_sin.shape[2]) % 2 == 0, 1.0, -1.0)[:, None]
-    same = [own.damping, own.stiffness, own.contact_constants, own.friction_constants]
-    later = [(field, field) for field in same] + [(own.load, -own.load)]
-    later += [(field, sign * field) for field in (own.force_sin, own.force_cos)]
+    phases = machines.sizes[0]
+    half, ahead = (
+        phases // 2,
+        np.mod(np.roll(machines.starts[:, :-1], -(phases // 2), axis=1) - machines.starts[:, :-1], 1.0),
+    )
+    sign = np.where(np.arange(machines.force_sin.shape[2]) % 2 == 0, 1.0, -1.0)[:, None]
+    same = [machines.damping, machines.stiffness, machines.contact_constants, machines.friction_constants]
+    later = [(field, field) for field in same] + [(machines.load, -machines.load)]
+    later += [(field, sign * field) for field in (machines.force_sin, machines.force_cos)]
     uneven = [_any(np.roll(field, -half, axis=1) != image) for field, image in later]
-    uneven += [_any(own.stops[..., 0] != -own.stops[..., 1]), _any(own.belt != 0.0)]
-    uneven.append(_any(own.contact_laws[:, :, 0] != own.contact_laws[:, :, 1]))
+    uneven += [_any(machines.stops[..., 0] != -machines.stops[..., 1]), _any(machines.belt != 0.0)]
+    uneven.append(_any(machines.contact_laws[:, :, 0] != machines.contact_laws[:, :, 1]))
     if phases > 1:
         uneven.append(_any(np.abs(ahead - 0.5) > HALFWAY))
     return ~np.any(uneven, axis=0)
@@ -182,13 +185,12 @@ def is_mirror_symmetric(machines: HybridMachines) -> Mask:
 
 def loses_nothing(machines: HybridMachines) -> Mask:
     """Return the mask (N,) of machines without any loss: no damping, R = 1, no friction, M and K symmetric."""
-    own = machines
     lossy = [
-        _any(own.damping != -own.damping.swapaxes(-1, -2)),
-        _any(own.R != 1.0),
-        _any(own.contact_constants[..., 1] != 0.0),
+        _any(machines.damping != -machines.damping.swapaxes(-1, -2)),
+        _any(machines.R != 1.0),
+        _any(machines.contact_constants[..., 1] != 0.0),
     ]
-    return np.asarray(~np.any(lossy, axis=0) & (own.sizes[2] == 0) & _has_energy(own))
+    return np.asarray(~np.any(lossy, axis=0) & (machines.sizes[2] == 0) & _has_energy(machines))
 
 
 def is_undriven(machines: HybridMachines) -> Mask:
@@ -196,12 +198,17 @@ def is_undriven(machines: HybridMachines) -> Mask:
 
     They have no force, phases or moving belts, and neither damping nor stiffness feeds in energy.
     """
-    own = machines
-    driven = [_any(own.force_sin != 0.0), _any(own.force_cos != 0.0), _any(own.belt != 0.0)]
-    fields = (own.damping, own.stiffness, own.load, own.contact_constants, own.friction_constants)
-    driven += [_any(field != field[:, :1]) for field in fields if own.sizes[0] > 1]
-    even = 0.5 * (own.damping[:, 0] + own.damping[:, 0].swapaxes(-1, -2))
-    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(own))
+    driven = [_any(machines.force_sin != 0.0), _any(machines.force_cos != 0.0), _any(machines.belt != 0.0)]
+    fields = (
+        machines.damping,
+        machines.stiffness,
+        machines.load,
+        machines.contact_constants,
+        machines.friction_constants,
+    )
+    driven += [_any(field != field[:, :1]) for field in fields if machines.sizes[0] > 1]
+    even = 0.5 * (machines.damping[:, 0] + machines.damping[:, 0].swapaxes(-1, -2))
+    return np.asarray(~np.any(driven, axis=0) & resists(even) & _has_energy(machines))
 
 
 def _has_energy(machines: HybridMachines) -> Mask:
@@ -216,16 +223,16 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
     The centre lies midway between all stops and balances the mean load, see ``is_mirror_symmetric``. Machines without
     the symmetry stay as they are, with a centre of 0.
     """
-    own, half, ends = machines, machines.sizes[0] // 2, np.isfinite(machines.stops)
-    (N, P, n), between = own.load.shape, np.asarray(ends.all(axis=2))
+    half, ends = machines.sizes[0] // 2, np.isfinite(machines.stops)
+    (N, P, n), between = machines.load.shape, np.asarray(ends.all(axis=2))
 
     def ahead(field: Array) -> Array:
         return np.roll(field, -half, axis=1)
 
-    middle = np.where(between, 0.5 * np.sum(np.where(ends, own.stops, 0.0), axis=2), 0.0)
-    balance = 0.5 * (own.stiffness + ahead(own.stiffness)).reshape(N, P * n, n)
-    matrix = np.concatenate([balance, np.where(between[..., None], own.row, 0.0)], axis=1)
-    right = np.concatenate([0.5 * (own.load + ahead(own.load)).reshape(N, P * n), middle], axis=1)
+    middle = np.where(between, 0.5 * np.sum(np.where(ends, machines.stops, 0.0), axis=2), 0.0)
+    balance = 0.5 * (machines.stiffness + ahead(machines.stiffness)).reshape(N, P * n, n)
+    matrix = np.concatenate([balance, np.where(between[..., None], machines.row, 0.0)], axis=1)
+    right = np.concatenate([0.5 * (machines.load + ahead(machines.load)).reshape(N, P * n), middle], axis=1)
     off_centre = np.asarray(np.any(right != 0.0, axis=1) & np.all(ends[..., 0] == ends[..., 1], axis=1))
     centre = np.zeros((N, n))
     off_centre &= np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
@@ -233,13 +240,13 @@ def about_centre(machines: HybridMachines) -> tuple[HybridMachines, Array]:
         centre[r] = np.linalg.lstsq(matrix[r], right[r])[0]
     size = (np.abs(matrix) @ np.abs(centre)[..., None])[..., 0] + np.abs(right)
     off_centre &= np.all(np.abs((matrix @ centre[..., None])[..., 0] - right) <= MIDWAY * size, axis=1)
-    wide = 0.5 * np.where(between, own.stops[..., 1] - own.stops[..., 0], np.inf)
-    pull = own.load - (own.stiffness @ centre[:, None, :, None])[..., 0]
-    centred = own._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
+    wide = 0.5 * np.where(between, machines.stops[..., 1] - machines.stops[..., 0], np.inf)
+    pull = machines.load - (machines.stiffness @ centre[:, None, :, None])[..., 0]
+    centred = machines._replace(load=0.5 * (pull - ahead(pull)), stops=np.stack([-wide, wide], axis=2))
     off_centre &= is_mirror_symmetric(centred)
-    load = np.where(off_centre[:, None, None], centred.load, own.load)
-    stops = np.where(off_centre[:, None, None], centred.stops, own.stops)
-    return own._replace(load=load, stops=stops), np.where(off_centre[:, None], centre, 0.0)
+    load = np.where(off_centre[:, None, None], centred.load, machines.load)
+    stops = np.where(off_centre[:, None, None], centred.stops, machines.stops)
+    return machines._replace(load=load, stops=stops), np.where(off_centre[:, None], centre, 0.0)
 
 
 def held_rows(machines: HybridMachines) -> Array:
@@ -289,17 +296,17 @@ def definite(mass: Array) -> Mask:
 
 def _yield_along(machines: HybridMachines) -> Mask:
     """Return ``yields``, computed by the principal minors."""
-    own, held = machines, held_rows(machines)
-    inverse = apply_stacked(np.linalg.inv, own.mass.shape, own.mass)
-    singles = np.concatenate([own.row, own.friction_rows], axis=1)
+    closed = held_rows(machines)
+    inverse = apply_stacked(np.linalg.inv, machines.mass.shape, machines.mass)
+    singles = np.concatenate([machines.row, machines.friction_rows], axis=1)
     along = np.vecdot(singles, (inverse[:, None] @ singles[..., None])[..., 0])
     all_yield = np.asarray(np.all(along > 0.0, axis=1))
-    between = held @ inverse @ np.ascontiguousarray(held.swapaxes(1, 2))
-    absent = ~np.any(held != 0.0, axis=-1)
-    between = between + absent[:, :, None] * np.eye(held.shape[1])
-    for size in range(2, held.shape[1] + 1):
-        for chosen in combinations(range(held.shape[1]), size):
-            all_yield &= np.linalg.det(between[:, chosen][:, :, chosen]) > 0.0
+    between = closed @ inverse @ np.ascontiguousarray(closed.swapaxes(1, 2))
+    absent = ~np.any(closed != 0.0, axis=-1)
+    between = between + absent[:, :, None] * np.eye(closed.shape[1])
+    for size in range(2, closed.shape[1] + 1):
+        for subset in combinations(range(closed.shape[1]), size):
+            all_yield &= np.linalg.det(between[:, subset][:, :, subset]) > 0.0
     return all_yield
 
 

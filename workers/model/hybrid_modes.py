@@ -31,7 +31,7 @@ OPEN is open. ON is sticking on a rigid stop, or engaged with a soft one. DETACH
 push and does not. In segment j of a law the states are ON + 2 j and DETACHED + 2 j; odd numbers push.
 """
 
-ROUNDING = 1e-12
+ZERO_SHARE = 1e-12
 """Rounding of zero, as a share of the terms of a sum or of the largest eigenvalue."""
 
 NO_FORM, RESONANT = 1, 2
@@ -203,11 +203,11 @@ def build_modes_at(groups: list[tuple[Rows, ModeStructure]], omega: Array) -> tu
     """Return ``build_modes`` of machines with these structures, at forcing frequencies (N,)."""
     if len(groups) == 1:
         return at_frequencies(groups[0][1], omega)
-    made = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
+    parts = [at_frequencies(structure, omega[rows]) for rows, structure in groups]
     order = np.argsort(np.concatenate([rows for rows, _ in groups]), kind="stable")
     return (
-        HybridModes(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in made), strict=True))),
-        np.concatenate([wrong for _, wrong in made])[order],
+        HybridModes(*(np.concatenate(fields)[order] for fields in zip(*(pieces for pieces, _ in parts), strict=True))),
+        np.concatenate([wrong for _, wrong in parts])[order],
     )
 
 
@@ -222,11 +222,11 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
     N, n = machines.load.shape[0], machines.load.shape[2]
     damping, stiffness, load = (field[:, p].copy() for field in (machines.damping, machines.stiffness, machines.load))
     force = machines.force_sin[:, p] + 1j * machines.force_cos[:, p]
-    held = []
+    closed_rows = []
     for c, state in enumerate(code.contacts):
         row = machines.row[:, c]
         if abs(state) == ON and not machines.soft[:, c].any():
-            held.append(row)
+            closed_rows.append(row)
         elif state % 2:
             (k, d, preload), stop = pushing(machines, p, c, state), machines.stops[:, c, 1 if state > 0 else 0]
             square = row[:, :, None] * row[:, None, :]
@@ -241,8 +241,11 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
             load += (slope * machines.belt[:, f] - np.sign(sign) * kinetic)[:, None] * row
     belts = [machines.belt[:, f] for f, sign in enumerate(code.slips) if sign == 0 and f not in resting]
     G, moves = np.zeros((N, 0, n)), np.zeros((N, 0), np.bool_)
-    if held or stuck:
-        G, moves = np.stack([*held, *stuck], axis=1), np.stack([*[np.zeros(N)] * len(held), *belts], axis=1) != 0.0
+    if closed_rows or stuck:
+        G, moves = (
+            np.stack([*closed_rows, *stuck], axis=1),
+            np.stack([*[np.zeros(N)] * len(closed_rows), *belts], axis=1) != 0.0,
+        )
     inverse_mass = apply_stacked(np.linalg.inv, mass.shape, mass)
     D, hold = _holding(G, inverse_mass, symmetric(mass))
     forces = np.concatenate([-stiffness, -damping, load[:, :, None]], axis=2)  # rows on (x, v, 1)
@@ -252,7 +255,7 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
     rows, direct, ends = _signals(machines, code, resting, along, multipliers, driven)
     flow, loading, to_blocks, to_physical, undriven = _reduced(mass, damping, stiffness, load, force, G, D, moves)
     drive = np.ascontiguousarray(np.stack([drive.real, drive.imag], axis=-1).swapaxes(1, 2))
-    lost = np.full(N, float(2 * len(held) + len(stuck)))
+    lost = np.full(N, float(2 * len(closed_rows) + len(stuck)))
     still = make_blocks(*np.zeros((2, N, G.shape[1])))
     return ModeStructure(
         flow, loading, still, rows, direct, ends, to_blocks, to_physical, acceleration, drive, lost, undriven
@@ -261,10 +264,10 @@ def structure_of_mode(machines: HybridMachines, code: ModeCode, along: Array, re
 
 def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes, NDArray[np.int64]]:
     """Return a mode of this structure at forcing frequencies (N,), and its fault (N,), see ``build_modes``."""
-    own, rows, to_blocks, to_physical = structure, structure.rows, structure.to_blocks, structure.to_physical
-    (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, own.still.shape[1]
-    moving, resonant = motion_in(own.flow, own.loading, omega)
-    flow = np.concatenate([moving.blocks, own.still], axis=1)
+    rows, to_blocks, to_physical = structure.rows, structure.to_blocks, structure.to_physical
+    (N, every), n, r = rows.shape[:2], to_blocks.shape[1] // 2, structure.still.shape[1]
+    moving, resonant = motion_in(structure.flow, structure.loading, omega)
+    flow = np.concatenate([moving.blocks, structure.still], axis=1)
     flow[:, n - r :, COLUMN.metric] = omega[:, None] ** 2
     forced = np.concatenate([moving.forced, np.zeros((N, r, *moving.forced.shape[2:]))], axis=1)
     blocks: Array = np.repeat(flow[:, None], every, axis=1)
@@ -273,17 +276,18 @@ def at_frequencies(structure: ModeStructure, omega: Array) -> tuple[HybridModes,
     seen1 = derivative_of(seen0, eta, lam)
     blocks[..., OF_FLOW : COLUMN.k0] = np.concatenate([seen0, seen1], axis=-1)
     blocks[..., COLUMN.cAA0 : OF_GUARD] = derivative_of(seen1, eta, lam)
-    H = own.direct.shape[2]
+    H = structure.direct.shape[2]
     parts = (seen0.reshape(N, every, 2 * n) @ forced.reshape(N, 2 * n, 2 * H)).reshape(N, every, H, 2)
-    waves = parts + own.direct
+    waves = parts + structure.direct
     w = omega[:, None, None] * np.arange(1.0, H + 1.0)
     rest = flow[..., COLUMN.rest0 :].reshape(N, 2 * n, 1)
     offset = (rows[:, :, : 2 * n] @ (to_physical @ rest))[..., 0] + rows[:, :, 2 * n]
     pieces = HybridModes(
-        blocks, waves, sizes_of(waves, w), forced, rows, own.direct, offset, own.ends, to_blocks, to_physical,
-        own.acceleration, own.drive, own.lost, np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
+        blocks, waves, sizes_of(waves, w), forced, rows, structure.direct, offset, structure.ends, to_blocks,
+        to_physical, structure.acceleration, structure.drive, structure.lost,
+        np.sum(2.0 * flow[..., COLUMN.eta], axis=1),
     )  # fmt: skip
-    wrong = own.undriven | own.flow.modes.inseparable
+    wrong = structure.undriven | structure.flow.modes.inseparable
     wrong |= ~resonant & ~(np.isfinite(to_blocks) & np.isfinite(to_physical)).all(axis=(1, 2))
     return HybridModes(*map(np.ascontiguousarray, pieces)), np.where(wrong, NO_FORM, np.where(resonant, RESONANT, 0))
 
@@ -293,14 +297,14 @@ def _resting(machines: HybridMachines, code: ModeCode, along: Array) -> tuple[li
 
     The second result is the group of each machine. A group maps each such friction to its contact, see along_contacts.
     """
-    held = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
+    closed = [c for c, state in enumerate(code.contacts) if abs(state) == ON and not machines.soft[:, c].any()]
     stuck = [f for f, sign in enumerate(code.slips) if sign == 0]
-    pairs = [(f, c) for f in stuck for c in held]
+    pairs = [(f, c) for f in stuck for c in closed]
     if not pairs or not len(along):
         return [{}], np.zeros(len(along), dtype=np.int64)
     of_each = np.stack([along[:, f, c] != 0.0 for f, c in pairs], axis=1)
     kinds, kind = np.unique(of_each, axis=0, return_inverse=True)
-    return [{f: c for (f, c), holds in zip(pairs, held, strict=True) if holds} for held in kinds], kind.reshape(-1)
+    return [{f: c for (f, c), holds in zip(pairs, flags, strict=True) if holds} for flags in kinds], kind.reshape(-1)
 
 
 def _holding(G: Array, inverse_mass: Array, even: Mask) -> tuple[Array, Array]:
@@ -418,7 +422,7 @@ def _reduced(
         a = -_solved(k, rigid, across @ stiffness @ D)
         drags = np.where(moves[:, None], across @ damping @ (D + null @ a), 0.0)
         b = -_solved(k, rigid, drags)
-        undone = np.abs(k @ b + drags) > ROUNDING * (np.abs(k) @ np.abs(b) + np.abs(drags))
+        undone = np.abs(k @ b + drags) > ZERO_SHARE * (np.abs(k) @ np.abs(b) + np.abs(drags))
         undriven = rigid & np.any(undone, axis=(1, 2))  # a belt drags at a motion without restoring force
     gather = flow.inverse_mass @ across @ mass if free else np.zeros((N, 0, n))
     down = np.zeros((N, 2 * n, 2 * n))
@@ -453,9 +457,9 @@ def _solved(matrix: Array, singular: Mask, right: Array) -> Array:
     X = np.asarray(apply_stacked(np.linalg.solve, right.shape, safe, right))
     if np.any(singular):
         some, even = matrix[singular], symmetric(matrix[singular])
-        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ROUNDING, hermitian=True)
+        inverse = np.linalg.pinv(np.where(even[:, None, None], some, 0.0), rcond=ZERO_SHARE, hermitian=True)
         if not np.all(even):
-            inverse[~even] = np.linalg.pinv(some[~even], rcond=ROUNDING)
+            inverse[~even] = np.linalg.pinv(some[~even], rcond=ZERO_SHARE)
         X[singular] = inverse @ right[singular]
     return X
 

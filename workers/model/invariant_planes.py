@@ -40,11 +40,11 @@ def planes_of(A: Array, grows: bool = False) -> tuple[Array, Array, Array]:
     return _planes_of_vectors(A) if grows and np.isnan(rows).any() else (eta, lam, rows)
 
 
-def _coordinates(W: Array, B: Array, whole: bool) -> tuple[float, float, Array]:
+def _coordinates(W: Array, B: Array, full_row: bool) -> tuple[float, float, Array]:
     """Return eta and lam of a plane W A = B W, and the rows (2, 2n) of its h and h'.
 
     h = alpha W z with the unit vector alpha that makes h and h' = alpha B W z most independent. The rows are scaled so
-    that the velocity part of the row of h' has unit length. With ``whole`` the whole row has unit length, since its
+    that the velocity part of the row of h' has unit length. With ``full_row`` the whole row has unit length, since its
     velocity part may be zero. The rows are NaN if no alpha makes h and h' independent.
     """
     mixed = 0.5 * (B[1, 1] - B[0, 0])
@@ -54,7 +54,7 @@ def _coordinates(W: Array, B: Array, whole: bool) -> tuple[float, float, Array]:
     if abs(values[best]) > SINGULAR * np.max(np.abs(B)):  # else a double eigenvalue with a plane of eigenvectors
         alpha = vectors[:, best]
         h, rate = alpha @ W, alpha @ B @ W
-        scale = 1.0 / np.linalg.norm(rate if whole else rate[n:])
+        scale = 1.0 / np.linalg.norm(rate if full_row else rate[n:])
         rows[0], rows[1] = scale * h, scale * rate
     return -0.5 * np.trace(B), np.linalg.det(B), rows
 
@@ -68,13 +68,13 @@ def _planes_of_vectors(A: Array) -> tuple[Array, Array, Array]:
     reals = sorted(np.flatnonzero(values.imag == 0.0).tolist(), key=lambda k: (values[k].real, k))
     half, n = len(reals) // 2, len(A) // 2
     pairs = [
-        _coordinates(vectors[:, [i, k]].real.T, np.diag(values[[i, k]].real), whole=True)
+        _coordinates(vectors[:, [i, k]].real.T, np.diag(values[[i, k]].real), full_row=True)
         for i, k in zip(reals[:half], reals[half:], strict=True)
     ]
     for k in np.flatnonzero(values.imag > 0.0).tolist():
         a, b = values[k].real, values[k].imag
         W, B = np.array([vectors[:, k].real, vectors[:, k].imag]), np.array([[a, -b], [b, a]])
-        pairs.append(_coordinates(W, B, whole=True))
+        pairs.append(_coordinates(W, B, full_row=True))
     eta, lam, rows = zip(*pairs, strict=True)
     return np.array(eta), np.array(lam), np.reshape(rows, (2 * n, 2 * n))
 

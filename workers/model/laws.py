@@ -178,8 +178,8 @@ def two_sided(table: Array) -> SpringTables:
     def at(field: Array, i: Any) -> Array:
         return np.take_along_axis(field, np.clip(i, 0, field.shape[1] - 1)[:, None], axis=1)[:, 0]
 
-    before, here = at(slope, rest - 1), at(slope, rest)
-    alike = np.abs(here - before) <= EVEN * (np.abs(here) + np.abs(before))
+    before, after = at(slope, rest - 1), at(slope, rest)
+    alike = np.abs(after - before) <= EVEN * (np.abs(after) + np.abs(before))
     low = rest - ((rest > 0) & (at(x, rest) == 0.0) & alike)
     ends = np.stack([low, rest + 1], axis=1)
     (x0, x1), (F0, F1) = (np.take_along_axis(of, ends, axis=1).T for of in (x, table[..., 1]))
@@ -188,12 +188,12 @@ def two_sided(table: Array) -> SpringTables:
     for side, sign in ((0, -1), (1, 1)):
         first = low - 1 if sign < 0 else rest + 1
         places = first[:, None] + sign * np.arange(S)
-        there = (places >= 0) & (places < count[:, None] - 1)
+        exists = (places >= 0) & (places < count[:, None] - 1)
         inside = np.clip(places, 0, S - 1)
         begins = np.take_along_axis(x, inside + (sign < 0), axis=1)
         more = np.take_along_axis(slope, inside, axis=1) - stiffness[:, None]
         starts = sign * (begins - (x0 if sign < 0 else x1)[:, None])
-        law[:, side] = _segments(np.where(there, starts, np.inf), np.where(there, more, np.nan))
+        law[:, side] = _segments(np.where(exists, starts, np.inf), np.where(exists, more, np.nan))
     stops = np.where(np.isfinite(law[:, :, 0, 0]), np.stack([x0, x1], axis=1), [-np.inf, np.inf])
     law[:, :, 0, 0] = 0.0
     law[np.logical_not(rises), ..., 0] = np.nan
@@ -242,9 +242,9 @@ def none(*shape: int) -> Array:
 def _chords(table: Array) -> tuple[Array, Array, Array]:
     """Return arguments (N, V), slopes (N, V - 1), 0 beyond the last vertex, and the mask (N,) of rising arguments."""
     x, F = table[..., 0], table[..., 1]
-    there = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
-    run = np.where(there, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
-    slope = np.where(there, np.diff(F, axis=1) / run, 0.0)
+    exists = np.isfinite(x[:, 1:]) | np.isnan(x[:, 1:])
+    run = np.where(exists, np.diff(np.where(x == np.inf, 0.0, x), axis=1), 1.0)
+    slope = np.where(exists, np.diff(F, axis=1) / run, 0.0)
     return x, slope, np.all((run > 0.0) & np.isfinite(slope), axis=1)
 
 
@@ -253,9 +253,9 @@ def _segments(starts: Array, slope: Array) -> Array:
 
     A slope of NaN stands for no segment.
     """
-    there = np.isfinite(slope)
-    slope = np.where(there, slope, 0.0)
-    safe = np.where(there, starts, 0.0)
-    rise = np.where(there[:, 1:], slope[:, :-1] * np.diff(safe, axis=1), 0.0)
+    exists = np.isfinite(slope)
+    slope = np.where(exists, slope, 0.0)
+    safe = np.where(exists, starts, 0.0)
+    rise = np.where(exists[:, 1:], slope[:, :-1] * np.diff(safe, axis=1), 0.0)
     level = np.concatenate([np.zeros((len(safe), 1)), np.cumsum(rise, axis=1)], axis=1)
-    return np.stack([np.where(there, starts, np.inf), slope, np.where(there, level - slope * safe, 0.0)], axis=-1)
+    return np.stack([np.where(exists, starts, np.inf), slope, np.where(exists, level - slope * safe, 0.0)], axis=-1)

@@ -72,8 +72,8 @@ def _read_measure(where: str, value: object, known: Collection[str], n: int) -> 
     table = read_table(where, value, KEYS)
     rows = [key for key in ORDERS if key in table]
     if len(rows) != 1:
-        given = " and ".join(rows) or "none"
-        raise DefinitionError(f"{where}: found {given}, must be one row: {', '.join(ORDERS[:-1])} or {ORDERS[-1]}")
+        names = " and ".join(rows) or "none"
+        raise DefinitionError(f"{where}: found {names}, must be one row: {', '.join(ORDERS[:-1])} or {ORDERS[-1]}")
     report = _read_report(f"{where}.report", table.get("report"))
     if ("power" in report) != ("weight" in table):
         raise DefinitionError(f"{where}: weight and the report 'power' go together; power is weight times mean square")

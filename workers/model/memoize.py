@@ -27,14 +27,14 @@ def memoize_arrays(make: Callable[..., Made]) -> Callable[..., Made]:
     """
 
     @lru_cache(MAX_RESULTS)
-    def made_of_bits(shapes: tuple[Any, ...], bits: tuple[bytes, ...]) -> Made:
+    def call_with_bits(shapes: tuple[Any, ...], bits: tuple[bytes, ...]) -> Made:
         return make(*(np.ndarray(shape, kind, raw) for (shape, kind), raw in zip(shapes, bits, strict=True)))
 
     @wraps(make)
-    def made(*arrays: NDArray[Any]) -> Made:
+    def call(*arrays: NDArray[Any]) -> Made:
         if sum(array.nbytes for array in arrays) > MAX_ARGUMENT_BYTES:
             return make(*arrays)
         shapes, bits = zip(*(((array.shape, array.dtype), array.tobytes()) for array in arrays), strict=True)
-        return made_of_bits(shapes, bits)
+        return call_with_bits(shapes, bits)
 
-    return made
+    return call

@@ -128,12 +128,12 @@ class ModeTable(NamedTuple):
         number, used = self.missing[rows, 0], np.sum(self.codes[rows] >= 0, axis=1)
         rows, number, used = (field[used < self.codes.shape[1]] for field in (rows, number, used))
         for needed in np.unique(number).tolist():
-            some, place = rows[number == needed], used[number == needed]
+            some, slots = rows[number == needed], used[number == needed]
             code = code_of(needed, *self.machines.sizes[1:], *self.machines.segments)
             pieces, wrong = build_modes(at_rows(self.machines, some), code)
-            self.codes[some, place], self.wrong[some, place], self.missing[some, 0] = needed, wrong, -1
+            self.codes[some, slots], self.wrong[some, slots], self.missing[some, 0] = needed, wrong, -1
             for field, new in zip(self.pieces, pieces, strict=True):
-                field[some, place] = new
+                field[some, slots] = new
         return rows
 
 
@@ -193,11 +193,11 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
     keeps = np.all(
         (machines.soft == 0.0) | ((machines.by_force == 0.0) & np.all(machines.contact_constants[..., 1] == 0.0, 1)), 1
     )
-    none, endless, shown = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
+    none, endless, has_gap = np.zeros(N), np.full(N, np.inf), bool(np.any(machines.counted[:, :1] > 0.0))
     head = OscillatorScalars(
         top=-endless, bottom=endless, R=none + 1.0, cA2k=none, period=2.0 * np.pi / machines.omega,
         time_unit=1.0 / np.sqrt(np.min(metric, axis=1)), symmetric=none,
-        upper=machines.stops[:, 0, 1] if shown else endless, lower=machines.stops[:, 0, 0] if shown else -endless,
+        upper=machines.stops[:, 0, 1] if has_gap else endless, lower=machines.stops[:, 0, 0] if has_gap else -endless,
         gap_mass=np.where(keeps, 1.0, np.nan), trace=trace, growth=growth,
     )  # fmt: skip
     numbers = np.zeros((N, len(NUMBER)))
@@ -213,7 +213,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         elements, machines.omega, phase_of(machines.tau),
         np.where(machines.drift >= 0.0, 1.0, 0.0), machines,
     )  # fmt: skip
-    row = machines.row[:, 0] if shown else np.tile(np.eye(1, n), (N, 1))
+    row = machines.row[:, 0] if has_gap else np.tile(np.eye(1, n), (N, 1))
     oscillators = Oscillator(
         gap=GuardedFlow(blocks, np.zeros((N, H, 2)), numbers, np.zeros((N, n, 2, H, 2))),
         to_physical=to_physical,
@@ -221,7 +221,7 @@ def build_hybrid(machines: HybridMachines) -> tuple[Oscillator, NDArray[np.int8]
         gap_row=np.ascontiguousarray(row),
         head=np.stack(head, axis=-1),
         tau=table.tau,
-        held=empty(OF_PIECES, N),
+        sticking=empty(OF_PIECES, N),
         table=table,
     )
     reasons = hybrid_faults(machines)

@@ -92,13 +92,13 @@ class Observable:
         names = [contact.name for contact in definition.contacts]
         if not names:
             raise ValueError(f"{text}: this machine has no contact")
-        left, contact, side = list(rest), -1, 0
-        if left and left[0] in names:  # a contact may be named upper, too
-            contact = names.index(left.pop(0))
-        if left and left[0] in SIDES:
-            side = SIDES[left.pop(0)]
-        if left:
-            raise ValueError(f"{text}: unknown contact {left[0]!r}; possible: {', '.join([*names, *SIDES])}")
+        remaining, contact, side = list(rest), -1, 0
+        if remaining and remaining[0] in names:  # a contact may be named upper, too
+            contact = names.index(remaining.pop(0))
+        if remaining and remaining[0] in SIDES:
+            side = SIDES[remaining.pop(0)]
+        if remaining:
+            raise ValueError(f"{text}: unknown contact {remaining[0]!r}; possible: {', '.join([*names, *SIDES])}")
         some = definition.contacts if contact < 0 else definition.contacts[contact : contact + 1]
         if side and all(getattr(contact, rest[-1]) is None for contact in some):
             raise ValueError(f"{text}: there is no {rest[-1]} stop")
@@ -156,17 +156,17 @@ class Observable:
         The row is for N machines with these parameters (N,), and zero if the observable is no output.
         """
         n = len(definition.coordinates)
-        shown = definition.picture_rows(values)
+        gap = definition.picture_rows(values)
         if self.of == GAP:
-            return shown, 0.0
+            return gap, 0.0
         for order, names in enumerate((definition.coordinates, definition.velocities)):
             if self.kind in OF_OUTPUTS and self.of in names:
-                return np.tile(np.eye(n)[names.index(self.of)], (len(shown), 1)), float(order)
+                return np.tile(np.eye(n)[names.index(self.of)], (len(gap), 1)), float(order)
         if self.kind in OF_OUTPUTS:
             rows, orders, _ = definition.outputs(values)
-            place = [name for name, _ in definition.measures].index(self.of)
-            return rows[:, place], float(orders[0, place])
-        return np.zeros_like(shown), 0.0
+            index = [name for name, _ in definition.measures].index(self.of)
+            return rows[:, index], float(orders[0, index])
+        return np.zeros_like(gap), 0.0
 
 
 def outputs_of(definition: "Definition") -> tuple[str, ...]:
@@ -178,9 +178,9 @@ def outputs_of(definition: "Definition") -> tuple[str, ...]:
     return tuple(dict.fromkeys((GAP, *coordinates, *definition.velocities, *(name for name, _ in definition.measures))))
 
 
-def observables_of(asked: str, definition: "Definition") -> tuple[Observable, ...]:
+def observables_of(names: str, definition: "Definition") -> tuple[Observable, ...]:
     """Return the observables of a text, separated by commas; raise ValueError if one is unknown or repeated."""
-    observables = tuple(Observable.parse(text, definition) for text in asked.split(",") if asked)
+    observables = tuple(Observable.parse(text, definition) for text in names.split(",") if names)
     if len(set(observables)) < len(observables):
-        raise ValueError(f"found {asked!r}, must name each observable once")
+        raise ValueError(f"found {names!r}, must name each observable once")
     return observables

@@ -233,7 +233,7 @@ class Oscillator(NamedTuple):
     gap_row      (n,) y = gap_row . displacements
     head         (HEAD,) numbers, see OscillatorScalars; each is an attribute too
     tau          forcing phase at a section
-    held         the mode in which the upper stop of one rigid contact holds, a HybridModes of one mode and one signal,
+    sticking     the mode in which the upper stop of one rigid contact holds, a HybridModes of one mode and one signal,
                  the force by which the stop holds y. States are counted from rest. The lower stop holds in the same
                  mode while the signal is positive. Empty for machines with modes
     table        the ModeTable of a machine with modes; empty for machines with one rigid contact
@@ -256,7 +256,7 @@ class Oscillator(NamedTuple):
     gap_row: Array
     head: Array
     tau: Any
-    held: Any
+    sticking: Any
     table: Any
 
     def __getattr__(self, name: str) -> Any:
@@ -277,8 +277,8 @@ class Oscillator(NamedTuple):
     def contacts(self) -> tuple[Array, Array, Mask]:
         """Rows (N, C, n), lower and upper stops (N, C, 2) of the contacts of many machines; mask (C,) of rigid ones."""
         if self.has_modes:
-            own = self.table.machines
-            return own.row, own.stops, ~own.soft.any(axis=0)
+            machines = self.table.machines
+            return machines.row, machines.stops, ~machines.soft.any(axis=0)
         return self.gap_row[:, None], np.stack([self.lower, self.upper], axis=-1)[:, None], np.ones(1, dtype=np.bool_)
 
     @property

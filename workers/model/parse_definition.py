@@ -22,11 +22,11 @@ from workers.model.entries import (
     read_text,
     read_words,
 )
-from workers.model.expression import Expression, Row
+from workers.model.expression import Expression
 from workers.model.measures import read_measures
 from workers.model.parameter import OMEGA, TAU, Parameter, unknown_name
 from workers.model.parse_elements import check_element_count, read_contacts, read_friction, read_phases, read_springs
-from workers.model.parse_force import is_unforced, read_force, with_means
+from workers.model.parse_force import is_unforced, read_force
 from workers.model.reserved_names import is_taken
 
 MAX_COORDINATES = 8
@@ -78,10 +78,10 @@ def read_parameters(
                 where = f"system.parameters.{name}.{key}"
                 raise DefinitionError(f"{where}: an initial value has no range, since only the stops limit it")
     known = {parameter.name: parameter for parameter in built_in}
-    own = [name for name in entries if name not in known]
+    added = [name for name in entries if name not in known]
     parameters = known | {name: _read_parameter(name, one, known.get(name)) for name, one in entries.items()}
     first = [] if unforced else [OMEGA]
-    return tuple(parameters[name] for name in (*first, *own, *list(known)[len(first) :]))
+    return tuple(parameters[name] for name in (*first, *added, *list(known)[len(first) :]))
 
 
 def _read_parameter(name: str, value: object, base: Parameter | None) -> Parameter:
@@ -140,11 +140,7 @@ def read_definition(
     springs = read_springs(table, known, n)
     check_element_count(contacts, friction, springs)
     phases = read_phases(table, known, n, contacts, friction)
-    harmonics, means = read_force(table, known, n)
-
-    def loaded(where: str, row: Row) -> Row:
-        return with_means(where, row, means, known)
-
+    harmonics = read_force(table, known, n)
     matrix, row = np.zeros((n, n)).tolist(), np.zeros(n).tolist()
     return Definition(
         coordinates=coordinates,
@@ -153,14 +149,11 @@ def read_definition(
         damping=read_entries("system.damping", table.get("damping", matrix), known, n, n),
         stiffness=read_entries("system.stiffness", table.get("stiffness", matrix), known, n, n),
         harmonics=harmonics,
-        load=loaded("system.load", read_entries("system.load", table.get("load", row), known, n)),
+        load=read_entries("system.load", table.get("load", row), known, n),
         contacts=contacts,
         let=let,
         friction=friction,
-        phases=tuple(
-            replace(phase, load=loaded(f"system.phases[{p}].load", phase.load)) if phase.load else phase
-            for p, phase in enumerate(phases)
-        ),
+        phases=phases,
         drift=_read_drift(table.get("drift"), coordinates, is_unforced(table)),
         measures=read_measures(table.get("measures", {}), known, n),
         springs=springs,

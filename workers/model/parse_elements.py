@@ -74,8 +74,8 @@ def _read_contact(where: str, value: object, known: Collection[str], n: int) -> 
     if "stiffness" not in table and "law" not in table:
         raise DefinitionError(f"{where}: stiffness missing; {_LAWS}")
     law = _read_law(where, table, known, Contact, ("stiffness", "preload"))
-    own = ("damping",) if law else PAD
-    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), known) for key in own}
+    keys = ("damping",) if law else PAD
+    constants = {key: read_entries(f"{where}.{key}", table.get(key, 0.0), known) for key in keys}
     release = table.get("release", RELEASES[0])
     if release not in RELEASES:
         raise fault(f"{where}.release", release, f"must be {' or '.join(map(repr, RELEASES))}")

@@ -33,10 +33,10 @@ def read_law(where: str, table: Mapping[str, Any], known: Collection[str], kind:
     for key in (key for key in LAW[1:] if key in table):
         raise DefinitionError(f"{where}.{key}: found beside a table, which is exact; only an expression takes this key")
     if not isinstance(law, list | tuple) or not 2 <= len(law) <= SEGMENTS + 1:
-        given = f"{len(law)} rows" if isinstance(law, list | tuple) else law
+        description = f"{len(law)} rows" if isinstance(law, list | tuple) else law
         raise fault(
             f"{where}.law",
-            given,
+            description,
             f"must be 2 to {SEGMENTS + 1} rows [{argument}, force], or an expression of {argument}",
         )
     ending = f", {argument} and the force"

@@ -124,9 +124,9 @@ class System:
     @property
     def has_modes(self) -> bool:
         """True if its law changes by more than one contact with a restitution, see model/hybrid_modes.py."""
-        own = self.definition
-        elements = own.friction or own.phases or own.springs
-        return bool(elements) or own.unforced or [contact.rigid for contact in own.contacts] != [True]
+        definition = self.definition
+        elements = definition.friction or definition.phases or definition.springs
+        return bool(elements) or definition.unforced or [contact.rigid for contact in definition.contacts] != [True]
 
     @property
     def _own(self) -> list[tuple[str, Variable]]:

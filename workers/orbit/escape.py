@@ -9,7 +9,7 @@ from workers.kernel.by_reference import by_reference
 from workers.kernel.hybrid.state import enter_from_section, slot_of
 from workers.kernel.jit import inline_always, kernel
 from workers.kernel.motion import FLIGHT, has_modes
-from workers.kernel.signal import ROUNDING, block_bounds
+from workers.kernel.signal import DERIVATIVE_ROUNDING, block_bounds
 from workers.model.oscillator import COLUMN, HEAD, NUMBER
 
 MARGIN = 1.0 + 1e-12
@@ -50,8 +50,8 @@ def future_of(blocks, numbers, h, offset, low, high):
                 block[COLUMN.weight], block[COLUMN.grow2], block[COLUMN.grow3], block[COLUMN.grow4],
             )[0]  # fmt: skip
             continue
-        e0 = ROUNDING * (abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]))
-        e1 = ROUNDING * (abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load))
+        e0 = DERIVATIVE_ROUNDING * (abs(c0 * h[j, 0]) + abs(c1 * h[j, 1]))
+        e1 = DERIVATIVE_ROUNDING * (abs(d0 * h[j, 0]) + abs(d1 * h[j, 1]) + abs(c1 * load))
         if e0 + e1 == 0.0:
             continue
         if d == 0.0 or load != 0.0:
@@ -105,11 +105,11 @@ def escapes_in_modes(oscillator, h, mode):
     if k < 0 or table.elements.starts.shape[0] > 2:
         return False
     enter_from_section(oscillator, k, h, at)
-    left, met = False, False
+    departs, met = False, False
     for g in range(pieces.ends.shape[1]):
         blocks, numbers, offset = pieces.blocks[k, g], pieces.numbers[k, g], pieces.offset[k, g]
         low, high = pieces.ends[k, g, 0], pieces.ends[k, g, 1]
         if low > -np.inf or high < np.inf:
             future = future_of(blocks, numbers, at, offset, low, high)
-            left, met = left or future == BEHIND, met or future == REACHED
-    return left and not met
+            departs, met = departs or future == BEHIND, met or future == REACHED
+    return departs and not met

@@ -10,7 +10,7 @@ from workers.kernel.motion import RUNNING, STATUS, cosine_vectors
 from workers.kernel.tangent import inner, reset_frame
 from workers.orbit.map import iterate
 
-SETTLED = 1e-13
+SPLIT_COUPLING = 1e-13
 """Maximum coupling of the blocks of a Floquet frame that has split into invariant subspaces."""
 
 NARROW = 2.0
@@ -41,7 +41,7 @@ def block_ends(rotation):
         for i in range(end, size):
             for k in range(end):
                 coupling = max(coupling, abs(rotation[i, k]))
-        if coupling < SETTLED:
+        if coupling < SPLIT_COUPLING:
             ends[count] = end
             count += 1
     return ends[:count]
@@ -104,9 +104,9 @@ def floquet(oscillator, point, steps, half, limit):
         if motion.tally[STATUS] != RUNNING:
             break
         reset_frame(oscillator.gap.blocks, motion)
-        kept = np.flatnonzero(motion.growth > -np.inf)
-        before, frame = frame, motion.V[kept]
-        if turn == 1 or len(kept) < m:
+        rows = np.flatnonzero(motion.growth > -np.inf)
+        before, frame = frame, motion.V[rows]
+        if turn == 1 or len(rows) < m:
             continue
         rotation = overlaps(oscillator.gap.blocks, before, frame, m)
         ends = block_ends(rotation)

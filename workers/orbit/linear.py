@@ -3,20 +3,22 @@
 Other machines are treated so while their motion certainly meets no contact and phases change contacts alone.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from workers.kernel.borrow import row_of
 from workers.kernel.by_reference import by_reference
 from workers.kernel.hybrid.state import enter_from_section, number_of, read_number, slot_of
 from workers.kernel.jit import inline_always, kernel
-from workers.kernel.linalg import copy_into, highest, sort_down
-from workers.kernel.motion import CONTRACTION, RUNNING, STATUS
+from workers.kernel.linalg import copy_into
+from workers.kernel.motion import CONTRACTION, RUNNING, STATUS, TALLIES, Motion
 from workers.kernel.signal import derivative_bounds
 from workers.model.hybrid_modes import OPEN, SIGNALS
-from workers.model.oscillator import COLUMN, HEAD
+from workers.model.oscillator import COLUMN, Array, Oscillator, Rows
 from workers.orbit.floquet import floquet
 from workers.orbit.map import FixedPoint, map_with_jacobian
-from workers.orbit.newton import CYCLES, newton_step
+from workers.orbit.newton import CYCLES, PeriodicOrbits, newton_step
 
 UNKNOWN, STAYS, GROWS = range(3)
 """Future of such a motion. UNKNOWN: undecided. STAYS: it decays, comes to rest or continues forever. GROWS: it grows.
@@ -30,7 +32,7 @@ SQUARINGS, LOOK = 60, 20
 """Maximum number of squarings of the map until damped parts are gone, and number of squarings after which growth of the
 remaining motion shows."""
 
-SETTLED, BOUNDED = 1e-12, 1e3
+SETTLED_CHANGE, BOUNDED = 1e-12, 1e3
 """Relative change of a settled map by another squaring, and growth up to which a map is bounded."""
 
 
@@ -62,26 +64,6 @@ def meets_nothing(oscillator, h, mode):
     return True
 
 
-@inline_always
-def rates_if_undamped(oscillator, mode, logs):
-    """Write the exact logarithms of multipliers if a block of this mode is not damped and no phase changes the mode.
-
-    Return their error, infinity if the logarithms stay unchanged. Two multipliers that meet at 1, as of a free mass,
-    would be known only to the square root of rounding by the map.
-    """
-    table, T = oscillator.table, oscillator.head[HEAD.period]
-    k = slot_of(table.codes, mode)
-    if k < 0 or table.elements.starts.shape[0] > 2 or not np.any(table.pieces.blocks[k, 0, :, COLUMN.eta] == 0.0):
-        return np.inf
-    largest = 0.0
-    for j in range(table.pieces.blocks.shape[2]):
-        for e in range(2):
-            rate = table.pieces.blocks[k, 0, j, COLUMN.fast if e else COLUMN.slow]
-            logs[2 * j + e] = -rate * T
-            largest = max(largest, abs(rate) * T)
-    return 1e-15 * largest
-
-
 @kernel
 def contact_free(oscillators, motions, cells):
     """Return the mask of motions of machines with modes that never meet a contact, see meets_nothing."""
@@ -94,88 +76,128 @@ def contact_free(oscillators, motions, cells):
     return free
 
 
+class AffineMaps(NamedTuple):
+    """The maps z -> J z + c of E motions over one period, from block states (E, n, 2).
+
+    images     (E, n, 2)    images of the states
+    jacobians  (E, 2n, 2n)  J
+    fixed      (E, n, 2)    fixed points, see newton_step
+    logs       (E, 2n)      log moduli of the multipliers, in any order
+    errors     (E,)         their rounding errors
+    turns      (E,)         periods simulated for the multipliers; 0 if they are not known
+    tally      (E, TALLIES) counts over the period, see motion.Motion
+    """
+
+    images: Array
+    jacobians: Array
+    fixed: Array
+    logs: Array
+    errors: Array
+    turns: Rows
+    tally: Array
+
+
 @kernel
-def linear_orbits(oscillators, motions, cells, orbits, spent):
+def affine_maps(oscillators, mode, states, cells, cycles):
+    """Return the fields of AffineMaps from states (E, n, 2) of these cells, multipliers from up to ``cycles`` turns."""
+    oscillators = by_reference(oscillators)
+    E, n = states.shape[0], states.shape[1]
+    images, fixed, jacobians = np.empty((E, n, 2)), np.empty((E, n, 2)), np.empty((E, 2 * n, 2 * n))
+    logs, errors, turns, tally = np.empty((E, 2 * n)), np.empty(E), np.zeros(E, dtype=np.int64), np.empty((E, TALLIES))
+    steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
+    for e in range(E):
+        osc, h = row_of(oscillators, cells[e]), states[e].copy()
+        motion, J = map_with_jacobian(osc, h, mode[cells[e], 0], steps, half)
+        copy_into(tally[e], motion.tally)
+        if motion.tally[STATUS] != RUNNING:
+            continue
+        copy_into(images[e], motion.h)
+        copy_into(fixed[e], newton_step(h, motion.h, J))
+        copy_into(jacobians[e], J)
+        rates, errors[e], turns[e] = floquet(osc, FixedPoint(h, motion.h, motion.mode[0], J, 0.0), steps, half, cycles)
+        copy_into(logs[e], rates)
+    return images, jacobians, fixed, logs, errors, turns, tally
+
+
+@np.errstate(all="ignore")
+def linear_orbits(oscillators: Oscillator, motions: Motion, cells: Rows, orbits: PeriodicOrbits, spent: Rows) -> Rows:
     """Return the future of each of these motions, all of them contact_free: STAYS, GROWS or UNKNOWN.
 
     Write the limit of the motion, or its own state if it continues forever, and its exponents into the rows of
     ``orbits``. Write the periods spent into ``spent`` (N,). Multipliers of one to rounding have exponents of 0.
     """
-    oscillators, motions, orbits = by_reference(oscillators), by_reference(motions), by_reference(orbits)
-    verdicts = np.empty(len(cells), dtype=np.int64)
-    steps, half = np.int64(1), np.bool_(False)  # no literals, as in run_batch
-    for e in range(len(cells)):
-        r = cells[e]
-        osc, start, mode = row_of(oscillators, r), motions.h[r].copy(), motions.mode[r, 0]
-        verdicts[e] = UNKNOWN
-        base = (
-            np.zeros(start.shape) if osc.table.elements.row.shape[0] == 0 else start
-        )  # if the start is the orbit, the result is exact
-        first, J = map_with_jacobian(osc, base, mode, steps, half)
-        if first.tally[STATUS] != RUNNING:
-            continue
-        point = FixedPoint(base, first.h, first.mode[0], J, 0.0)
-        logs, error, turns = floquet(osc, point, steps, half, CYCLES)
-        spent[r] = 2 + turns
-        if turns == 0:
-            continue
-        error = max(error, ELLIPTIC if first.tally[CONTRACTION] == 0.0 else 0.0)
-        error = min(error, rates_if_undamped(osc, mode, logs))
-        neutral = 0.0
-        for k in range(len(logs)):
-            if abs(logs[k]) <= error:
-                neutral, logs[k] = max(neutral, abs(logs[k])), 0.0
-        largest = highest(logs, 0, len(logs))
+    verdicts, starts = np.full(len(cells), UNKNOWN), motions.h[cells]
+    contacts = oscillators.table.elements.row.shape[1] > 0
+    bases = starts if contacts else np.zeros_like(starts)  # if the start is the orbit, the result is exact
+    maps = AffineMaps(*affine_maps(oscillators, motions.mode, bases, cells, CYCLES))
+    limits, errors = np.full_like(starts, np.nan), maps.errors
+    flown = maps.tally[:, STATUS] == RUNNING
+    spent[cells[flown]] = 2 + maps.turns[flown]
+    for e in np.flatnonzero(maps.turns).tolist():
+        r, logs, image = cells[e], maps.logs[e], maps.images[e]
+        error = max(errors[e], ELLIPTIC if maps.tally[e, CONTRACTION] == 0.0 else 0.0)
+        error = min(error, rates_if_undamped(oscillators, r, motions.mode[r, 0], logs))
+        neutral = np.abs(logs) <= error
+        errors[e], largest = np.max(np.abs(logs[neutral]), initial=0.0), np.max(logs[~neutral], initial=-np.inf)
+        logs[neutral] = 0.0
         if largest > 0.0:
-            stands = osc.table.elements.row.shape[0] > 0 and np.all(first.h == base)  # contacts would limit the growth
+            stands = contacts and np.array_equal(image, bases[e])  # contacts would limit the growth
             verdicts[e] = UNKNOWN if stands else GROWS
-            continue
-        h = newton_step(base, first.h, J) if largest < 0.0 else where_it_stays(J, base, first.h, start)
-        turn, _ = map_with_jacobian(osc, h, mode, steps, half)
-        if not np.all(np.isfinite(h)) or turn.tally[STATUS] != RUNNING:
-            continue
-        verdicts[e] = STAYS
-        sort_down(logs)
-        orbits.mode[r, 0], orbits.period[r] = mode, 1
-        orbits.error[r] = error if largest < 0.0 else neutral
-        copy_into(orbits.h[r], h)
-        copy_into(orbits.tally[r], turn.tally)
-        copy_into(orbits.exponents[r], logs)
+        elif np.any(neutral):
+            limits[e] = where_it_stays(maps.jacobians[e], bases[e], image, starts[e])
+        else:
+            limits[e], errors[e] = maps.fixed[e], error
+    bounded = np.flatnonzero(np.isfinite(limits).all(axis=(1, 2)))
+    tally = AffineMaps(*affine_maps(oscillators, motions.mode, limits[bounded], cells[bounded], 0)).tally
+    bounded, tally = bounded[tally[:, STATUS] == RUNNING], tally[tally[:, STATUS] == RUNNING]
+    verdicts[bounded], rows = STAYS, cells[bounded]
+    orbits.mode[rows], orbits.period[rows], orbits.error[rows] = motions.mode[rows], 1, errors[bounded]
+    orbits.h[rows], orbits.tally[rows] = limits[bounded], tally
+    orbits.exponents[rows] = np.sort(maps.logs[bounded], axis=1)[:, ::-1]
     return verdicts
 
 
-@kernel
-def where_it_stays(J, base, image, h):
+def rates_if_undamped(oscillators: Oscillator, r: int, mode: int, logs: Array) -> float:
+    """Write the exact logarithms of multipliers if a block of this mode is not damped and no phase changes the mode.
+
+    Return their error, infinity if the logarithms stay unchanged. Two multipliers that meet at 1, as of a free mass,
+    would be known only to the square root of rounding by the map.
+    """
+    table, (slots,) = oscillators.table, np.nonzero(oscillators.table.codes[r] == mode)
+    blocks = table.pieces.blocks[r, slots[:1], 0].reshape(-1, len(COLUMN))
+    if table.elements.starts.shape[1] > 2 or not np.any(blocks[:, COLUMN.eta] == 0.0):
+        return np.inf
+    rates = blocks[:, [COLUMN.slow, COLUMN.fast]].ravel()
+    logs[:] = -rates * oscillators.period[r]
+    return 1e-15 * float(np.max(np.abs(rates) * oscillators.period[r]))
+
+
+def where_it_stays(J: Array, base: Array, image: Array, h: Array) -> Array:
     """Return the limit of block state h (n, 2) under the affine map z -> J z + c that takes ``base`` to ``image``.
 
     The largest multiplier is one. Return h itself if the motion continues forever, and NaN if it is unbounded, as for a
     free mass that moves.
     """
-    size = h.size
-    A, start, c, zero = J.copy(), h.ravel(), image.copy().ravel(), base.ravel()
-    for i in range(size):
-        for k in range(size):
-            c[i] -= J[i, k] * zero[k]
+    A, start, c = J, h.ravel(), _add_product(image.ravel(), -J, base.ravel())
     before = max(np.max(np.abs(A)), 1.0), np.max(np.abs(c)) + np.max(np.abs(start))
-    bounded, state = True, start.copy()
+    bounded, state = True, start
     for count in range(SQUARINGS):
-        square, twice = np.zeros((size, size)), c.copy()
-        for i in range(size):
-            for k in range(size):
-                twice[i] += A[i, k] * c[k]
-                for j in range(size):
-                    square[i, k] += A[i, j] * A[j, k]
-        settled = np.max(np.abs(square - A)) <= SETTLED * np.max(np.abs(A))
-        still = np.max(np.abs(twice - c)) <= SETTLED * before[1]
+        square, twice = _add_product(np.zeros_like(A), A, A), _add_product(c, A, c)
+        settled = np.max(np.abs(square - A)) <= SETTLED_CHANGE * np.max(np.abs(A))
+        still = np.max(np.abs(twice - c)) <= SETTLED_CHANGE * before[1]
         A, c, earlier = square, twice, state
-        state = c.copy()
-        for i in range(size):
-            for k in range(size):
-                state[i] += A[i, k] * start[k]
-        if np.max(np.abs(state - earlier)) <= SETTLED * np.max(np.abs(state)):
+        state = _add_product(c, A, start)
+        if np.max(np.abs(state - earlier)) <= SETTLED_CHANGE * np.max(np.abs(state)):
             return state.reshape(h.shape)
         if count == LOOK:
             bounded = np.max(np.abs(A)) <= BOUNDED * before[0] and np.max(np.abs(c)) <= BOUNDED * before[1]
         if settled and still:
             return state.reshape(h.shape)
-    return h.copy() if bounded else np.full_like(h, np.nan)
+    return h if bounded else np.full_like(h, np.nan)
+
+
+def _add_product(total: Array, A: Array, B: Array) -> Array:
+    """Return total + A B, added up in the order of the columns of A: BLAS would add up by the kind of processor."""
+    for column, row in zip(A.T, B, strict=True):
+        total = total + np.multiply.outer(column, row)
+    return total

@@ -42,9 +42,9 @@ RESERVED_TURNS = 7
 G), two of the motion, one for the error of the multipliers, one last count."""
 
 
-NOTHING, NEAR, SETTLED = range(3)
-"""Outcomes of the search. NOTHING: no stable orbit. NEAR: a stable orbit that is not proved to attract the motion.
-SETTLED: a stable orbit that is."""
+NO_ORBIT, UNPROVED, PROVED = range(3)
+"""Outcomes of the search. NO_ORBIT: no stable orbit. UNPROVED: a stable orbit that is not proved to attract the motion.
+PROVED: a stable orbit that is."""
 
 
 class PeriodicOrbit(NamedTuple):
@@ -124,9 +124,9 @@ def least_turn(oscillator, point, steps, half, scale):
     spent = 0
     for fewer in range(1, steps + 1):
         for halved in (True, False):
-            own = halved == half and fewer < steps
+            same_kind = halved == half and fewer < steps
             mirrors = halved and not half and fewer % 2 == 1 and oscillator.head[HEAD.symmetric] > 0.0
-            if steps % fewer != 0 or not (own or mirrors):
+            if steps % fewer != 0 or not (same_kind or mirrors):
                 continue
             trial = iterate_alone(oscillator, point.h, point.mode, fewer, halved)
             spent += fewer if halved else 2 * fewer
@@ -159,7 +159,7 @@ def approaches(oscillator, point, h, steps, half, contraction, scale, limit):
 
 @inline_always
 def find_orbit(oscillator, h, mode, steps, half, scale, budget):
-    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
+    """Return (NO_ORBIT, UNPROVED or PROVED, PeriodicOrbit, half periods spent), of at most ``budget``: see settle.
 
     The orbit closes after ``steps`` or a divisor of them.
     """
@@ -171,10 +171,10 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
         spent += tried * unit
         orbit = PeriodicOrbit(point.h, mode, steps, half, np.full(h.size, -np.inf), 0.0)
         if point.residual == np.inf:
-            return NOTHING, orbit, spent
+            return NO_ORBIT, orbit, spent
         radius = spectral_radius(point.jacobian)
         if radius > 1.001:
-            return NOTHING, orbit, spent
+            return NO_ORBIT, orbit, spent
         fewer, halved, flown = least_turn(oscillator, point, steps, half, scale)
         spent += flown
         if fewer == steps and halved == half:
@@ -184,13 +184,13 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
     spent += turns * unit
     largest = highest(logs, 0, len(logs))
     if turns == 0 or not largest < 0.0:
-        return NOTHING, orbit, spent
+        return NO_ORBIT, orbit, spent
     if separation(oscillator.gap.blocks, h, point.h) > ON_ORBIT * scale:
         most = min(CYCLES, turns_left - tried - turns + 2)
         falls, flown = approaches(oscillator, point, h, steps, half, -math.expm1(largest), scale, most)
         spent += flown * unit
         if not falls:
-            return NEAR, orbit, spent
+            return UNPROVED, orbit, spent
     again, J = map_with_jacobian(oscillator, point.image, mode, steps, half)
     spent += unit
     if again.tally[STATUS] == RUNNING and radius > UNDERFLOWS:
@@ -198,7 +198,7 @@ def find_orbit(oscillator, h, mode, steps, half, scale, budget):
     periods = 0.5 * unit
     orbit = PeriodicOrbit(point.h, mode, steps, half, logs / periods, rounding / periods)
     # an exponent within its error is too near a bifurcation for double precision
-    return SETTLED if largest < -rounding else NOTHING, orbit, spent
+    return PROVED if largest < -rounding else NO_ORBIT, orbit, spent
 
 
 @kernel
@@ -212,11 +212,11 @@ def recurrence(blocks, sections, near, longest):
     count, last = 0, len(sections) - 1
     record = near
     for p in range(1, min(last, longest) + 1):
-        here = separation(blocks, sections[last], sections[last - p])
-        if here < record:
+        distance = separation(blocks, sections[last], sections[last - p])
+        if distance < record:
             closest[2], closest[1], closest[0] = closest[1], closest[0], p
             count = min(count + 1, 3)
-            record = 0.1 * here
+            record = 0.1 * distance
         if record < 1e-10 * near:
             break
     return closest[:count]
@@ -242,11 +242,11 @@ def far_from_closing(blocks, h, sections, cells, returns, limit):
 
 @inline_always
 def settle(oscillator, motion, sections, near, longest, budget):
-    """Return (NOTHING, NEAR or SETTLED, PeriodicOrbit, shift, periods spent) of a motion.
+    """Return (NO_ORBIT, UNPROVED or PROVED, PeriodicOrbit, shift, periods spent) of a motion.
 
-    SETTLED: the motion converges to that stable orbit.
+    PROVED: the motion converges to that stable orbit.
 
-    NEAR: its sections recur near a stable orbit, but convergence is not proved.
+    UNPROVED: its sections recur near a stable orbit, but convergence is not proved.
 
     The proof has four parts. Newton's method finds a fixed point on the section t = (k + shift) T. The orbit is
     minimal: no shorter turn closes. All multipliers lie inside the unit circle. The motion is on the orbit, or so near
@@ -260,19 +260,19 @@ def settle(oscillator, motion, sections, near, longest, budget):
     shift, h, mode, flown = 0.0, motion.h.copy(), motion.mode[0], 0
     if len(returns) > 0 and budget > RESERVED_TURNS:
         shift, h, mode, flown = quiet_section(oscillator, motion.h, motion.mode[0])
-    there = seen_later(oscillator, shift)
+    shifted = seen_later(oscillator, shift)
     none = PeriodicOrbit(h, mode, 1, False, np.full(h.size, -np.inf), 0.0)
-    spent, nearest = 2 * flown, NOTHING
+    spent, nearest = 2 * flown, NO_ORBIT
     for p in returns:
         for half in (True, False):
-            left = 2 * budget - spent
+            remaining = 2 * budget - spent
             halves = oscillator.head[HEAD.symmetric] > 0.0 and p % 2 == 1
-            if (half and not halves) or left // (p if half else 2 * p) <= RESERVED_TURNS:
+            if (half and not halves) or remaining // (p if half else 2 * p) <= RESERVED_TURNS:
                 continue
-            verdict, orbit, half_periods = find_orbit(there, h, mode, p, half, scale, left)
+            verdict, orbit, half_periods = find_orbit(shifted, h, mode, p, half, scale, remaining)
             spent += half_periods + half_periods % 2
-            if verdict == SETTLED:
-                return SETTLED, orbit, shift, spent // 2
+            if verdict == PROVED:
+                return PROVED, orbit, shift, spent // 2
             nearest = max(nearest, verdict)
     return nearest, none, shift, spent // 2
 
@@ -318,8 +318,8 @@ def no_orbits(count: int, n: int) -> PeriodicOrbits:
 
 
 @kernel
-def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, cells, orbits, spent):
-    """Apply ``settle`` to these cells, with the last ``kept`` (N,) of the sections (N, K, n, 2) known; near (N,).
+def settle_cells(oscillators, motions, sections, counts, near, longest, budgets, cells, orbits, spent):
+    """Apply ``settle`` to these cells, with the last ``counts`` (N,) of the sections (N, K, n, 2) known; near (N,).
 
     An orbit that rests and keeps no direction counts if doubles can follow it from rest to rest. Write the rows of
     ``orbits`` and ``spent`` (N,) of these cells, and return the mask of cells with a proved orbit.
@@ -329,18 +329,18 @@ def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, c
     for e in range(len(cells)):
         r = cells[e]
         osc = row_of(oscillators, r)
-        known = sections[r, sections.shape[1] - kept[r] :]
+        known = sections[r, sections.shape[1] - counts[r] :]
         result, orbit, shift, spent[r] = settle(osc, row_of(motions, r), known, near[r], longest, budgets[r])
-        there = seen_later(osc, shift)
-        settled[e] = result == SETTLED
+        shifted = seen_later(osc, shift)
+        settled[e] = result == PROVED
         if settled[e] and highest(orbit.exponents, 0, len(orbit.exponents)) == -np.inf:
-            settled[e] = is_followed(there, orbit.h, orbit.mode, orbit.steps)
-        orbits.near[r] |= result == NEAR
+            settled[e] = is_followed(shifted, orbit.h, orbit.mode, orbit.steps)
+        orbits.near[r] |= result == UNPROVED
         if not settled[e]:
             continue
-        turn = iterate_alone(there, orbit.h, orbit.mode, orbit.steps, np.bool_(False))  # typed, as in run_batch
-        here = back_at_section(osc, shift, orbit.h, orbit.mode)
-        orbits.mode[r, 0], orbits.period[r], orbits.error[r] = here.mode[0], orbit.steps, orbit.error
+        turn = iterate_alone(shifted, orbit.h, orbit.mode, orbit.steps, np.bool_(False))  # typed, as in run_batch
+        back = back_at_section(osc, shift, orbit.h, orbit.mode)
+        orbits.mode[r, 0], orbits.period[r], orbits.error[r] = back.mode[0], orbit.steps, orbit.error
         orbits.symmetric[r], orbits.shift[r] = orbit.half, shift
         for _ in range(int(turn.tally[NEUTRAL])):
             least = 0
@@ -348,7 +348,7 @@ def settle_cells(oscillators, motions, sections, kept, near, longest, budgets, c
                 least = k if orbit.exponents[k] < orbit.exponents[least] else least
             orbit.exponents[least] = 0.0
         sort_down(orbit.exponents)
-        copy_into(orbits.h[r], here.h)
+        copy_into(orbits.h[r], back.h)
         copy_into(orbits.tally[r], turn.tally)
         copy_into(orbits.exponents[r], orbit.exponents)
     return settled

@@ -49,8 +49,8 @@ def record_legs(oscillators: Oscillator, state: Array, periods: int) -> list[Rec
     Raise ValueError if the motion cannot be followed.
     """
     state = np.array(state, dtype=np.float64)
-    shown = mode_code_of_state(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
-    rows = islice(legs_of_periods(oscillators, state, shown), periods)
+    number = mode_code_of_state(oscillators.table.elements, state).number_of(*oscillators.table.machines.segments)
+    rows = islice(legs_of_periods(oscillators, state, number), periods)
     return [leg_from_row(oscillators, row) for row in np.concatenate(list(rows))]
 
 
@@ -77,15 +77,15 @@ def legs_of_periods(oscillators: Oscillator, state: Array, number: int, tally: A
 
 def leg_from_row(oscillators: Oscillator, row: Array) -> RecordedLeg:
     """Return a row of legs as a RecordedLeg, for a single oscillator in a batch."""
-    own = oscillators.table.machines
-    begun = tuple(map(int, row[LEG_STATE + own.dimension :]))
-    code = code_of(int(row[LEG.number]), *own.sizes[1:], *own.segments)
+    machines = oscillators.table.machines
+    begun = tuple(map(int, row[LEG_STATE + machines.dimension :]))
+    code = code_of(int(row[LEG.number]), *machines.sizes[1:], *machines.segments)
     return RecordedLeg(
         float(row[LEG.start]), int(row[LEG.signal]), int(row[LEG.side]), float(row[LEG.rate]), code, begun
     )
 
 
-def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
+def mode_code_of_state(elements: ContactElements, z: Array) -> ModeCode:
     """Return the mode of a state of one machine, in its first phase.
 
     A state that rests or sticks up to rounding counts as resting or sticking.
@@ -94,16 +94,16 @@ def mode_code_of_state(own: ContactElements, z: Array) -> ModeCode:
     x, v = z[:n], z[n:]
     far, fast = AT_REST * np.max(np.abs(z)) + 1e-300, AT_REST * np.max(np.abs(v)) + 1e-300
     contacts, slips = [], []
-    for c, (row, stops, soft) in enumerate(zip(own.row[0], own.stops[0], own.soft[0], strict=True)):
+    for c, (row, stops, soft) in enumerate(zip(elements.row[0], elements.stops[0], elements.soft[0], strict=True)):
         y, rate = float(row @ x), float(row @ v)
         side = 1 if y > 0.5 * (max(stops[0], -1e300) + min(stops[1], 1e300)) else -1
         depth = side * (y - stops[1 if side > 0 else 0])
         on = depth > 0.0 if soft else abs(depth) <= far and abs(rate) <= fast
-        contacts.append(side * (ON + 2 * _segment(own.depths[0, c, 1 if side > 0 else 0], depth)) if on else OPEN)
-    for e, (row, belt) in enumerate(zip(own.friction_rows[0], own.belt[0], strict=True)):
+        contacts.append(side * (ON + 2 * _segment(elements.depths[0, c, 1 if side > 0 else 0], depth)) if on else OPEN)
+    for e, (row, belt) in enumerate(zip(elements.friction_rows[0], elements.belt[0], strict=True)):
         sliding = float(row @ v) - belt
         slips.append(
-            int(np.sign(sliding)) * (1 + _segment(own.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
+            int(np.sign(sliding)) * (1 + _segment(elements.speeds[0, e], abs(sliding))) if abs(sliding) > fast else 0
         )
     return ModeCode(0, tuple(contacts), tuple(slips))
 

@@ -53,16 +53,16 @@ def is_followed(oscillator, h, mode, periods):
 
 
 @kernel
-def rest_to_rest(oscillators, motions, cells, sections, kept):
+def rest_to_rest(oscillators, motions, cells, sections, counts):
     """Advance these motions of one mass, in place, to a section after a release that repeats an earlier one.
 
     oscillators  N machines
     motions      their motions
     cells        rows of the motions to advance
     sections     (N, K, n, 2) written: states between the two releases, at the end of each row
-    kept         (N,) written: number of these states
+    counts       (N,) written: number of these states
 
-    ``kept`` is 0 if a motion does not reach such a section in K - 1 periods. It is also 0 if a disturbance grows
+    ``counts`` is 0 if a motion does not reach such a section in K - 1 periods. It is also 0 if a disturbance grows
     FOLLOWED times on the way, so that doubles cannot decide. Return the number of periods flown (N,).
     """
     oscillators, motions = by_reference(oscillators), by_reference(motions)
@@ -70,14 +70,14 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
     K = sections.shape[1]
     for r in cells:
         osc, row = row_of(oscillators, r), row_of(motions, r)
-        n, kept[r] = row.h.shape[0], 0
+        n, counts[r] = row.h.shape[0], 0
         scale = scale_of(osc.gap.blocks, row.h)
         motion = motion_with(row.h, row.mode[0], axes(n), np.zeros(0), np.zeros((0, 0)))
         states, modes = np.empty((K, n, 2)), np.empty(K, dtype=np.int64)
         releases = np.empty(RELEASES, dtype=np.int64)
         known = count = 0
         rests = False
-        while flown[r] < K - 1 and kept[r] == 0:
+        while flown[r] < K - 1 and counts[r] == 0:
             rests, released = pass_period(osc, borrow(motion), rests)
             flown[r] += 1
             if motion.tally[STATUS] != RUNNING:
@@ -88,16 +88,16 @@ def rest_to_rest(oscillators, motions, cells, sections, kept):
                 for e in range(known):
                     k = releases[e]
                     near = separation(osc.gap.blocks, states[k], states[count]) < SAME_RELEASE * scale
-                    if kept[r] == 0 and near and modes[k] == modes[count]:
-                        kept[r] = count - k + 1
+                    if counts[r] == 0 and near and modes[k] == modes[count]:
+                        counts[r] = count - k + 1
                 if known < RELEASES:
                     releases[known] = count
                     known += 1
             elif not squares(motion.V) < FOLLOWED**2:
                 known = count = 0
             count += int(known > 0)
-        for k in range(kept[r]):
-            copy_into(sections[r, K - kept[r] + k], states[count - kept[r] + k])
+        for k in range(counts[r]):
+            copy_into(sections[r, K - counts[r] + k], states[count - counts[r] + k])
         copy_into(row.h, motion.h)
         row.mode[0] = motion.mode[0]
     return flown

@@ -22,7 +22,7 @@ MARGIN = 1.0 / 1024.0
 MAX_ATTEMPTS = 4
 """Maximum number of sections tried; the last one is taken in any case."""
 
-AT_SECTION = 1e-12
+PAST_SECTION = 1e-12
 """Share of a period after the section t = k T within which an impact counts as past."""
 
 
@@ -48,27 +48,27 @@ def quiet_section(oscillator, h, mode):
     """
     if has_modes(oscillator):
         return 0.0, h.copy(), mode, 0
-    shift, there, at, tries = 0.0, h.copy(), mode, 0
+    shift, state, at, tries = 0.0, h.copy(), mode, 0
     for tries in range(1, MAX_ATTEMPTS + 1):
         shift = tries * SHIFT - math.floor(tries * SHIFT)
         motion = motion_after(oscillator, h, mode, shift - MARGIN)
         before = motion.mode[0]
         motion.tally[MAX_SPEED] = 0.0
         propagate(seen_later(oscillator, shift - MARGIN), motion, MARGIN * oscillator.head[HEAD.period])
-        there, at = motion.h.copy(), motion.mode[0]
+        state, at = motion.h.copy(), motion.mode[0]
         propagate(seen_later(oscillator, shift), motion, MARGIN * oscillator.head[HEAD.period])
         same = before == at and at == motion.mode[0]
         if same and motion.tally[MAX_SPEED] == 0.0 and motion.tally[STATUS] == RUNNING:
             break
-    return shift, there, at, tries
+    return shift, state, at, tries
 
 
 @inline_always
 def back_at_section(oscillator, shift, h, mode):
     """Return the motion at the next section t = k T from block state h (n, 2) at t = (k - 1 + shift) T.
 
-    An impact at that section counts as past, also if rounding delays it by up to AT_SECTION T.
+    An impact at that section counts as past, also if rounding delays it by up to PAST_SECTION T.
     """
     motion = motion_after(seen_later(oscillator, shift), h, mode, 1.0 - shift)
-    after = motion_after(oscillator, motion.h, motion.mode[0], AT_SECTION)
+    after = motion_after(oscillator, motion.h, motion.mode[0], PAST_SECTION)
     return after if after.tally[MAX_SPEED] > 0.0 else motion

@@ -20,9 +20,9 @@ from workers.continuation import (
     SolutionPoint,
     branch,
     family_of,
-    leaving_branch,
     orbit_from_state,
     section_states,
+    switch_branch,
 )
 from workers.continuation.equilibria import equilibria
 from workers.continuation.families import has_images
@@ -254,7 +254,7 @@ class BranchTree:
         low, high = self.window
         for amplitude in AMPLITUDES:
             try:
-                start = leaving_branch(self.family, event, high - low, amplitude)
+                start = switch_branch(self.family, event, high - low, amplitude)
                 run = branch(self.family, start.orbit, start.value, self.window)
             except ValueError:
                 continue

@@ -181,7 +181,10 @@ def _located(event: Event, values: Array) -> PlaneEvent:
 def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budget: int) -> FollowedCurve | str:
     """Return the curve of an event through the plane's window, or the reason why there is none.
 
-    Among the events of equilibria, Hopf points have curves.
+    resolution  longest step, as a share of the window
+    budget      maximum number of points
+
+    Of the events of equilibria only Hopf points are followed.
     """
     still, name = event.condition.kind in OF_EQUILIBRIA, event.kind.replace("_", " ")
     if still and event.kind != HOPF:

@@ -76,12 +76,12 @@ class Curve:
 
     @property
     def is_bounding(self) -> NDArray[np.bool_]:
-        """The mask of points (N,) at which the orbit is otherwise stable."""
+        """The mask of points (N,) at which all multipliers but the critical are stable."""
         return self.unstable == 0
 
     @property
     def stable_parts(self) -> list[tuple[int, int]]:
-        """The first and the last point of each part along which the orbit is otherwise stable."""
+        """Indices of the first and the last point of each part on which all multipliers but the critical are stable."""
         steps = self.is_bounding[1:] & self.is_bounding[:-1]
         ends = np.flatnonzero(np.diff(np.concatenate([[False], steps, [False]]).astype(np.int8)))
         return list(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))

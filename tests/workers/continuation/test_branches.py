@@ -15,7 +15,7 @@ from tests.reference_machines import (
     reference_orbit,
     reference_values,
 )
-from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, leaving_branch
+from workers.continuation.branches import BUDGET, EDGE, BranchRun, branch, switch_branch
 from workers.continuation.families import family_of
 from workers.continuation.floquet import multipliers
 from workers.continuation.itinerary import Itinerary, Orbit
@@ -89,7 +89,7 @@ def test_the_asymmetric_branch_leaves_and_comes_back_at_the_symmetry_breaking() 
     family = impact_pair(("alpha",), R=0.6)
     run = branch(family, pair_orbit(0.3, 0.6), 0.3, (0.2, 0.6))
     event = next(event for event in run.events if event.kind == "symmetry_breaking")
-    start = leaving_branch(family, event, 0.4)
+    start = switch_branch(family, event, 0.4)
     assert len(start.orbit.itinerary.sides) == 2
     side = branch(family, start.orbit, start.value, (0.2, 0.6))
     assert "symmetry_breaking" in side.ends
@@ -130,7 +130,7 @@ def test_branches_of_the_two_mass_system_join_at_their_events() -> None:
     assert sorted(run.ends) == ["graze", "symmetry_breaking"]
     doubling = next(event for event in run.events if event.kind == "period_doubling")
     assert doubling.point.values[0] == pytest.approx(float(record["point"]["omega"]), abs=1e-12)
-    start = leaving_branch(family, doubling, 2.5)
+    start = switch_branch(family, doubling, 2.5)
     assert start.orbit.itinerary.periods == 2
     doubled = branch(family, start.orbit, start.value, (1.5, 4.0))
     assert "period_doubling" in doubled.ends

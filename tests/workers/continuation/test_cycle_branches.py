@@ -12,7 +12,7 @@ import pytest
 from tests.unforced import machine
 from tests.workers.continuation.test_equilibria import chords_of
 from workers import Settings, System, solve_tile
-from workers.continuation import BranchRun, Family, SolutionPoint, branch, family_of, leaving_branch, orbit_from_state
+from workers.continuation import BranchRun, Family, SolutionPoint, branch, family_of, orbit_from_state, switch_branch
 
 pytestmark = pytest.mark.slow
 
@@ -159,7 +159,7 @@ def test_a_cycle_doubles_and_beyond_the_doubling_cells_fall_into_the_branch_that
     run, family = followed(system, "R", (0.4, 0.52))
     (doubling,) = (event for event in run.events if event.kind == "period_doubling")
     assert np.abs(doubling.point.multipliers + 1.0).min() < 1e-7
-    start = leaving_branch(family, doubling, 0.12, amplitude=0.01)
+    start = switch_branch(family, doubling, 0.12, amplitude=0.01)
     doubled = branch(family, start.orbit, start.value, (0.4, 0.52))
     assert doubled.ends == ("edge", "period_doubling")
     assert doubled.events[0].point.values[0] == pytest.approx(doubling.point.values[0], abs=1e-9)

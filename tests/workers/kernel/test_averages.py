@@ -115,7 +115,7 @@ def test_averages_do_not_depend_on_when_the_frame_is_made_orthonormal(figure: in
     average, expected = averaged(osc, one, 300), averaged(osc, other, 1)
     for _ in range(299):
         reset_frame(osc.gap.blocks, other)
-        expected.done[0] = 0
+        expected.completed[0] = 0
         run(expected, ONE)
     reset_frame(osc.gap.blocks, other)
     assert one.tally[SPREAD] > 0.0

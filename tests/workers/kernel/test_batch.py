@@ -71,18 +71,18 @@ def part(batch: MotionBatch, cells: np.ndarray) -> MotionBatch:
 
 
 def finish(batch: MotionBatch, **how: int) -> MotionBatch:
-    run(batch, np.arange(len(batch.done)), **how)
+    run(batch, np.arange(len(batch.completed)), **how)
     return batch
 
 
 def one_by_one(batch: MotionBatch) -> list[MotionBatch]:
-    return [finish(part(batch, np.array([k]))) for k in range(len(batch.done))]
+    return [finish(part(batch, np.array([k]))) for k in range(len(batch.completed))]
 
 
 def assert_same_bits(one: MotionBatch, other: MotionBatch, cells: np.ndarray) -> None:
     """Everything of ``other`` is what ``one`` has of these cells."""
     picked = part(one, cells)
-    for name in ("done", "levels", "weighted", "sections"):
+    for name in ("completed", "levels", "weighted", "sections"):
         np.testing.assert_array_equal(getattr(picked, name), getattr(other, name), err_msg=name)
     for name in ("h", "mode", "V", "growth", "tally"):
         found, expected = getattr(picked.motions, name), getattr(other.motions, name)
@@ -94,7 +94,7 @@ def assert_same_bits(one: MotionBatch, other: MotionBatch, cells: np.ndarray) ->
 def test_cells_side_by_side_have_the_bits_of_each_alone(figure: int, vectors: int) -> None:
     start = family(figure, vectors, 150, 40)
     together = finish(part(start, np.arange(150)))
-    assert np.all(together.done == 40)
+    assert np.all(together.completed == 40)
     for k, alone in enumerate(one_by_one(start)):
         assert_same_bits(together, alone, np.array([k]))
 
@@ -158,7 +158,7 @@ def test_a_motion_that_is_out_of_work_stops_at_its_section() -> None:
     batch = family(3, 0, 8, 50)
     batch.motions.tally[:, WORK] = 40.0 * np.arange(8)
     finish(batch)
-    assert 1 == batch.done[0] < batch.done[4] < 50
+    assert 1 == batch.completed[0] < batch.completed[4] < 50
     assert np.all(batch.motions.tally[:, STATUS] == RUNNING)
 
 
@@ -183,7 +183,7 @@ def test_one_period_of_every_kind_of_cell_is_that_of_the_map_of_one() -> None:
     finish(batch)
     sticks, away = 0, []
     before = part(batch, np.arange(300))
-    batch.periods[:], batch.done[:] = 1, 0
+    batch.periods[:], batch.completed[:] = 1, 0
     finish(batch)
     for k in range(300):
         osc = map_fields(batch.oscillators, lambda field: field[k])  # noqa: B023
@@ -204,7 +204,7 @@ def test_a_period_of_very_many_impacts_is_left_to_the_bounded_march() -> None:
     params = naive.FIGURES[3] | {"R": 1.0, "b": 1e-6 * (1.0 + 0.01 * np.arange(4)), "omega": 0.1}
     batch = finish(at_rest(oscillators_of(params, 4), 0, 3))
     assert np.max(batch.motions.tally[:, EVALUATIONS]) > 100_000
-    assert np.all(batch.done == 3)
+    assert np.all(batch.completed == 3)
 
 
 @pytest.mark.slow

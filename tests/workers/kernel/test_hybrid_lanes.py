@@ -51,7 +51,7 @@ def finished(batch: MotionBatch, cells: np.ndarray, **how: int) -> MotionBatch:
 
 
 def assert_same_bits(one: MotionBatch, rows: np.ndarray, other: MotionBatch) -> None:
-    for name in ("done", "levels", "weighted", "sections"):
+    for name in ("completed", "levels", "weighted", "sections"):
         np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
     for name in ("h", "mode", "V", "growth", "tally"):
         found, expected = getattr(one.motions, name)[rows], getattr(other.motions, name)

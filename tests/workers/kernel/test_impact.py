@@ -24,7 +24,7 @@ from workers.kernel.coordinates import blocks_to_physical
 from workers.kernel.flow import guard_of, guard_rate_of
 from workers.kernel.hybrid.state import harmonics_at
 from workers.kernel.motion import FLIGHT, motion_at
-from workers.kernel.sticking import from_held, load_on_stop, stay_on_stop, to_held
+from workers.kernel.sticking import from_sticking, load_on_stop, stay_on_stop, to_sticking
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import Oscillator
 
@@ -191,7 +191,8 @@ def onto_stop(osc: Oscillator, u: np.ndarray, phase: float, side: int) -> np.nda
     """The block state in flight of a state u (n - 1, 2) of the blocks that move while y is on a stop."""
     n = len(u) + 1
     h, V, room = np.zeros((n, 2)), np.zeros((0, n, 2)), (np.empty(2 * n), np.empty((0, 2 * n)))
-    from_held(osc, np.append(u, [[0.0, 0.0]], axis=0), V, harmonics_at(phase, len(osc.gap.waves)), side, *room, h, V)
+    turn = harmonics_at(phase, len(osc.gap.waves))
+    from_sticking(osc, np.append(u, [[0.0, 0.0]], axis=0), V, turn, side, *room, h, V)
     return h
 
 
@@ -207,7 +208,7 @@ def test_held_coordinates_give_a_state_on_the_stop_at_rest(osc: Oscillator, side
         rounding = 2e-15 * (1 + np.abs(u).max())
         assert guard_of(osc.gap.blocks, h) + Y == pytest.approx(stop_position(osc, side), abs=rounding)
         assert guard_rate_of(osc.gap.blocks, h) + dY == pytest.approx(0.0, abs=4 * rounding)
-        to_held(osc, h, V, harmonics_at(phase, len(osc.gap.waves)), *room, back, V)
+        to_sticking(osc, h, V, harmonics_at(phase, len(osc.gap.waves)), *room, back, V)
         assert back[:-1] == pytest.approx(u, abs=1e-14)
         assert not back[-1].any()
 

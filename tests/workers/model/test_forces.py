@@ -1,4 +1,4 @@
-"""Claims about forces: sine and cosine parts, many orders, commensurate frequencies, waveforms."""
+"""Claims about forces: sine and cosine parts, many orders, commensurate frequencies, square waves."""
 
 import json
 import math
@@ -27,7 +27,6 @@ from workers import Settings, System, solve_tile
 from workers.attractors.initial_states import REACH, AttractorSettings, boxes
 from workers.model.entries import DefinitionError
 from workers.model.parse_force import HARMONICS, HIGHEST
-from workers.model.waveform import WAVEFORMS, Waveform
 from workers.results import PERIODIC
 
 OWN: dict[str, Any] = {
@@ -35,7 +34,6 @@ OWN: dict[str, Any] = {
     "upper": "b", "restitution": 0.7,
     "parameters": {"m": 1.3, "c": 0.3, "k": 2.0, "b": 100.0, "A": 0.8, "B": 0.5},
 }  # fmt: skip
-TABLE = [[0.1, 0.2], [0.35, 1.0], [0.55, -0.3], [0.8, -0.7]]
 
 
 def machine(**entries: Any) -> System:
@@ -320,95 +318,11 @@ def test_an_order_of_no_amplitude_changes_no_bit_whatever_cells_lie_beside_it() 
             assert found[r] == pytest.approx(plain[name][0], nan_ok=True, rel=1e-12, abs=1e-12), name
 
 
-# Waveforms
+# Square waves
 
 
-@pytest.mark.parametrize(("points", "within"), [("triangle", 0.2), ("triangle", 0.026), (TABLE, 0.2), (TABLE, 0.06)])
-def test_the_force_of_a_waveform_is_its_table_to_the_bound(points: Any, within: float) -> None:
-    system = machine(harmonics=[{"waveform": points, "force": ["A"], "within": within}], load=["B"])
-    shares = np.linspace(0.0, 1.0, 20001)
-    table = np.array(WAVEFORMS.get(points, points) if isinstance(points, str) else points)
-    exact = np.interp(shares, *table.T, period=1.0)
-    errors = np.abs(force_at(system, 2 * math.pi * shares) - 0.5 - 0.8 * exact)
-    assert errors.max() <= within * 0.8 * np.abs(table[:, 1]).max()
-    assert len(system.definition.harmonics) <= HARMONICS
-
-
-def random_points(seed: int) -> np.ndarray:
-    rng = np.random.default_rng([52, seed])
-    count = int(rng.integers(2, 40))
-    return np.column_stack([np.sort(rng.random(count)), rng.normal(size=count)])
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_the_bound_of_a_waveform_holds_and_is_reached(seed: int) -> None:
-    points = random_points(seed)
-    wave = Waveform(points)
-    found, error = wave.fewest(1e-9, range(1, HIGHEST + 1), HARMONICS)
-    shares = np.union1d(np.random.default_rng(seed).random(100_000), points[:, 0])
-    force = wave.mean + sum(
-        (s * np.sin(2 * math.pi * k * shares) + c * np.cos(2 * math.pi * k * shares) for k, (s, c) in found.items()),
-        np.zeros(shares.size),
-    )
-    largest = np.abs(force - np.interp(shares, *points.T, period=1.0)).max() / np.abs(points[:, 1]).max()
-    assert largest <= error <= largest * (1 + 1e-3)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_harmonics_of_a_waveform_are_its_fourier_coefficients(seed: int) -> None:
-    """The integral of each segment in closed form, by parts, in place of the bends of the slope."""
-    points = random_points(seed)
-    x, w = points.T
-    ends, values = np.append(x, x[0] + 1.0), np.append(w, w[0])
-    for k in (1, 2, 7):
-        q = 2 * math.pi * k
-        slopes = np.diff(values) / np.diff(ends)
-        sine = np.diff(-values * np.cos(q * ends) / q).sum() + (slopes * np.diff(np.sin(q * ends))).sum() / q**2
-        cosine = np.diff(values * np.sin(q * ends) / q).sum() + (slopes * np.diff(np.cos(q * ends))).sum() / q**2
-        size = np.abs(w).max()
-        assert Waveform(points).harmonic(k) == pytest.approx((2 * sine, 2 * cosine), rel=1e-8, abs=1e-11 * size)
-
-
-def test_a_triangle_has_the_harmonics_of_its_series() -> None:
-    system = machine(harmonics=[{"waveform": "triangle", "force": [1.0], "within": 0.03}])
-    found = [
-        (int(harmonic.order), harmonic.force[0].constant, harmonic.cosine) for harmonic in system.definition.harmonics
-    ]
-    orders = range(1, 2 * len(found), 2)
-    assert [order for order, _, _ in found] == list(orders)
-    signs = [(-1) ** (k // 2) * 8 / (math.pi * k) ** 2 for k in orders]
-    assert [size for _, size, _ in found] == pytest.approx(signs, rel=1e-11)
-    assert not any(cosine for _, _, cosine in found)
-    tail = 1.0 - sum(8 / (math.pi * k) ** 2 for k in orders)  # the error is largest at the corners
-    assert Waveform(WAVEFORMS["triangle"]).fewest(0.03, range(1, 33), 8)[1] == pytest.approx(tail, rel=1e-4)
-
-
-def test_a_waveform_has_an_order_a_phase_and_a_mean_that_phases_keep() -> None:
-    wave = {"order": "1/2", "waveform": TABLE, "force": ["A"], "phase": [0.9], "within": 0.3}
-    phases = [{"start": 0.0}, {"start": 0.5, "load": ["B"]}]
-    system = machine(harmonics=[wave], load=[0.1], phases=phases)
-    mean = 0.8 * Waveform(TABLE).mean
-    many = system.definition.hybrid({p.name: np.array([p.default]) for p in system.parameters})
-    assert many.load[0, :, 0] == pytest.approx([0.1 + mean, 0.5 + mean], rel=1e-12)
-    angles = np.linspace(0.0, 4 * math.pi, 9001)
-    exact = np.interp((angles / 2 + 0.9) / (2 * math.pi), *np.array(TABLE).T, period=1.0)
-    assert np.abs(force_at(system, angles) - 0.1 - 0.8 * exact).max() <= 0.3 * 0.8
-
-
-def test_a_waveform_and_a_harmonic_of_its_order_add_up() -> None:
-    wave = {"waveform": "triangle", "force": ["A"], "within": 0.1}
-    both, one = machine(force=["B"], harmonics=[wave]), machine(harmonics=[wave])
-    angles = np.linspace(0.0, 6.0, 30)
-    assert force_at(both, angles) == pytest.approx(force_at(one, angles) + 0.5 * np.sin(angles), abs=1e-14)
-
-
-def test_a_stored_definition_of_a_waveform_is_the_same_machine() -> None:
-    system = machine(harmonics=[{"waveform": TABLE, "force": ["A"], "within": 0.2}, {"order": "1/3", "cosine": ["B"]}])
-    assert System.from_mapping(system.table()) == system
-
-
-def test_the_square_wave_that_the_error_advises_is_one() -> None:
-    """Phases with loads, against the sum of the series of its response."""
+def test_phases_with_loads_are_a_square_wave() -> None:
+    """Against the sum of the series of its response."""
     own = {key: OWN[key] for key in ("name", "coordinates", "parameters")}
     square = System.from_mapping(
         own | {"mass": [[1.0]], "stiffness": [[4.0]], "damping": [[0.5]], "load": [0.0], "contacts": [
@@ -439,44 +353,11 @@ LINES: list[tuple[dict[str, Any], str]] = [
     ),
     ({"harmonics": [{"order": 2}]}, "system.harmonics[0]: force missing"),
     ({"phase": [1]}, "system.phase: found without a force"),
-    ({"harmonics": [{"waveform": "triangle", "force": [1]}]}, "system.harmonics[0]: within missing; give the largest"),
     (
-        {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01}]},
-        "found 0.01; the 8 harmonics that are allowed, up to 32 times its frequency, come within 0.026; give",
+        {"harmonics": [{"order": 1, "force": [1], "waveform": "triangle"}]},
+        "unknown key in system.harmonics[0] 'waveform'; known: order, force, phase, cosine",
     ),
-    (
-        {"harmonics": [{"waveform": "triangle", "force": [1], "within": 0.01, "order": 20}]},
-        "found 0.01; the 8 harmonics that are allowed, up to 1 times its frequency, come within 0.19; give",
-    ),
-    ({"harmonics": [{"waveform": "triangle", "force": [1], "within": 1}]}, "found 1, must be above 0 and below 1"),
-    ({"harmonics": [{"waveform": "square", "force": [1], "within": 0.1}]}, "'square', which jumps: at a jump"),
-    ({"harmonics": [{"waveform": "sine", "force": [1], "within": 0.1}]}, "must be 'triangle', or a list of pairs"),
-    ({"harmonics": [{"waveform": [[0, 1]], "force": [1], "within": 0.1}]}, "found 1 points, must be 2 to 1000"),
-    (
-        {"harmonics": [{"waveform": [[0, 1], [0.5, 2], [0.5, 3]], "force": [1], "within": 0.1}]},
-        "system.harmonics[0].waveform[2]: found the share 0.5 twice, must rise; at a jump harmonics err by half of it",
-    ),
-    (
-        {"harmonics": [{"waveform": [[0, 1], [0.5, 2], [0.4, 3]], "force": [1], "within": 0.1}]},
-        "waveform[2]: found the share 0.4, must rise from 0 and stay below 1",
-    ),
-    ({"harmonics": [{"waveform": [[0, 1], [1, 2]], "force": [1], "within": 0.1}]}, "found the share 1, must rise"),
-    ({"harmonics": [{"waveform": [[0, 1], [0.5, 1]], "force": [1], "within": 0.1}]}, "one value only, 1; a constant"),
-    ({"harmonics": [{"waveform": [[0, "a"], [0.5, 1]], "force": [1], "within": 0.1}]}, "found 'a', must be a number"),
-    ({"harmonics": [{"within": 0.1, "force": [1]}]}, "system.harmonics[0].waveform: found None, must be 'triangle'"),
-    (
-        {"harmonics": [{"waveform": "triangle", "force": [1], "cosine": [1], "within": 0.1}]},
-        "unknown key in system.harmonics[0] 'cosine'",
-    ),
-    (
-        {"harmonics": [{"waveform": "triangle", "force": ["+".join(["A"] * 250)], "within": 0.1}]},
-        "characters, must be at most 500; give its force a name in let",
-    ),
-    (
-        {"harmonics": [{"waveform": "triangle", "force": ["A"], "within": 0.1}],
-         "phases": [{"start": 0, "force": ["B"]}]},
-        "system.phases[0].force: a phase changes no waveform; give system.force for it to change",
-    ),
+    ({"harmonics": [{"order": 1, "force": [1], "within": 0.1}]}, "unknown key in system.harmonics[0] 'within'"),
 ]  # fmt: skip
 
 

@@ -74,7 +74,7 @@ def test_a_dashpot_along_the_gap_leaves_what_moves_on_a_stop_undamped() -> None:
             )
         )  # fmt: skip
         assert reasons[0] == NO_REASON
-        assert built.held.blocks[0, 0, 0, 0, COLUMN.eta] == 0.0
+        assert built.sticking.blocks[0, 0, 0, 0, COLUMN.eta] == 0.0
 
 
 def test_a_machine_depends_on_parameters_through_names_too() -> None:

@@ -99,7 +99,7 @@ def test_stops_that_differ_by_more_than_rounding_are_not_symmetric() -> None:
 def test_what_holds_y_at_either_stop_of_a_symmetric_machine_is_exactly_opposite() -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
-        held = machine(**preloaded(rng)).held  # counted from rest, the stops lie at opposite places
+        held = machine(**preloaded(rng)).sticking  # counted from rest, the stops lie at opposite places
         assert held.offset[0, 0] == 0.0
         assert not held.blocks[..., COLUMN.rest0 :].any()
 

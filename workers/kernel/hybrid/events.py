@@ -216,11 +216,11 @@ def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, p
     reset(f, n, row, kick, 0.0, share)
     for i in range(W.shape[0]):
         reset(W[i], n, row, kick, 0.0, share)
-    left = 0.0
+    remaining = 0.0
     if load > 0.0 and 0.0 < R < 1.0:
         away = load_away(table, c, side, load, states, slips, phase_index, z, harmonics)
         even = away == load
-        left = chatter_left(load, side * jerk, cA2k, w, R) if even else uneven_chatter(away, load, w, R)
+        remaining = chatter_left(load, side * jerk, cA2k, w, R) if even else uneven_chatter(away, load, w, R)
     if rests:
         states[c] = side
     else:
@@ -232,7 +232,7 @@ def impact(table, k, g, c, side, rate, h, states, slips, phase_index, z, f, W, p
             signal_starts[SIGNALS * len(states) + e] = 0
         if rests and elements.along[e, c] != 0.0 and elements.belt[e] == 0.0:
             slips[e] = 0
-    return following, left
+    return following, remaining
 
 
 @kernel
@@ -274,7 +274,7 @@ def strikes_while_held(elements, c, states):
     if elements.soft[c] > 0.0 or states[c] != OPEN:
         return False
     for other in range(len(states)):
-        held = states[other] != OPEN and elements.soft[other] == 0.0
-        if held and other != c and abs(product(elements.row[other], elements.kick[c], 0)) > JUMPED:
+        closed = states[other] != OPEN and elements.soft[other] == 0.0
+        if closed and other != c and abs(product(elements.row[other], elements.kick[c], 0)) > JUMPED:
             return True
     return False

@@ -114,7 +114,7 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
     pieces, elements = table.pieces, table.elements
     blocks, n = pieces.blocks[k, 0], len(h)
     top = table.omega * pieces.waves.shape[2]
-    there, nothing, flat = h.copy(), np.empty((0, n, 2)), np.empty((0, 2 * n))
+    block_state, nothing, flat = h.copy(), np.empty((0, n, 2)), np.empty((0, 2 * n))
     z, f, turn, since = np.empty(2 * n), np.empty(2 * n), np.empty((pieces.waves.shape[2], 2)), 0.0
     accelerates = np.any(meter.orders == ACCELERATION)
     while since < s and tally[STATUS] == RUNNING:
@@ -122,10 +122,10 @@ def integrate(table, meter, reading, k, phase_index, states, slips, h, phase, s,
         spend(tally, len(NODES))
         for g in range(len(NODES)):
             at, weight = since + 0.5 * step * (1.0 + NODES[g]), 0.5 * step * WEIGHTS[g]
-            copy_into(there, h)
-            flow(blocks, at, there)
+            copy_into(block_state, h)
+            flow(blocks, at, block_state)
             write_harmonics(phase + table.omega * at, turn)
-            leave(pieces, k, there, nothing, turn, z, flat)
+            leave(pieces, k, block_state, nothing, turn, z, flat)
             if accelerates:
                 right_hand_side(pieces, k, z, turn, f)
             for m in range(len(meter.rows)):
@@ -162,26 +162,26 @@ def read_chatter(modes, meter, reading, before, k, c, elements, states, slips, h
     for e in range(len(slips)):
         if slips[e] == 0 and along[e, c] != 0.0:
             reading.stuck[e] -= chatter
-    z, flying, held = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
+    z, flying, resting = np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
     for node in range(3):
         since, weight = 0.5 * node * chatter, chatter * (4.0 if node == 1 else 1.0) / 6.0
         flown, at = h.copy(), harmonics_at(phase + omega * since, modes.waves.shape[2])
         flow(modes.blocks[k, 0], since, flown)
         leave(modes, k, flown, np.empty((0, n, 2)), at, z, np.empty((0, 2 * n)))
         right_hand_side(modes, before, z, at, flying)
-        right_hand_side(modes, k, z, at, held)
+        right_hand_side(modes, k, z, at, resting)
         for m in range(len(meter.rows)):
             if meter.orders[m] == ACCELERATION:
-                there, here = product(meter.rows[m], flying, n), product(meter.rows[m], held, n)
-                reading.first[m] += weight * (there - here)
-                reading.square[m] += weight * (there * there - here * here)
+                flight_value, stuck_value = product(meter.rows[m], flying, n), product(meter.rows[m], resting, n)
+                reading.first[m] += weight * (flight_value - stuck_value)
+                reading.square[m] += weight * (flight_value * flight_value - stuck_value * stuck_value)
         if node == 0:
             reset(z, n, elements.row[c], elements.kick[c], -elements.R[c] * rate, 1.0)
             right_hand_side(modes, before, z, at, flying)
         for m in range(len(meter.rows)):
             if meter.orders[m] == ACCELERATION and meter.peaks[m] > 0.0:
-                there = product(meter.rows[m], flying, n)
-                reading.low[m], reading.high[m] = min(reading.low[m], there), max(reading.high[m], there)
+                flight_value = product(meter.rows[m], flying, n)
+                reading.low[m], reading.high[m] = min(reading.low[m], flight_value), max(reading.high[m], flight_value)
 
 
 @kernel
@@ -261,13 +261,13 @@ def read_leg(table, meter, reading, before, leg, signal, following, begins, mark
     enter(pieces, k, z, flat, harmonics_at(phase, harmonics), h, nothing)
     for m in range(2):
         if t <= marks[m] <= t + s:
-            there = h.copy()
-            flow(pieces.blocks[k, 0], marks[m] - t, there)
+            block_state = h.copy()
+            flow(pieces.blocks[k, 0], marks[m] - t, block_state)
             turn = harmonics_at(table.tau + table.omega * marks[m], harmonics)
-            leave(pieces, k, there, nothing, turn, reading.halves[m], flat)
-    there = h.copy()
-    flow(pieces.blocks[k, 0], s, there)
-    leave(pieces, k, there, nothing, harmonics_at(phase + table.omega * s, harmonics), end, flat)
+            leave(pieces, k, block_state, nothing, turn, reading.halves[m], flat)
+    block_state = h.copy()
+    flow(pieces.blocks[k, 0], s, block_state)
+    leave(pieces, k, block_state, nothing, harmonics_at(phase + table.omega * s, harmonics), end, flat)
     c = signal // SIGNALS
     if signal >= 0 and c < len(states) and signal % SIGNALS == 0 and states[c] == OPEN:
         read_impact(elements, reading, c, end, following, t + s > begins)
@@ -315,10 +315,10 @@ def record_period(table, z, code, tally, duration):
     flat, line, square = np.empty((0, size)), np.empty(0), np.empty((0, 0))
     columns = LEG_STATE + size + table.pieces.ends.shape[1]
     while True:
-        there, number, spent = z.copy(), code.copy(), tally.copy()
+        final, number, spent = z.copy(), code.copy(), tally.copy()
         spent[RECORDED] = 0.0
         hits, legs = np.empty((room, 3)), np.empty((room, columns))  # a contact ends a leg
-        through_modes(table, there, flat, number, line, square, spent, hits, legs, duration)
+        through_modes(table, final, flat, number, line, square, spent, hits, legs, duration)
         if spent[STATUS] != RUNNING or math.isnan(legs[room - 1, 0]):
             break
         room *= 4
@@ -326,7 +326,7 @@ def record_period(table, z, code, tally, duration):
     count = 0
     while tally[STATUS] == RUNNING and not math.isnan(legs[count, 0]):
         count += 1
-    return there, number, legs[:count], hits[: int(tally[RECORDED]) if tally[STATUS] == RUNNING else 0]
+    return final, number, legs[:count], hits[: int(tally[RECORDED]) if tally[STATUS] == RUNNING else 0]
 
 
 @kernel
@@ -348,21 +348,21 @@ def read_period(table, meter, reading, z, code, tally, duration, begins, marks, 
     State z (2n,) and the number of its mode in code (1,) change in place; see ``read_leg``. If a mode is missing, the
     motion stays unchanged and nothing is added.
     """
-    there, number, legs, _ = record_period(table, z, code, tally, duration)
+    final, number, legs, _ = record_period(table, z, code, tally, duration)
     if tally[STATUS] != RUNNING:
         return
-    read_legs(table, meter, reading, legs, there, begins, marks, flies, tally)
-    copy_into(z, there)
+    read_legs(table, meter, reading, legs, final, begins, marks, flies, tally)
+    copy_into(z, final)
     code[0] = number[0]
 
 
 @kernel
-def read_motions(oscillators, meters, readings, states, codes, done, periods, closes, allowance, cells):
+def read_motions(oscillators, meters, readings, states, codes, completed, periods, closes, allowance, cells):
     """Advance motions by their remaining periods, add their readings to ``readings``, and return the status of each.
 
     states    (N, 2n)  physical states, changed in place
     codes     (N, 1)   numbers of their modes, changed in place
-    done      (N,)     number of periods done, of ``periods`` (N,); changed in place
+    completed (N,)     number of periods completed, of ``periods`` (N,); changed in place
     closes    (N,)     1 if the periods are one turn of an orbit, where an impact at the section counts once
     allowance (N,)     number of evaluations allowed, changed in place
     cells              rows to advance, of machines with modes
@@ -375,13 +375,13 @@ def read_motions(oscillators, meters, readings, states, codes, done, periods, cl
         meter, reading = row_of(meters, r), row_of(readings, r)
         period, turn = 2.0 * math.pi / table.omega, closes[r] > 0
         tally, marks = NOTHING_COUNTED.copy(), np.empty(2)
-        while done[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
-            flies, begins = done[r] < periods[r], AROUND * period if turn and done[r] == 0 else -1.0
-            marks[0] = EARLY * period if done[r] == 0 else np.nan
-            marks[1] = (EARLY + 0.5) * period if done[r] == periods[r] // 2 else np.nan
+        while completed[r] < periods[r] + (1 if turn else 0) and status[r] == RUNNING:
+            flies, begins = completed[r] < periods[r], AROUND * period if turn and completed[r] == 0 else -1.0
+            marks[0] = EARLY * period if completed[r] == 0 else np.nan
+            marks[1] = (EARLY + 0.5) * period if completed[r] == periods[r] // 2 else np.nan
             tally[WORK] = allowance[r] - OVERDRAFT
             duration = period if flies else AROUND * period
             read_period(table, meter, reading, states[r], codes[r], tally, duration, begins, marks, flies)
             allowance[r], status[r] = tally[WORK] + OVERDRAFT, int(tally[STATUS])
-            done[r] += 1 if status[r] == RUNNING else 0
+            completed[r] += 1 if status[r] == RUNNING else 0
     return status

@@ -10,7 +10,7 @@ from workers.kernel.hybrid.neutral import count_progress
 from workers.kernel.hybrid.state import product, product_of_blocks
 from workers.kernel.hybrid.trajectory import (
     CLOCK,
-    PLACE,
+    INDEX,
     TRIPS,
     begin_leg,
     begin_trajectory,
@@ -38,14 +38,14 @@ def first_event(modes, k, h, phase, signal_starts, H, scratch, tally):
         if low == -np.inf and high == np.inf:
             continue
         mode = by_reference(GuardedFlow(modes.blocks[k, g], modes.waves[k, g], modes.numbers[k, g], modes.forced[k]))
-        at, there, evaluations = next_crossing(
+        at, crossed, evaluations = next_crossing(
             mode, h, phase, modes.offset[k, g], high, low, signal_starts[g], s, scratch
         )
         spend(tally, evaluations)
-        if there == 2:
+        if crossed == 2:
             tally[STATUS] = MARCH_GAVE_UP
-        if abs(there) == 1 and (at < s or hit < 0):
-            s, hit, side = at, g, there
+        if abs(crossed) == 1 and (at < s or hit < 0):
+            s, hit, side = at, g, crossed
     return s, hit, side
 
 
@@ -59,7 +59,7 @@ def advance_leg(tables, r, trajs, slot, contacts, legs, scratch, duration):
     Return True if the trajectory is over, False also if the motion cannot continue. See ``through_modes``.
     """
     table, trip = row_in(tables, r), row_in(trajs, slot)
-    k, phase, H = trip.place[PLACE.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
+    k, phase, H = trip.indices[INDEX.mode], trip.clock[CLOCK.phase], trip.clock[CLOCK.horizon]
     s, reached, end = first_event(table.pieces, k, trip.h, phase, trip.begun, H, by_value(scratch), trip.tally)
     if trip.tally[STATUS] != RUNNING:
         return False
@@ -117,7 +117,7 @@ def go_through(tables, trajs, number, contacts, legs, duration):
         trip.clock[CLOCK.horizon] = begin_leg(table, trip, duration)
         if tally[STATUS] != RUNNING:
             return number
-        last = trip.place[PLACE.number]
+        last = trip.indices[INDEX.number]
         if advance_leg(tables, 0, trajs, 0, contacts, legs, scratch, duration):
             return last
 
@@ -162,7 +162,7 @@ def store_motion(to_blocks, omega, motion, traj, more, resets):
         count_progress(motion, h, omega)
     for j in range(len(h)):
         motion.h[j, 0], motion.h[j, 1] = h[j, 0], h[j, 1]
-    motion.mode[0] = traj.place[PLACE.number]
+    motion.mode[0] = traj.indices[INDEX.number]
     for e in range(len(motion.growth)):
         motion.growth[e] = traj.growth[more + e]
     for e in range(len(motion.triangle)):

@@ -15,15 +15,15 @@ def remove_held_motion(elements, states, lost, V):
 
     The last blocks are those of coordinates that stick on a stop, then of sticking friction, see ``hybrid_modes``.
     """
-    held = 0
+    count = 0
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            held += 1
-    first = V.shape[1] - (int(lost) - held)
+            count += 1
+    first = V.shape[1] - (int(lost) - count)
     for e in range(V.shape[0]):
         for i in range(first, V.shape[1]):
             V[e, i, 1] = 0.0
-            if i < first + held:
+            if i < first + count:
                 V[e, i, 0] = 0.0
 
 
@@ -55,18 +55,18 @@ def freeze(oscillator, motion):
     W, V = np.zeros((m, 2 * n)), np.zeros((m, n, 2))
     leave_frame(oscillator.to_physical, motion.V, W)
     enter_frame(table.pieces.to_blocks[k], W, V)
-    place, neutral = n, 0
+    column, neutral = n, 0
     for e in range(len(slips) - 1, -1, -1):
         if slips[e] != 0 or rests_on_stop(elements, e, states):
             continue
-        place -= 1
+        column -= 1
         drifts = (
             table.drifts > 0.0 and product(elements.friction_rows[e], oscillator.to_physical[:n, 2 * n - 1], 0) != 0.0
         )
         if not drifts and (slid >> e) & 1 == 0 and elements.belt[e] == 0.0:
             neutral += 1
             for i in range(m):
-                V[i, place, 0] = 0.0
+                V[i, column, 0] = 0.0
     if neutral > 0:
         leave_frame(table.pieces.to_physical[k], V, W)
         enter_frame(oscillator.to_blocks, W, motion.V)

@@ -108,9 +108,9 @@ def extremes(modes, k, row, direct, h, phase, s, tally):
     """
     mode, offset = mode_with(modes, k, row, direct)
     omega = mode.numbers[NUMBER.omega]
-    here, _, _, _, size = evaluate(mode.blocks, mode.waves, omega, h, 0.0, phase, 0.0)
-    there = evaluate(mode.blocks, mode.waves, omega, h, s, phase, 0.0)[0]
-    low, high = min(here, there), max(here, there)
+    begin_value, _, _, _, size = evaluate(mode.blocks, mode.waves, omega, h, 0.0, phase, 0.0)
+    end_value = evaluate(mode.blocks, mode.waves, omega, h, s, phase, 0.0)[0]
+    low, high = min(begin_value, end_value), max(begin_value, end_value)
     velocity, drift = velocity_of(mode)
     rate = abs(drift) + derivative_bounds(velocity.blocks, velocity.numbers, h, s)[0]
     if not rate * s <= LEVEL * (size + abs(offset)):

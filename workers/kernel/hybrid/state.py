@@ -14,7 +14,7 @@ from workers.model.hybrid_machines import PARALLEL
 from workers.model.hybrid_modes import ON
 from workers.model.oscillator import COLUMN
 
-ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+ROW_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 """Rounding of y = row . x as a share of sum |row_i x_i|, and of y' likewise: 16 units in the last place."""
 
 
@@ -245,7 +245,7 @@ def damping_along(acceleration, row, kick):
 def mode_number_of_state(elements, z):
     """Return the number of the mode of a physical section state z (2n,) in the first phase; -1 beyond a rigid stop.
 
-    A contact on a rigid stop with v = 0, to ROUNDING, sticks. Friction sticks at sliding velocity zero. Forces that
+    A contact on a rigid stop with v = 0, to ROW_ROUNDING, sticks. Friction sticks at sliding velocity zero. Forces that
     contradict this mode change it at once, see events.follow_jumps.
     """
     n = elements.row.shape[1]
@@ -254,7 +254,7 @@ def mode_number_of_state(elements, z):
     for c in range(len(states)):
         row = elements.row[c]
         y, v = product(row, z, 0), product(row, z, n)
-        near, slow = ROUNDING * size_of(row, z, 0), ROUNDING * size_of(row, z, n)
+        near, slow = ROW_ROUNDING * size_of(row, z, 0), ROW_ROUNDING * size_of(row, z, n)
         for side in (-1, 1):
             stop = elements.stops[c, 1 if side > 0 else 0]
             depth = side * (y - stop)
@@ -266,7 +266,7 @@ def mode_number_of_state(elements, z):
                 states[c] = side
     for e in range(len(slips)):
         sliding = product(elements.friction_rows[e], z, n) - elements.belt[e]
-        if abs(sliding) > ROUNDING * (size_of(elements.friction_rows[e], z, n) + abs(elements.belt[e])):
+        if abs(sliding) > ROW_ROUNDING * (size_of(elements.friction_rows[e], z, n) + abs(elements.belt[e])):
             slips[e] = slip_of(elements, e, sliding)
     return number_of(elements, states, slips, 0)
 

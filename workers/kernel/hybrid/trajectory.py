@@ -68,7 +68,7 @@ from workers.kernel.tangent import (
 from workers.model.hybrid_modes import ON, OPEN, SIGNALS
 from workers.model.oscillator import Array
 
-AT_SECTION = 1e-13
+SECTION_WIDTH = 1e-13
 """Share of a period around a section within which an event counts as at the section and passed. Otherwise rounding
 would decide, from turn to turn, the mode of an orbit that changes its mode there."""
 
@@ -99,7 +99,7 @@ class TrajectoryTimes(NamedTuple):
 
 
 class TrajectoryIndices(NamedTuple):
-    """Whole numbers of a trajectory, the columns of ``place``.
+    """Whole numbers of a trajectory, the columns of ``indices``.
 
     mode    slot of the mode in the table; negative if there is no mode, see events.mode_of
     number  number of the mode
@@ -117,8 +117,8 @@ class TrajectoryIndices(NamedTuple):
     legs: int
 
 
-CLOCKS, PLACES = len(TrajectoryTimes._fields), len(TrajectoryIndices._fields)
-CLOCK, PLACE = (
+CLOCKS, INDICES = len(TrajectoryTimes._fields), len(TrajectoryIndices._fields)
+CLOCK, INDEX = (
     TrajectoryTimes(*range(len(TrajectoryTimes._fields))),
     TrajectoryIndices(*range(len(TrajectoryIndices._fields))),
 )
@@ -129,7 +129,7 @@ class HybridTrajectory(NamedTuple):
     """A motion of n coordinates on its way from a section, with m tangent vectors and G signals.
 
     clock                     times, see TrajectoryTimes
-    place                     indices, see TrajectoryIndices
+    indices                   whole numbers, see TrajectoryIndices
     h (n, 2), V (m, n, 2)     state and tangent vectors at the start of the leg, in the blocks of its mode
     flow (n, 6)               flow of each block over the leg: its entries, see flow.flow_entries, and (h, h') after it
     z (2n,), W (m, 2n)        physical state and tangent vectors at an event
@@ -143,7 +143,7 @@ class HybridTrajectory(NamedTuple):
     """
 
     clock: Array
-    place: NDArray[np.int64]
+    indices: NDArray[np.int64]
     h: Array
     V: Array
     flow: Array
@@ -179,7 +179,7 @@ def make_trajectories(table, N, n, m, framed, square):
     C, F, G = table.elements.row.shape[0], table.elements.friction_rows.shape[0], table.pieces.ends.shape[1]
     size, harmonics, r = 2 * n, table.pieces.waves.shape[2], m if square else 0
     return HybridTrajectory(
-        np.zeros((N, CLOCKS)), np.zeros((N, PLACES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
+        np.zeros((N, CLOCKS)), np.zeros((N, INDICES), dtype=np.int64), np.empty((N, n, 2)), np.empty((N, m, n, 2)),
         np.empty((N, n, 6)),
         np.empty((N, size)), np.empty((N, m, size)), np.empty((N, harmonics, 2)),
         np.empty((N, size)), np.empty((N, size)), np.empty((N, m)),
@@ -228,11 +228,11 @@ def fly(modes, k, s, traj, drifts, flown):
 @inline_always
 def count_rest(elements, states, lost, s, chatter, tally):
     """Count a flight of duration s in a mode with lost dimensions as sticking, except the end of a chatter in it."""
-    held = 0.0
+    count = 0.0
     for c in range(len(states)):
         if abs(states[c]) == ON and elements.soft[c] == 0.0:
-            held += 1.0
-    if held > 0.0:
+            count += 1.0
+    if count > 0.0:
         tally[MIN_SPEED] = 0.0
     if lost > 0.0:
         tally[STUCK] += s if lost > 2.0 else max(s - chatter, min(s, TINY))  # sticking counts, however short
@@ -255,25 +255,25 @@ def keep_held(elements, states, slips, z):
 @kernel
 def follow(table, traj):
     """Find the next mode of the motion, see events.follow_jumps."""
-    place = traj.place
+    indices = traj.indices
     k, number = follow_jumps(
-        table, traj.states, traj.slips, place[PLACE.where], traj.z, traj.turn, traj.begun
+        table, traj.states, traj.slips, indices[INDEX.where], traj.z, traj.turn, traj.begun
     )  # fmt: skip
-    place[PLACE.mode], place[PLACE.number] = k, number
+    indices[INDEX.mode], indices[INDEX.number] = k, number
 
 
 @kernel
 def begin_trajectory(table, traj, number):
     """Begin a trajectory at a section, from its physical state and tangent vectors, in the mode of this number."""
-    clock, place = traj.clock, traj.place
+    clock, indices = traj.clock, traj.indices
     read_number(table.elements, number, traj.states, traj.slips)
     traj.begun[:] = 0
     clock[:] = 0.0
     clock[CLOCK.phase] = table.tau
     write_harmonics(table.tau, traj.turn)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
-    place[:] = 0
-    place[PLACE.hit] = -1
+    indices[:] = 0
+    indices[INDEX.hit] = -1
     keep_held(table.elements, traj.states, traj.slips, traj.z)
     follow(table, traj)
 
@@ -284,27 +284,27 @@ def begin_leg(table, traj, duration):
 
     If the trajectory cannot continue, set tally[STATUS] and return 0.
     """
-    clock, place, tally = traj.clock, traj.place, traj.tally
-    k, t, period = place[PLACE.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
+    clock, indices, tally = traj.clock, traj.indices, traj.tally
+    k, t, period = indices[INDEX.mode], clock[CLOCK.time], 2.0 * math.pi / table.omega
     if k < 0:
-        stop_at(table, tally, k, place[PLACE.number])
+        stop_at(table, tally, k, indices[INDEX.number])
     if tally[STATUS] != RUNNING:
         return 0.0
     lost = table.pieces.lost[k]
     tally[LOST] = max(tally[LOST], lost + table.drifts)
-    until = min(duration, period, table.elements.starts[place[PLACE.where] + 1] * period)
+    until = min(duration, period, table.elements.starts[indices[INDEX.where] + 1] * period)
     clock[CLOCK.until] = until
     enter(table.pieces, k, traj.z, traj.W, traj.turn, traj.h, traj.V)
     if t == 0.0:
         remove_held_motion(table.elements, traj.states, lost, traj.V)
     record_slips(traj.slips, tally)
-    return until - t + (AT_SECTION * period if until >= min(duration, period) else 0.0)
+    return until - t + (SECTION_WIDTH * period if until >= min(duration, period) else 0.0)
 
 
 @kernel
 def end_hop(table, traj, end, s):
     """Return the duration of a hop in a chatter and the speed at its end; the search found s. See chatter.hop."""
-    clock, pieces, k, g = traj.clock, table.pieces, traj.place[PLACE.mode], traj.place[PLACE.hit]
+    clock, pieces, k, g = traj.clock, table.pieces, traj.indices[INDEX.mode], traj.indices[INDEX.hit]
     blocks, waves = pieces.blocks[k, g], pieces.waves[k, g]
     fastest = fastest_rate(blocks, waves, table.omega)
     return hop(blocks, waves, table.omega, traj.h, clock[CLOCK.phase], end, clock[CLOCK.hop], s, fastest)
@@ -313,12 +313,12 @@ def end_hop(table, traj, end, s):
 @kernel
 def record_leg(traj, legs, s):
     """Record a leg of duration s, see leg_record.write_leg."""
-    clock, place = traj.clock, traj.place
+    clock, indices = traj.clock, traj.indices
     write_leg(
-        legs[place[PLACE.legs]], clock[CLOCK.time], place[PLACE.hit], place[PLACE.side], clock[CLOCK.rate],
-        place[PLACE.number], place[PLACE.mode], s, clock[CLOCK.chatter], traj.z, traj.begun,
+        legs[indices[INDEX.legs]], clock[CLOCK.time], indices[INDEX.hit], indices[INDEX.side], clock[CLOCK.rate],
+        indices[INDEX.number], indices[INDEX.mode], s, clock[CLOCK.chatter], traj.z, traj.begun,
     )  # fmt: skip
-    place[PLACE.legs] += 1
+    indices[INDEX.legs] += 1
 
 
 @inlined
@@ -332,16 +332,16 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
 
     The event itself follows, see ``strike_soft`` and ``strike_hard``.
     """
-    clock, place, tally, pieces, h = traj.clock, traj.place, traj.tally, table.pieces, traj.h
-    k, t, until, w = place[PLACE.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
+    clock, indices, tally, pieces, h = traj.clock, traj.indices, traj.tally, table.pieces, traj.h
+    k, t, until, w = indices[INDEX.mode], clock[CLOCK.time], clock[CLOCK.until], clock[CLOCK.hop]
     last = until >= min(duration, 2.0 * math.pi / table.omega)
-    searched, again, speed = s, w > 0.0 and reached == place[PLACE.hit] and end == place[PLACE.side], 0.0
+    searched, again, speed = s, w > 0.0 and reached == indices[INDEX.hit] and end == indices[INDEX.side], 0.0
     if again:
         s, speed = end_hop(table, traj, end, s)
     else:
         clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = UNKNOWN
     s = min(s, until - t)
-    if place[PLACE.legs] < legs.shape[0]:
+    if indices[INDEX.legs] < legs.shape[0]:
         record_leg(traj, legs, s)
     fly(pieces, k, s, traj, table.drifts, flown and s == searched)
     tally[CONTRACTION] -= pieces.trace[k] * s
@@ -351,7 +351,7 @@ def leave_leg(table, traj, s, reached, end, duration, legs, flown):
     t = until if reached < 0 else min(t + s, until)
     phase = table.tau + table.omega * t
     clock[CLOCK.time], clock[CLOCK.phase], clock[CLOCK.chatter] = t, phase, 0.0
-    place[PLACE.hit], place[PLACE.side] = reached, end
+    indices[INDEX.hit], indices[INDEX.side] = reached, end
     write_harmonics(phase, traj.turn)
     leave(pieces, k, h, traj.V, traj.turn, traj.z, traj.W)
     if reached < 0:
@@ -377,8 +377,8 @@ def is_soft(table, reached):
 @inlined
 def strike_soft(table, traj, contacts):
     """Pass the event of a soft contact, see events.soft_event, and count it."""
-    clock, place = traj.clock, traj.place
-    g, side = place[PLACE.hit], place[PLACE.side]
+    clock, indices = traj.clock, traj.indices
+    g, side = indices[INDEX.hit], indices[INDEX.side]
     c = g // SIGNALS
     if traj.states[c] == OPEN and table.elements.counted[c] > 0.0:
         count_contact(traj.tally, contacts, clock[CLOCK.time], side * (1.0 + c), abs(clock[CLOCK.rate]))
@@ -389,23 +389,23 @@ def strike_soft(table, traj, contacts):
 @inline_always
 def strike_hard(table, traj, contacts):
     """Pass the event of friction or of a rigid contact; return True if the next mode is still to be found."""
-    elements, clock, place = table.elements, traj.clock, traj.place
-    g, side, C = place[PLACE.hit], place[PLACE.side], len(traj.states)
+    elements, clock, indices = table.elements, traj.clock, traj.indices
+    g, side, C = indices[INDEX.hit], indices[INDEX.side], len(traj.states)
     c = g // SIGNALS
     if c >= C:
         clock[CLOCK.hop] = 0.0
         k, number = friction_event(
-            table, g, g - SIGNALS * C, side, traj.states, traj.slips, place[PLACE.where], traj.z, traj.before, traj.W,
+            table, g, g - SIGNALS * C, side, traj.states, traj.slips, indices[INDEX.where], traj.z, traj.before, traj.W,
             traj.turn, traj.begun,
         )  # fmt: skip
         if k < 0:
-            place[PLACE.mode], place[PLACE.number] = k, number
+            indices[INDEX.mode], indices[INDEX.number] = k, number
             return False
     elif strikes_while_held(elements, c, traj.states):
         traj.tally[STATUS] = SIMULTANEOUS
         return False
     elif traj.states[c] != OPEN:
-        release(elements, g, c, place[PLACE.where], traj.states, traj.slips, traj.begun, np.int64(3))
+        release(elements, g, c, indices[INDEX.where], traj.states, traj.slips, traj.begun, np.int64(3))
         clock[CLOCK.hop] = 0.0
     else:
         strike_stop(table, traj, g, c, side, contacts)
@@ -417,32 +417,32 @@ def strike_stop(table, traj, g, c, side, contacts):
     """Pass an impact on a rigid contact: its counts, and the remaining time of a chatter."""
     clock, tally, t, rate = traj.clock, traj.tally, traj.clock[CLOCK.time], traj.clock[CLOCK.rate]
     R, energy = table.elements.R[c], table.elements.weight[c] * rate * rate
-    following, left = impact(
-        table, traj.place[PLACE.mode], g, c, side, rate, traj.h, traj.states, traj.slips, traj.place[PLACE.where],
+    following, remaining = impact(
+        table, traj.indices[INDEX.mode], g, c, side, rate, traj.h, traj.states, traj.slips, traj.indices[INDEX.where],
         traj.z, traj.before, traj.W, clock[CLOCK.phase], traj.turn, traj.begun,
     )  # fmt: skip
     clock[CLOCK.hop] = 0.0
-    ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + left)
+    ends = with_estimate((clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3]), t + remaining)
     clock[CLOCK.end1], clock[CLOCK.end2], clock[CLOCK.end3] = ends
     if following != REBOUND:
         tally[LOST] = max(tally[LOST], 1.0 + table.drifts)
     if following == REST:  # the impacts at the end of a chatter cannot be counted
         tally[MAX_SPEED] = max(tally[MAX_SPEED], abs(rate))
         tally[LOSS] += energy
-        clock[CLOCK.chatter] = chatter_end(ends, left, R) - t if R > 0.0 else 0.0
+        clock[CLOCK.chatter] = chatter_end(ends, remaining, R) - t if R > 0.0 else 0.0
         write_down_rest(tally, contacts, t, side * (1.0 + c), abs(rate), clock[CLOCK.chatter])
         return
     count_contact(tally, contacts, t, side * (1.0 + c), abs(rate))
     tally[LOSS] += (1.0 - R * R) * energy
     tally[CONTRACTION] += 2.0 * log(max(R, TINY))
-    clock[CLOCK.hop] = R * abs(rate) if left > 0.0 else 0.0
+    clock[CLOCK.hop] = R * abs(rate) if remaining > 0.0 else 0.0
 
 
 @kernel
 def carry(table, traj, mode):
     """Carry tangent vectors from ``mode`` through the event just passed by its saltation matrix."""
-    place, pieces = traj.place, table.pieces
-    f, after, k, g = traj.before, traj.after, place[PLACE.mode], place[PLACE.hit]
+    indices, pieces = traj.indices, table.pieces
+    f, after, k, g = traj.before, traj.after, indices[INDEX.mode], indices[INDEX.hit]
     if k < 0:
         return
     right_hand_side(pieces, k, traj.z, traj.turn, after)
@@ -471,11 +471,11 @@ def finish_leg(tables, r, trajs, slot, s, reached, end, duration, contacts, legs
     Return True if the trajectory is over.
     """
     table, trip, contacts, legs = row_in(tables, r), row_in(trajs, slot), by_value(contacts), by_value(legs)
-    mode, follows = trip.place[PLACE.mode], True
+    mode, follows = trip.indices[INDEX.mode], True
     over = leave_leg(table, trip, s, reached, end, duration, legs, flown)
     if reached < 0:
         follows = not over
-        trip.place[PLACE.where] += int(follows)
+        trip.indices[INDEX.where] += int(follows)
     elif is_soft(table, reached):
         strike_soft(table, trip, contacts)
     else:

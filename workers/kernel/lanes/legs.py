@@ -217,12 +217,12 @@ def oscillating_share_pass(a, q, flown, n):
 
 
 @inline_always
-def run_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c):
+def run_round(records, legs, blocks, harmonics, oscillates, renews, n, lane_list, c):
     """Take the first n lanes through one round: the next certified step, or the arrival, of each.
 
-    oscillates  whether all blocks of all lanes are underdamped
-    renews      whether a lane may need new bounds
-    chosen, c   overwritten
+    oscillates    whether all blocks of all lanes are underdamped
+    renews        whether a lane may need new bounds
+    lane_list, c  overwritten
 
     Return True if a lane needs new bounds in the next round. Both ways to treat an underdamped block give the same
     bits.
@@ -235,7 +235,7 @@ def run_round(records, legs, blocks, harmonics, oscillates, renews, n, chosen, c
         a = records[u]
         if renews:
             renewal_pass(a, blocks, oscillates, n)
-        safe_steps(a, n, chosen, c)
+        safe_steps(a, n, lane_list, c)
         least_pass(legs, a, np.float64(u), n)
     renewing = move_pass(legs, first, n)
     for u in range(signals):

@@ -14,7 +14,7 @@ from workers.kernel.by_reference import by_reference, row_in
 from workers.kernel.hybrid.motion import advance_leg, load_motion, store_motion
 from workers.kernel.hybrid.trajectory import (
     CLOCK,
-    PLACE,
+    INDEX,
     begin_leg,
     begin_trajectory,
     finish_leg,
@@ -46,25 +46,25 @@ BEGINS, ARRIVES = 0, 1
 class LegSearch(NamedTuple):
     """Work arrays for the search for events of legs, for machines with n coordinates.
 
-    records, legs   fields of the lanes, see ``legs.py``
-    signals (U,)    numbers of the signals that end a mode
-    held (LANES,)   cell of each lane
-    slots (LANES,)  slot of its trajectory
-    before (LANES,) log of the length of the first tangent vector of each trajectory, at its last section
-    gathered        overwritten
-    chosen (LANES,) overwritten
-    scratch (n, 2)  overwritten
-    none (0, 0)     records of legs, not wanted
+    records, legs       fields of the lanes, see ``legs.py``
+    signals (U,)        numbers of the signals that end a mode
+    lane_cells (LANES,) cell of each lane
+    slots (LANES,)      slot of its trajectory
+    before (LANES,)     log of the length of the first tangent vector of each trajectory, at its last section
+    gathered            overwritten
+    lane_list (LANES,)  overwritten
+    scratch (n, 2)      overwritten
+    none (0, 0)         records of legs, not wanted
     """
 
     records: Array
     legs: Array
     signals: Rows
-    held: Rows
+    lane_cells: Rows
     slots: Rows
     before: Array
     gathered: Array
-    chosen: NDArray[np.uint32]
+    lane_list: NDArray[np.uint32]
     scratch: Array
     none: Array
 
@@ -101,8 +101,8 @@ def _search_for(n: int, harmonics: int, signals: Rows) -> LegSearch:
 def take_along(batch, cells, trajs, search, enough, lanes, more):
     """Do ``run_through_modes`` with work arrays."""
     batch, trajs, search = by_reference(batch), by_reference(trajs), by_reference(search)
-    periods, done, tally = batch.periods, batch.done, batch.motions.tally
-    legs, held, slots = search.legs, search.held, search.slots
+    periods, completed, tally = batch.periods, batch.completed, batch.motions.tally
+    legs, lane_cells, slots = search.legs, search.lane_cells, search.slots
     for i in range(LANES):
         empty_lane(search.records, i)
     n, harmonics = batch.motions.h.shape[1], batch.oscillators.gap.waves.shape[1]
@@ -114,15 +114,15 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
             queued += 1
             if tally[r, STATUS] == MODE_MISSING:
                 tally[r, STATUS] = RUNNING
-            if done[r] == 0:
+            if completed[r] == 0:
                 batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-            if is_finished(r, done, periods, tally):
+            if is_finished(r, completed, periods, tally):
                 continue
             if batch.motions.V.shape[1] > 0:
                 search.before[slot] = length_of(batch, r)
             begin_period(batch, trajs, r, slot, more)
             if turn(batch, trajs, search, r, active, np.int64(BEGINS), np.bool_(False), more):
-                held[active] = r
+                lane_cells[active] = r
                 active += 1
                 renewing = True
         if active == 0:
@@ -131,18 +131,19 @@ def take_along(batch, cells, trajs, search, enough, lanes, more):
         for i in range(active):
             smooth = smooth and legs[LEG_FIELD.oscillates + i] > 0.0
         renewing = run_round(
-            search.records, legs, n, harmonics, smooth, renewing, padded_count(active), search.chosen, search.gathered
+            search.records, legs, n, harmonics, smooth, renewing, padded_count(active), search.lane_list,
+            search.gathered,
         )  # fmt: skip
-        count = list_lanes(legs, LEG_FIELD.event, active, search.chosen)
+        count = list_lanes(legs, LEG_FIELD.event, active, search.lane_list)
         for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
-            lane = np.int64(search.chosen[e])
-            if turn(batch, trajs, search, held[lane], lane, np.int64(ARRIVES), ending, more):
+            lane = np.int64(search.lane_list[e])
+            if turn(batch, trajs, search, lane_cells[lane], lane, np.int64(ARRIVES), ending, more):
                 renewing = True
                 continue
             active -= 1
             copy_lane(search.records, active, lane)
             legs[LEG_FIELD.oscillates + lane] = legs[LEG_FIELD.oscillates + active]
-            held[lane] = held[active]
+            lane_cells[lane] = lane_cells[active]
             slots[lane], slots[active] = slots[active], slots[lane]
             empty_lane(search.records, active)
 
@@ -185,8 +186,8 @@ def pass_found(batch, trajs, search, r, slot, i):
 @kernel
 def end_period(batch, trajs, r, slot, ending, before, more):
     """Take cell r to the section at the end of its trajectory; return True if its next period has begun."""
-    oscillators, periods, done = batch.oscillators, batch.periods, batch.done
-    motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), done[r]
+    oscillators, periods, completed = batch.oscillators, batch.periods, batch.completed
+    motion, trip, k = row_in(batch.motions, r), row_in(trajs, slot), completed[r]
     table = oscillators.table
     store_motion(oscillators.to_blocks[r], table.omega[r], motion, trip, more, table.drifts[r] > 0.0)
     if batch.motions.V.shape[1] > 0:
@@ -194,8 +195,8 @@ def end_period(batch, trajs, r, slot, ending, before, more):
         add_growth(batch.levels[r], batch.weighted[r], length - before[slot], k, periods[r])
         before[slot] = length
     keep_section(batch.motions.h, r, k, periods[r], batch.sections)
-    done[r] = k + 1
-    if ending or is_finished(r, done, periods, batch.motions.tally):
+    completed[r] = k + 1
+    if ending or is_finished(r, completed, periods, batch.motions.tally):
         return False
     begin_period(batch, trajs, r, slot, more)
     return True
@@ -225,10 +226,10 @@ def turn(batch, trajs, search, r, i, stage, ending, more):
         if tally[STATUS] != RUNNING:
             batch.motions.tally[r, STATUS] = tally[STATUS]
             return False
-        if not (begins_at_rest(trip) or grows(table.pieces, trip.place[PLACE.mode])):
+        if not (begins_at_rest(trip) or grows(table.pieces, trip.indices[INDEX.mode])):
             break
         through = pass_alone(batch, trajs, search, r, slot)
-    phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.place[PLACE.mode]
+    phase, H, k = clock[CLOCK.phase], clock[CLOCK.horizon], trip.indices[INDEX.mode]
     smooth = load_leg(
         search.records, i, table.pieces, search.signals, k, trip.h, phase, trip.turn, table.omega, trip.begun, H
     )

@@ -92,19 +92,19 @@ def arrival_pass(a, n):
 
 
 @inline_always
-def run_round(a, blocks, harmonics, oscillates, renews, n, chosen, c):
+def run_round(a, blocks, harmonics, oscillates, renews, n, lane_list, c):
     """Take the first n lanes, a multiple of VECTOR_WIDTH, through one round and return the counts of ``arrival_pass``.
 
-    a           fields of all lanes
-    blocks      number of blocks
-    harmonics   number of harmonics after the first
-    oscillates  whether all blocks of all cells are underdamped
-    renews      whether a lane may need new bounds
-    chosen, c   overwritten
+    a             fields of all lanes
+    blocks        number of blocks
+    harmonics     number of harmonics after the first
+    oscillates    whether all blocks of all cells are underdamped
+    renews        whether a lane may need new bounds
+    lane_list, c  overwritten
     """
     if renews:
         renewal_pass(a, blocks, oscillates, n)
-    safe_steps(a, n, chosen, c)
+    safe_steps(a, n, lane_list, c)
     step_pass(a, n)
     forced_pass(a, n)
     for k in range(harmonics):

@@ -59,7 +59,7 @@ class MotionBatch(NamedTuple):
     oscillators  batch of oscillators
     motions      batch of motions
     periods      (N,)               number of periods wanted
-    done         (N,)               number of periods completed, before and after
+    completed    (N,)               number of periods completed, before and after
     levels       (N, LEVELS, 4)     averages of growth, see averages.add_growth
     weighted     (N, 2)             weighted averages of growth, see averages.add_growth
     sections     (N, K, n, 2)       the last K section states
@@ -68,7 +68,7 @@ class MotionBatch(NamedTuple):
     oscillators: Oscillator
     motions: Motion
     periods: NDArray[np.int64]
-    done: NDArray[np.int64]
+    completed: NDArray[np.int64]
     levels: Array
     weighted: Array
     sections: Array
@@ -160,9 +160,9 @@ def park(a, i):
 
 
 @inlined
-def is_finished(r, done, periods, tally):
+def is_finished(r, completed, periods, tally):
     """Return True if cell r is finished: its periods, its motion or its evaluations have ended."""
-    return done[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
+    return completed[r] >= periods[r] or tally[r, STATUS] != RUNNING or tally[r, WORK] < 0.0
 
 
 @inline_always
@@ -171,17 +171,17 @@ def go_alone(batch, r):
     motion, osc = row_of(batch.motions, r), row_of(without_mode_table(batch.oscillators), r)
     vectors = motion.growth.shape[0] > 0
     before = log_length(osc.gap.blocks, motion.V, motion.growth) if vectors else 0.0
-    while not is_finished(r, batch.done, batch.periods, batch.motions.tally):
+    while not is_finished(r, batch.completed, batch.periods, batch.motions.tally):
         through_impacts(osc, motion, osc.head[HEAD.period])
         if motion.tally[STATUS] != RUNNING:
             return
-        k = batch.done[r]
+        k = batch.completed[r]
         if vectors:
             length = log_length(osc.gap.blocks, motion.V, motion.growth)
             add_growth(batch.levels[r], batch.weighted[r], length - before, k, batch.periods[r])
             before = length
         keep_section(batch.motions.h, r, k, batch.periods[r], batch.sections)
-        batch.done[r] = k + 1
+        batch.completed[r] = k + 1
         if motion.mode[0] == FLIGHT:
             return
 
@@ -191,9 +191,9 @@ def run_alone(batch, cells):
     """Do ``run_batch`` for cells that may grow, one after the other."""
     batch = by_reference(batch)
     for r in cells:
-        if batch.done[r] == 0:
+        if batch.completed[r] == 0:
             batch.weighted[r, 0] = batch.weighted[r, 1] = 0.0
-        while not is_finished(r, batch.done, batch.periods, batch.motions.tally):
+        while not is_finished(r, batch.completed, batch.periods, batch.motions.tally):
             go_alone(batch, r)
 
 
@@ -209,7 +209,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     batch = by_reference(batch)
     gap, head, tau = batch.oscillators.gap, batch.oscillators.head, batch.oscillators.tau
     blocks, waves, numbers = gap.blocks, gap.waves, gap.numbers
-    periods, done, sections = batch.periods, batch.done, batch.sections
+    periods, completed, sections = batch.periods, batch.completed, batch.sections
     h, V, growth, tally, mode = (
         batch.motions.h, batch.motions.V, batch.motions.growth, batch.motions.tally, batch.motions.mode
     )  # fmt: skip
@@ -220,9 +220,9 @@ def run_batch(batch, cells, enough, lanes, oscillates):
     growing = vectors + m * wide * 2 * STRIDE
     a = room_for_vectors(growing + m * STRIDE)
     frames, growths = a[vectors:growing].reshape((m, 2 * wide * STRIDE)), a[growing:].reshape((m, STRIDE))
-    gathered, chosen = room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32)
+    gathered, lane_list = room_for_vectors(GAP_SIZE), np.empty(LANES, dtype=np.uint32)
     space = workspace(m, n)
-    left = np.empty(LANES, dtype=np.uint32)  # the cells that have left their lanes
+    departed = np.empty(LANES, dtype=np.uint32)  # the cells that have left their lanes
     for i in range(LANES):
         park(a, i)
     active = queued = leaving = np.int64(0)  # typed: a literal would compile the callees once more
@@ -231,16 +231,16 @@ def run_batch(batch, cells, enough, lanes, oscillates):
         while leaving > 0 or (active < lanes and queued < len(cells)):
             if leaving > 0:
                 leaving -= 1
-                r, alone = np.int64(left[leaving]), True
+                r, alone = np.int64(departed[leaving]), True
             else:
                 r = cells[queued]
                 queued += 1
                 alone = mode[r, 0] != FLIGHT
-                if done[r] == 0:
+                if completed[r] == 0:
                     weighted[r, 0] = weighted[r, 1] = 0.0
             if alone:
                 go_alone(batch, r)
-            if not (ending or is_finished(r, done, periods, tally)):
+            if not (ending or is_finished(r, completed, periods, tally)):
                 load(a, active, r, head, tau, blocks, waves, numbers, h, tally)
                 load_frame(V[r], growth[r], frames, growths, active)
                 begun = True
@@ -251,7 +251,7 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             measure_pass(a, frames[0], growths[0], space.partial, padded_count(active))
         ending = active < enough
         stopping, renewing = run_round(
-            a, n, harmonics, oscillates, begun or renewing > 0, padded_count(active), chosen, gathered
+            a, n, harmonics, oscillates, begun or renewing > 0, padded_count(active), lane_list, gathered
         )
         begun = False
         if m > 0:
@@ -264,23 +264,23 @@ def run_batch(batch, cells, enough, lanes, oscillates):
             continue
         if m > 0:
             measure_pass(a, frames[0], growths[0], space.partial, padded_count(active))
-        count = list_lanes(a, LANE.stops, active, chosen)
+        count = list_lanes(a, LANE.stops, active, lane_list)
         for e in range(count - 1, -1, -1):  # backwards: the lane that moves into a freed one has been processed
-            lane = np.int64(chosen[e])
+            lane = np.int64(lane_list[e])
             r = np.int64(a[LANE.cell + lane])
             leaves = a[LANE.event + lane] == LEFT
             if leaves:
-                left[leaving] = r
+                departed[leaving] = r
                 leaving += 1
             else:
-                k = done[r]
+                k = completed[r]
                 if m > 0:
                     add_growth(levels[r], weighted[r], a[LANE.period_growth + lane], k, periods[r])
                     store_frame(frames, growths, lane, V[r], growth[r])
                 save(a, lane, r, h, tally)
                 keep_section(h, r, k, periods[r], sections)
-                done[r] = k + 1
-            if leaves or ending or is_finished(r, done, periods, tally):
+                completed[r] = k + 1
+            if leaves or ending or is_finished(r, completed, periods, tally):
                 active -= 1
                 move_lane(a, active, lane)
                 park(a, active)

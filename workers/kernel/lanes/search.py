@@ -74,23 +74,23 @@ def padded_count(count):
 
 
 @kernel
-def list_lanes(a, field, n, chosen):
-    """List the lanes with this field set in ``chosen`` and return their number.
+def list_lanes(a, field, n, lane_list):
+    """List the lanes with this field set in ``lane_list`` and return their number.
 
     The loop is branch-free, since the processor would often mispredict a branch.
     """
     count = 0
     for i in range(n):
-        chosen[count] = i
+        lane_list[count] = i
         count += int(a[field + i] > 0.0)
     return count
 
 
 @inline_always
-def gather(a, chosen, count, c):
-    """Gather the gaps of lanes chosen[:count] to their stops as GapFields in c; return the length of their loops."""
+def gather(a, lane_list, count, c):
+    """Gather the gaps of lanes lane_list[:count] to their stops as GapFields in c; return the length of their loops."""
     for e in range(count):
-        i = chosen[e]
+        i = lane_list[e]
         side = a[LANE.side + i]
         c[GAP.gap + e] = a[LANE.gap + i]
         v, push, jerk = side * a[LANE.v + i], side * a[LANE.a + i], side * a[LANE.jerk + i]
@@ -121,21 +121,21 @@ def close_in_pass(c, n):
 
 
 @inline_always
-def scatter(a, chosen, count, c):
+def scatter(a, lane_list, count, c):
     """Take the gathered times as the steps of their lanes."""
     for e in range(count):
-        a[LANE.step + chosen[e]] = c[GAP.low + e]
+        a[LANE.step + lane_list[e]] = c[GAP.low + e]
 
 
 @inline_always
-def safe_steps(a, n, chosen, c):
+def safe_steps(a, n, lane_list, c):
     """Set a step that is safe from both stops, for every lane without certain contact."""
     approach_pass(a, n)
     advance_pass(a, n)
     if retreat_pass(a, n) > 0:
-        count = list_lanes(a, LANE.searched, n, chosen)
-        close_in_pass(c, gather(a, chosen, count, c))
-        scatter(a, chosen, count, c)
+        count = list_lanes(a, LANE.searched, n, lane_list)
+        close_in_pass(c, gather(a, lane_list, count, c))
+        scatter(a, lane_list, count, c)
 
 
 @kernel
