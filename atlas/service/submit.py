@@ -22,7 +22,7 @@ from atlas.store.object_backend import LocalBackend, StoreBackend, open_backend
 from atlas.store.origin import Origin
 from atlas.store.sidecar import sidecar_of
 from atlas.store.store import find_store, open_store
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 from atlas.task.store_ref import WorkerRefusedError, check_solver, open_checked
 from workers import SOLVER_VERSION
 

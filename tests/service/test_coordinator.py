@@ -15,10 +15,10 @@ from distributed import Client, LocalCluster, Variable, get_worker
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, RunError
+from atlas.platform import process_name
 from atlas.service import submit as submitting
 from atlas.service.lease import LeaseRecord, read_end
 from atlas.service.options import DEFAULTS, RunOptions
-from atlas.service.process_identity import process_name
 from atlas.service.run import complete
 from atlas.service.status import read_status
 from atlas.service.submit import Submission, check_coordinator, coordinate, submit
@@ -213,7 +213,7 @@ def test_bad_input_is_reported_to_the_submitter_and_leaves_no_word(tmp_path: Pat
 def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
     def make(claim: bytes) -> Path:
         store = create_store(tmp_path / "out.zarr", PLANE, (5, 7)).path
-        sidecar_of(store).compare_and_set(LEASE_NAME, claim, expected=None)
+        sidecar_of(store).put_new(LEASE_NAME, claim)
         return store
 
     return make
@@ -240,7 +240,7 @@ def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Cal
 @pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
 def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
     line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
-    assert line == "none at work; the lease file is damaged; the next run takes it over"
+    assert line == "none at work; the lease is damaged; the next run takes it over"
     assert message["run"] is None
 
 
