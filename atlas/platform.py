@@ -151,3 +151,25 @@ def interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def process_name(pid: int | None = None) -> str:
+    """Return the machine (two words), id and start time of a process, by default of this one; empty if unknown."""
+    pid = os.getpid() if pid is None else pid
+    try:
+        return f"{machine_name()} {pid} {process_start(pid)}"
+    except OSError:
+        return ""
+
+
+def is_running(pid: int, name: str) -> bool | None:
+    """Return True if the process with this id and name runs, False if it does not; None if this host cannot know."""
+    here, there = process_name().split(), name.split()
+    if not here or here[:2] != there[:2]:
+        return None
+    if not psutil.pid_exists(pid):
+        return False
+    try:
+        return process_start(pid) == there[3]
+    except OSError:
+        return None

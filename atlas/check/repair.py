@@ -33,6 +33,7 @@ def repair(findings: VerifyFindings) -> VerifyReport:
     Overviews are dropped before the tiles below them. Without a fault nothing is written.
     """
     handle, faults = findings.handle, findings.report.faults
+    handle.backend.confirm_lease()
     tiles = sorted({fault.tile for fault in faults if fault.tile is not None})
     parts = list(dict.fromkeys(fault.part for fault in faults if fault.part))
 

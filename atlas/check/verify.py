@@ -16,7 +16,7 @@ from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
 from atlas.store.object_backend import Given, open_backend, os_errors_as_input_errors
 from atlas.store.sidecar import sidecar_of
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 
 SAMPLE = 32
 
@@ -62,6 +62,6 @@ def verify(
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with progress_reporter(on_progress) as report, ExitStack() as stack:
         if repair:
-            place = stack.enter_context(hold_lease(sidecar_of(place), str(place))).fence_backend(place)
+            place = stack.enter_context(hold_lease(sidecar_of(place), str(place))).bind(place)
         findings = find_faults(place, sample, drawn, report or (lambda _: None))
         return drop_faulty(findings) if repair else findings.report

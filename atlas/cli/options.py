@@ -324,7 +324,7 @@ def input_errors() -> Iterator[None]:
     except (NetworkError, BrokenPipeError):
         raise
     except ChunkError:
-        from atlas.overview.verifying_store import abandon_reads
+        from atlas.overview.guarded_store import abandon_reads
 
         abandon_reads()
         raise

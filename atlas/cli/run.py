@@ -36,7 +36,7 @@ from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
 from atlas.store.object_backend import open_backend
 from atlas.store.sidecar import sidecar_of
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 
 CANCEL_SECONDS = 60
 """Maximum seconds that ``atlas cancel`` waits for a run to stop."""

@@ -33,6 +33,7 @@ class OverviewBuilder:
         self.levels = range(1, self._pyramid.levels.count + 1)
         if not self.levels:
             return
+        handle.backend.confirm_lease()
         self._pyramid.create()
         stale = np.ones(handle.tiling.grid, dtype=bool)
         for tile in done_tiles(handle):
@@ -56,6 +57,7 @@ class OverviewBuilder:
         ``report`` is called before each chunk with the number of chunks built and of all missing chunks of its level.
         Raise RunError if a write fails.
         """
+        self._handle.backend.confirm_lease()
         made = 0
         for level in self.levels:
             missing = self.missing_chunks(level)

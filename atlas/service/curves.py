@@ -21,7 +21,7 @@ from atlas.store.groups import CURVES
 from atlas.store.object_backend import Given
 from atlas.store.parts import drop_parts, finished_parts, part_names
 from atlas.store.store import AtlasStore
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
 from atlas.task.store_ref import PartReport
 

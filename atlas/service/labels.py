@@ -12,7 +12,7 @@ from atlas.service.worker_pool import hold_store_lease, open_store_call
 from atlas.spec.system import must_offer
 from atlas.store.groups import check_table_size
 from atlas.store.object_backend import Given
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 from atlas.task.compile import ORBITS, kernels_for
 from workers.results import LABEL
 
@@ -64,5 +64,5 @@ def label_attractors(store: Given, options: RunOptions = DEFAULTS, **fields: Unp
             prepare_kernels(options.report, *kernels_for(handle.spec.system_def, ORBITS))
             options.report(Progress("following orbits from cell to cell"))
             labels = labels_of(handle)
-            write_labels(handle.with_backend(claim.fence_backend(handle.backend)), labels)
+            write_labels(handle.with_backend(claim.bind(handle.backend)), labels)
         return LabelSummary(str(handle.backend), labels.count, time.monotonic() - begin)

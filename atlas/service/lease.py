@@ -1,12 +1,13 @@
 """The lease of a store: at most one coordinator writes a store at a time.
 
-A lease is a small file in the store's sidecar. Its holder renews it with heartbeats, each of which increments a
-counter. A run that finds a lease watches the counter by its own clock, so clocks of different hosts need not agree. If
-the counter moves, the lease is valid. If the counter stands still for ``Timing.expire_after`` seconds, or the holder's
-process no longer exists, the lease has expired and is taken over. All of this rests on one operation, compare-and-set:
-a file is written only if it still holds the bytes that were read. A holder that was suspended therefore notices at its
-next heartbeat that it has lost the lease. ``atlas status`` and ``atlas cancel`` report an expired lease and leave it in
-place.
+A lease is a small object in the store's sidecar, which only one of several processes can create. Its holder renews it
+with heartbeats, each of which increments a counter. A run that finds a lease watches the counter by its own clock, so
+clocks of different hosts need not agree. If the counter moves, the lease is valid. If the counter stands still for
+``Timing.expire_after`` seconds, or the holder's process no longer exists, the lease has expired, and another run writes
+its own token over it. The run whose token the object holds has the lease: a heartbeat and every commit read the token
+first. A holder that was suspended, or one of two runs that took over at the same time, therefore notices that it has
+no lease. What it wrote before was right too, since the cells of a store are a function of its spec and solver version.
+``atlas status`` and ``atlas cancel`` report an expired lease and leave it in place.
 """
 
 import json
@@ -21,15 +22,20 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from atlas.errors import InputError, NetworkError, RunError, to_one_line
-from atlas.service.process_identity import is_name, is_running, this_process
+from atlas.platform import is_running, process_name
 from atlas.service.timing import TIMING, Timing
-from atlas.store.object_backend import StoreBackend
-from atlas.store.sidecar import LEASE_NAME, Sidecar, token_fence
+from atlas.store.object_backend import StoreBackend, with_patience
+from atlas.store.sidecar import LEASE_NAME, clear_sidecar, lease_confirmation, read_lease_token
+
+_RELEASES = 3
+"""Number of attempts to remove the lease at the end of a run; if they fail, it expires."""
+STOP = "stop"
+"""Name of the object with the token of a run that is asked to stop."""
 
 
 @dataclass(frozen=True)
 class LeaseRecord:
-    """The contents of a lease file.
+    """The contents of a lease.
 
     token      unique identifier of the lease
     beat       number of heartbeats so far
@@ -55,19 +61,16 @@ class LeaseRecord:
         wrong = [name for name, kind in kinds.items() if type(getattr(self, name)) is not kind]
         if wrong or not isinstance(self.progress, Mapping):
             raise ValueError(f"wrong type of {', '.join(wrong) or 'progress'}")
-        if not 0 < self.pid < 2**31 or not is_name(self.process):
+        if not 0 < self.pid < 2**31 or len(self.process.split()) not in (0, 4):
             raise ValueError(f"no process: {self.pid}, {self.process!r}")
 
     def pack(self) -> bytes:
-        """Return the record as the bytes of a lease file."""
+        """Return the record as the bytes of a lease."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def unpack(cls, data: bytes) -> "LeaseRecord | None":
-        """Return the record of a lease file; None if the file is damaged.
-
-        It is damaged, for example, if its holder was killed while writing.
-        """
+        """Return the record of a lease; None if it is damaged, for example by a crash of the system."""
         try:
             return cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):
@@ -104,8 +107,10 @@ class Lease:
     ``patience`` seconds, or ``timing.expire_after`` if that is longer.
     """
 
-    def __init__(self, sidecar: Sidecar, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0) -> None:
-        self._notes, self._record, self._data, self._timing = sidecar, record, record.pack(), timing
+    def __init__(
+        self, sidecar: StoreBackend, record: LeaseRecord, timing: Timing = TIMING, patience: float = 0.0
+    ) -> None:
+        self._sidecar, self._record, self._timing = sidecar.with_lease(self._confirm), record, timing
         self._advanced, self._most_silent = time.monotonic(), max(timing.expire_after, patience)
         self.lost = ""
         self._failure: OSError | None = None
@@ -149,27 +154,30 @@ class Lease:
         if self._record.cancelled:
             raise RunError("stopped by atlas cancel; finished tiles are kept, rerun the same command to resume")
 
-    def fence_backend(self, place: StoreBackend) -> StoreBackend:
-        """Return the backend behind a fence: before each write and removal the lease is checked and read.
+    def bind(self, place: StoreBackend) -> StoreBackend:
+        """Return the backend whose commits confirm this lease: it is checked, and its token is read.
 
         The read is needed because a process that was suspended does not know yet that its lease was taken over.
         """
         lost = "lease lost: another run has taken over the store; finished tiles are kept"
-        look = token_fence(place, LEASE_NAME, self.token, RunError, lost)
+        look = lease_confirmation(place, self.token, RunError, lost)
 
-        def fence() -> None:
+        def confirm() -> None:
             self.check()
             look()
 
-        return place.with_fence(fence)
+        return place.with_lease(confirm)
 
     def release(self) -> None:
-        """Stop the heartbeats and remove the lease file."""
+        """Stop the heartbeats, and remove the lease if it is still that of this run."""
         self._released.set()
         self._thread.join()
-        with suppress(OSError):
-            self._beat()  # a cancellation may have changed the bytes that are to be removed
-            self._notes.compare_and_remove(LEASE_NAME, self._data)
+        once = with_patience(self._sidecar, 0.0)
+        for _ in range(_RELEASES):  # each after a look: if only the answer was lost, the lease may be another run's
+            with suppress(OSError):
+                if read_lease_token(once) != self.token:
+                    return
+                clear_sidecar(once, (LEASE_NAME, STOP))
 
     def _beat_on(self) -> None:
         while not self._released.wait(self._timing.heartbeat) and not self.lost:
@@ -180,26 +188,28 @@ class Lease:
 
     def _beat(self) -> None:
         with self._one_beat:
-            while not self.lost:
-                advanced = replace(self._record, beat=self._record.beat + 1, progress=self._progress)
-                begin = time.monotonic()
-                if self._notes.compare_and_set(LEASE_NAME, advanced.pack(), expected=self._data):
-                    self._record, self._data, self._advanced = advanced, advanced.pack(), begin
-                    self._failure = None
-                    return
-                data = self._notes.read(LEASE_NAME)
-                record = LeaseRecord.unpack(data) if data is not None else None
-                if data is None:
-                    self.lost = "lease lost: its file was removed; finished tiles are kept"
-                elif record is None or record.token != self._record.token:
-                    self.lost = f"lease lost: another run has taken over the store ({record or 'its file is damaged'})"
-                else:
-                    self._record, self._data = record, data
+            begin, stop = time.monotonic(), self._sidecar.get(STOP) == self.token.encode()
+            advanced = replace(self._record, beat=self._record.beat + 1, cancelled=stop, progress=self._progress)
+            try:
+                self._sidecar.commit(LEASE_NAME, advanced.pack())
+            except RunError as error:
+                self.lost = str(error)
+                return
+            self._record, self._advanced, self._failure = advanced, begin, None
+
+    def _confirm(self) -> None:
+        """Raise RunError unless the lease is that of this run."""
+        data = self._sidecar.get(LEASE_NAME)
+        record = LeaseRecord.unpack(data) if data is not None else None
+        if data is None:
+            raise RunError("lease lost: its file was removed; finished tiles are kept")
+        if record is None or record.token != self.token:
+            raise RunError(f"lease lost: another run has taken over the store ({record or 'its file is damaged'})")
 
 
 @contextmanager
 def hold_lease(
-    sidecar: Sidecar,
+    sidecar: StoreBackend,
     name: str,
     notify: Callable[[str], None] = lambda _: None,
     timing: Timing = TIMING,
@@ -211,12 +221,15 @@ def hold_lease(
     have expired takes up to ``timing.expire_after`` seconds; ``notify`` is called with a line of text about it.
     ``patience`` is explained at ``Lease``.
     """
-    mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), this_process())
+    mine = LeaseRecord(uuid.uuid4().hex, 0, socket.gethostname(), os.getpid(), process_name())
     try:
-        while not sidecar.compare_and_set(LEASE_NAME, mine.pack(), expected=None):
-            other = sidecar.read(LEASE_NAME)
-            abandoned = other is not None and _is_abandoned(sidecar, name, other, notify, timing)
-            if abandoned and sidecar.compare_and_set(LEASE_NAME, mine.pack(), expected=other):
+        while not sidecar.put_new(LEASE_NAME, mine.pack()):
+            other = sidecar.get(LEASE_NAME)
+            if other is None or not _is_abandoned(sidecar, name, other, notify, timing):
+                continue  # released meanwhile
+            sidecar.put(LEASE_NAME, mine.pack())
+            time.sleep(timing.lease_poll)  # another run may take over at the same time: the later one has the lease
+            if read_lease_token(sidecar) == mine.token:
                 break
     except NetworkError:
         raise
@@ -233,7 +246,7 @@ def hold_lease(
 class LeaseObservation:
     """A lease as it was last observed.
 
-    record   contents of the lease file; None if it is damaged
+    record   contents of the lease; None if it is damaged
     alive    True if the holder's process runs; None if this host cannot know
     silence  seconds, by the observer's clock, since the counter was first seen at its present value
     timing   ``timing.warn_after`` and ``timing.expire_after``: silences that are reported, and that end a lease
@@ -248,7 +261,7 @@ class LeaseObservation:
     def trouble(self) -> str:
         """The reason to doubt that a run writes the store in spite of this lease; empty if there is no reason."""
         if self.record is None:
-            return "the lease file is damaged; the next run takes it over"
+            return "the lease is damaged; the next run takes it over"
         if self.alive is False:
             return f"{self.record} ended without releasing its lease; the next run takes it over"
         if self.alive is None and self.silence >= self.timing.warn_after:
@@ -264,20 +277,23 @@ class LeaseObserver:
 
     Whether a process of this host is alive is known at once. For a holder on another host a single observation says
     nothing, since clocks of hosts differ. ``observe_until_settled`` therefore observes until the counter moves, for at
-    most ``timing.warn_after`` seconds. ``mark`` is the part of the lease file that only its holder changes.
+    most ``timing.warn_after`` seconds. ``mark`` changes with every heartbeat.
     """
 
-    def __init__(self, sidecar: Sidecar, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep) -> None:
-        self._notes, self._timing, self._sleep = sidecar, timing, sleep
-        self.mark, self._since = object(), 0.0
+    def __init__(
+        self, sidecar: StoreBackend, timing: Timing = TIMING, sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        self._sidecar, self._timing, self._sleep = sidecar, timing, sleep
+        self.mark: object = object()
+        self._since = 0.0
 
     def observe(self) -> LeaseObservation | None:
         """Return the present lease; None if there is none."""
         begin = time.monotonic()
-        data = self._notes.read(LEASE_NAME)
-        mark, now = None if data is None else _mark(data), time.monotonic()
-        if mark != self.mark or now - begin > self._timing.expire_after / 4:  # nor could the holder write
-            self.mark, self._since = mark, now
+        data = self._sidecar.get(LEASE_NAME)
+        now = time.monotonic()
+        if data != self.mark or now - begin > self._timing.expire_after / 4:  # nor could the holder write
+            self.mark, self._since = data, now
         if data is None:
             return None
         record = LeaseRecord.unpack(data)
@@ -293,7 +309,7 @@ class LeaseObserver:
 
 
 def cancel(
-    sidecar: Sidecar,
+    sidecar: StoreBackend,
     name: str,
     wait_seconds: float,
     notify: Callable[[str], None] = lambda _: None,
@@ -301,27 +317,24 @@ def cancel(
 ) -> LeaseRecord:
     """Ask the run that holds a store's lease to stop, wait until it has stopped, and return its record.
 
-    Raise InputError if no run holds the lease. Raise RunError if the lease file is damaged, if no heartbeat is
+    Raise InputError if no run holds the lease. Raise RunError if the lease is damaged, if no heartbeat is
     observed, or if the lease is still held after ``wait_seconds``. The request to stop remains.
     """
-    while True:
-        data = sidecar.read(LEASE_NAME)
-        if data is None:
-            raise InputError(f"{name}: no run is at work on it")
-        record = LeaseRecord.unpack(data)
-        if record is None:
-            raise RunError(f"{name}: {LeaseObservation(None).trouble}")
-        if record.is_alive is False:
-            raise InputError(f"{name}: no run is at work on it: {LeaseObservation(record, alive=False).trouble}")
-        if record.cancelled or sidecar.compare_and_set(
-            LEASE_NAME, replace(record, cancelled=True).pack(), expected=data
-        ):
-            break
+    data = sidecar.get(LEASE_NAME)
+    if data is None:
+        raise InputError(f"{name}: no run is at work on it")
+    record = LeaseRecord.unpack(data)
+    if record is None:
+        raise RunError(f"{name}: {LeaseObservation(None).trouble}")
+    if record.is_alive is False:
+        raise InputError(f"{name}: no run is at work on it: {LeaseObservation(record, alive=False).trouble}")
+    sidecar.put(STOP, record.token.encode())
     notify(f"asked {record} to stop")
     observer, end = LeaseObserver(sidecar, timing), time.monotonic() + wait_seconds
     while time.monotonic() < end:
         seen = observer.observe()
         if seen is None or seen.record is None or seen.record.token != record.token or seen.alive is False:
+            clear_sidecar(sidecar, (STOP,))
             return record
         if seen.trouble:
             raise RunError(f"{name}: {seen.trouble}")
@@ -329,7 +342,7 @@ def cancel(
     raise RunError(f"{name}: {record} has not stopped within {wait_seconds:g} s; it stops at its next heartbeat")
 
 
-def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
+def _is_abandoned(sidecar: StoreBackend, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:
     """Return True once a lease has expired.
 
     Its counter has then stood still for ``timing.expire_after`` seconds, or its holder is gone. Raise InputError as
@@ -342,11 +355,11 @@ def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[st
     notify(
         f"the store is leased by {record}: waiting for a heartbeat"
         if record
-        else "the lease file is damaged: waiting for its holder to rewrite it"
+        else "the lease is damaged: waiting for its holder to rewrite it"
     )
     observer = LeaseObserver(sidecar, timing)
     while (seen := observer.observe()) is not None:
-        if observer.mark != _mark(data):
+        if observer.mark != data:
             raise InputError(
                 f"{name}: leased by another run ({seen.record or record}); wait until it finishes, or stop it with: "
                 f"atlas cancel {name}"
@@ -356,12 +369,3 @@ def _is_abandoned(sidecar: Sidecar, name: str, data: bytes, notify: Callable[[st
             return True
         time.sleep(min(timing.lease_poll, timing.expire_after / 4))
     return False  # released meanwhile
-
-
-def _mark(data: bytes) -> object:
-    """Return the part of a lease file that only its holder changes.
-
-    A request to stop, written by others, is no heartbeat.
-    """
-    record = LeaseRecord.unpack(data)
-    return (record.token, record.beat) if record else data

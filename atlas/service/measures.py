@@ -41,7 +41,7 @@ from atlas.store.object_backend import Given
 from atlas.store.parts import drop_parts, finished_parts
 from atlas.store.store import AtlasStore
 from atlas.store.tiles import read_tile
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 from atlas.task.solve_block import kernels_of
 from atlas.task.store_ref import PartReport
 from workers import SOLVER_VERSION

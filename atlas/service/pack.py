@@ -1,7 +1,12 @@
 """Packing a store into one zip file, which every reading command and plain xarray can open."""
 
+import glob
 import os
-from collections.abc import Callable, Iterator, Mapping
+import re
+import uuid
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +14,7 @@ from typing import Any
 from atlas.argument_checks import validate_flag, validate_path
 from atlas.errors import ChunkError, InputError
 from atlas.formatting import byte_size, plural, text_repr
+from atlas.platform import file_lock
 from atlas.service.lease import LeaseObserver
 from atlas.service.notebook import progress_reporter
 from atlas.service.progress import Progress
@@ -18,8 +24,11 @@ from atlas.store.object_backend import Given, open_backend
 from atlas.store.schema import groups_of
 from atlas.store.sidecar import sidecar_of
 from atlas.store.store import AtlasStore, chunk_key, done_tiles, open_store
-from atlas.store.zip_backend import SUFFIX, write_zip
+from atlas.store.zarr_backend import SUFFIX
 
+_SINCE = (1980, 1, 1, 0, 0, 0)
+"""Date of every member, so that equal atlases give equal files."""
+_PARTIAL = re.compile(r"\.[0-9a-f]{32}\.partial")
 SHOWN = 3
 """Maximum number of missing chunks that a message names."""
 
@@ -144,3 +153,52 @@ def _refuse_running(handle: AtlasStore, timing: Timing) -> None:
     seen = LeaseObserver(sidecar_of(handle.backend), timing).observe_until_settled()
     if seen is not None and seen.alive is not False and not seen.trouble:
         raise InputError(f"{handle.backend}: leased by another run ({seen.record}); pack it when the run has ended")
+
+
+@contextmanager
+def _held(unfinished: Path, timeout: float = -1) -> Iterator[None]:
+    """Hold the lock of an unfinished file; the lock is deleted at the end.
+
+    Raise OSError if another process holds it.
+    """
+    path = unfinished.with_suffix(".lock")
+    path.touch()  # the lock would create a missing folder
+    lock = file_lock(path)
+    lock.acquire(timeout=timeout)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
+    """Write a zip file of these members, and return its size in bytes. It appears whole, or not at all.
+
+    Nothing is compressed: chunks already are, and metadata are small. Unlocked files left by killed writers are
+    removed.
+    """
+    begin = f".{target.name}"
+    for left in target.parent.glob(f"{glob.escape(begin)}.*.partial"):
+        if _PARTIAL.fullmatch(left.name.removeprefix(begin)):
+            with suppress(OSError), _held(left, timeout=0):
+                left.unlink()
+    unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
+    with ExitStack() as held:
+        with suppress(OSError):  # a file system without locks
+            held.enter_context(_held(unfinished))
+        try:
+            with unfinished.open("wb") as file:
+                with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:
+                    for key, data in members:
+                        member = zipfile.ZipInfo(key, _SINCE)
+                        member.external_attr = 0o644 << 16
+                        archive.writestr(member, data)
+                file.flush()
+                os.fsync(file.fileno())  # otherwise a crash may keep the rename and lose the content
+            size = unfinished.stat().st_size
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    return size

@@ -99,7 +99,7 @@ def complete(
         workers = worker_count(client, options)
         plan = plan_of_run(spec, place, handle, workers, options.tile)
         claim = stack.enter_context(hold_store_lease(place, options))
-        place = claim.fence_backend(with_patience(place, options.patience))
+        place = claim.bind(with_patience(place, options.patience))
         before = handle  # before the lease another run may have created or replaced the store
         handle = find_store(place) if before is None else before.with_backend(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:

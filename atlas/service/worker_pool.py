@@ -22,7 +22,7 @@ from atlas.service.progress import LOG_INTERVAL, Progress, prepare_kernels
 from atlas.service.summary import TileFailure
 from atlas.store.create import remove_half_made
 from atlas.store.object_backend import Given, StoreBackend, open_backend, picklable_backend, with_patience
-from atlas.store.sidecar import LEASE_NAME, read_lease_token, sidecar_of
+from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, sidecar_of
 from atlas.store.store import AtlasStore, open_store
 from atlas.task.store_ref import StoreRef
 from workers import SOLVER_VERSION
@@ -82,13 +82,13 @@ class WorkerPool(Generic[J, R]):
     ) -> "WorkerPool[J, R]":
         """Lease a store until ``stack`` is closed, and return its pool.
 
-        The handle of the pool writes behind the fence of the lease.
+        The commits of the pool's handle confirm the lease.
         """
         client = connect_client(client, options, stack)
         threads = worker_count(client, options)
         claim = stack.enter_context(hold_store_lease(handle.backend, options))
         return cls(
-            handle.with_backend(claim.fence_backend(handle.backend)),
+            handle.with_backend(claim.bind(handle.backend)),
             act,
             kernels,
             options,
@@ -124,7 +124,7 @@ class WorkerPool(Generic[J, R]):
             yield from self.dispatcher.iter_outcomes(jobs, on_tick)
         except RunError:
             with suppress(OSError):  # a store that cannot be reached tells nothing about its lease
-                self.handle.backend.check_fence()  # workers refuse if the lease was lost
+                self.handle.backend.confirm_lease()  # workers refuse if the lease was lost
             raise
 
     def run_jobs(
@@ -191,7 +191,7 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
 
     Partial stores left by killed runs are removed at the start, and the sidecar files of this run at the end. A single
     heartbeat waits only as long as the backend does. The run as a whole waits ``options.patience`` seconds for the
-    store; meanwhile every write still checks the lease.
+    store; meanwhile every commit still confirms the lease.
     """
     notes = sidecar_of(with_patience(place, options.patience))
 
@@ -200,7 +200,7 @@ def hold_store_lease(place: StoreBackend, options: RunOptions) -> Iterator[Lease
 
     def tidy() -> None:
         if read_lease_token(notes) == claim.token:  # else the sidecar belongs to another run
-            notes.clear(keep=LEASE_NAME)
+            clear_sidecar(notes, (key for key in notes.list_keys() if key != LEASE_NAME))
 
     patience = options.patience if place.local is None else 0.0
     with hold_lease(sidecar_of(place), str(place), say, options.timing, patience) as claim:

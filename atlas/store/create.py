@@ -23,7 +23,7 @@ from atlas.store.object_backend import (
 from atlas.store.origin import Origin
 from atlas.store.schema import SPEC_KEY, coordinate_names, layout, remedy, root_attributes
 from atlas.store.store import AtlasStore, open_store
-from atlas.store.zip_backend import check_not_packed
+from atlas.store.zarr_backend import check_not_packed
 from workers import SOLVER_VERSION
 from workers.model.reserved_names import NAMES
 from workers.results import REGIME
@@ -103,6 +103,7 @@ def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: O
     """
     objects, path = layout(root_attributes(spec, tile, origin, run_id), spec), place.local
     if path is None:
+        place.confirm_lease()
         place.put_all({key: data for key, data in objects.items() if key not in (ROOT, SPEC_KEY)})
         if not place.put_new(ROOT, objects[ROOT]):
             raise InputError(f"{place}: another run has just created it; rerun the same command to resume it")
@@ -114,7 +115,7 @@ def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: O
         if building.with_name(building.name.swapcase()).exists():
             refuse_equal_names(path, spec)
         LocalBackend(building).put_all(objects)
-        place.check_fence()
+        place.confirm_lease()
         os.rename(building, path)
     finally:
         shutil.rmtree(building, ignore_errors=True)

@@ -48,6 +48,7 @@ def write_group(
 ) -> None:
     """Write a group, replacing an existing one."""
     place = handle.backend
+    place.confirm_lease()
     drop_group(handle, group)
     nodes = {name: whole_node(array, COMPRESSED) for name, array in arrays.items()}
     objects = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
@@ -58,7 +59,7 @@ def write_group(
     place.remove_all([key for key in place.list_keys(f"{group}/") if key not in objects])
     place.put_all(objects)
     own = {**attributes, ARRAYS: list(arrays), CONTENT: _content(nodes, {n: a.values for n, a in arrays.items()})}
-    place.put(f"{group}/{ROOT}", sealed(own, nodes))
+    place.commit(f"{group}/{ROOT}", sealed(own, nodes))
     write_root(handle)  # xarray finds the group by the root's copy
 
 

@@ -1,10 +1,9 @@
 """The backend of a store by its path or URL, and the backend of object stores.
 
-Zarr reads and writes arrays by stores of its own, see ``zarr_stores``. This module lists, writes, removes and finds
-whole objects. An object store has conditional writes in place of renames.
+obstore is the client of all servers. Disks have a backend of their own, see ``LocalBackend``. An object store has
+conditional writes in place of renames.
 """
 
-import itertools
 import os
 import pickle
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
@@ -23,11 +22,10 @@ from atlas.store.access import BY_ENVIRONMENT, StorageAccess, access_by, access_
 from atlas.store.backend import LocalBackend as LocalBackend
 from atlas.store.backend import StoreBackend as StoreBackend
 from atlas.store.outage import SHORT_PATIENCE, first_line, retry_call
-from atlas.store.zarr_backend import ZarrBackend, is_zarr_store, open_zarr_backend
-from atlas.store.zip_backend import SUFFIX, ZipBackend
+from atlas.store.zarr_backend import SUFFIX, ZarrBackend, is_zarr_store, open_zarr_backend
 
 if TYPE_CHECKING:
-    from obstore import PutMode, UpdateVersion
+    from obstore import GetOptions
     from obstore.store import ObjectStore
     from zarr.abc.store import Store
 
@@ -142,11 +140,11 @@ def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
 
 
 def picklable_backend(place: StoreBackend) -> StoreBackend:
-    """Return the backend without its fence, as it is sent to workers.
+    """Return the backend without the lease of this process, as it is sent to workers.
 
     Raise InputError if its credential provider cannot be sent.
     """
-    bare = place.with_fence(None)
+    bare = place.with_lease(None)
     try:
         pickle.dumps(bare)
     except Exception as error:
@@ -169,12 +167,14 @@ def _place_at(path: Path) -> StoreBackend:
     for part in (path, *path.parents):
         if os.path.islink(part) and not os.path.exists(part):  # also for names that are too long
             raise InputError(f"{path}: found a link to {part.readlink()}, which does not exist")
-    return ZipBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
+    return ZarrBackend(path) if path.suffix.lower() == SUFFIX and not path.is_dir() else LocalBackend(path)
 
 
 def with_patience(place: StoreBackend, patience: float) -> StoreBackend:
     """Return the same backend with another patience, if it is at a URL."""
-    return replace(place, patience=patience).with_fence(place.fence) if isinstance(place, ObjectBackend) else place
+    return (
+        replace(place, patience=patience).with_lease(place.confirmation) if isinstance(place, ObjectBackend) else place
+    )
 
 
 @lru_cache(maxsize=16)
@@ -202,30 +202,19 @@ class ObjectBackend(StoreBackend):
 
     @property
     def client(self) -> "ObjectStore":
-        """The obstore client, which Zarr uses too; one per backend and process."""
+        """The obstore client, one per backend and process."""
         settings = {name: value for name, value in os.environ.items() if name.upper().startswith(_SETTINGS)}
         return _client(self.url, self.access, tuple(sorted(settings.items())), os.getpid())
 
     def subfolder(self, folder: str) -> "ObjectBackend":
-        return replace(self, url=url_below(self.url, folder)).with_fence(self.fence)
+        return replace(self, url=url_below(self.url, folder)).with_lease(self.confirmation)
 
-    def get(self, key: str) -> bytes | None:
-        tagged = self.get_tagged(key)
-        return None if tagged is None else tagged[0]
-
-    def get_tagged(self, key: str) -> "tuple[bytes, UpdateVersion] | None":
-        """Return the bytes of an object and the version of this state for ``put_if``; None if it does not exist."""
+    def get(self, key: str, part: slice | None = None) -> bytes | None:
         import obstore
 
-        def once() -> "tuple[bytes, UpdateVersion]":
-            answer = obstore.get(self.client, key)
-            # S3 and Azure compare the tag, Google's store its generation, which is the version.
-            tags = {"e_tag": answer.meta["e_tag"], "version": answer.meta["version"]}
-            version: Any = {name: tag for name, tag in tags.items() if tag is not None}
-            return bytes(answer.bytes()), version
-
+        options: GetOptions = {} if part is None else {"range": _range_of(part)}
         try:
-            return self._persist(once)
+            return self._persist(lambda: bytes(obstore.get(self.client, key, options=options).bytes()))
         except FileNotFoundError:
             return None
 
@@ -241,18 +230,21 @@ class ObjectBackend(StoreBackend):
     def put(self, key: str, data: bytes) -> None:
         import obstore
 
+        self._persist(lambda: obstore.put(self.client, key, data))
+
+    def commit(self, key: str, data: bytes) -> None:
+        """See ``StoreBackend``. The lease is confirmed at each attempt: an outage may precede."""
+        import obstore
+
         def once() -> None:
-            self.check_fence()  # at each attempt: there may have been a long outage
+            self.confirm_lease()
             obstore.put(self.client, key, data)
 
         self._persist(once)
 
     def put_all(self, objects: Mapping[str, bytes]) -> None:
-        """See ``StoreBackend``.
-
-        The fence is called once for requests that begin together, and before each repetition.
-        """
-        self._change_together(objects, lambda place, key: place.put(key, objects[key]))
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(self.put, objects, objects.values()))
 
     def copy_all(self, other: StoreBackend, keys: Iterable[str]) -> None:
         """See ``StoreBackend``. Within a bucket the server copies objects itself."""
@@ -261,31 +253,12 @@ class ObjectBackend(StoreBackend):
             return super().copy_all(other, keys)
         import obstore
 
-        def take(place: ObjectBackend, key: str) -> None:
-            def once() -> None:
-                place.check_fence()
-                obstore.copy(bucket, theirs + key, mine + key)
-
+        def take(key: str) -> None:
             with suppress(FileNotFoundError):
-                place._persist(once)
+                self._persist(lambda: obstore.copy(bucket, theirs + key, mine + key))
 
-        self._change_together(keys, take)
-
-    def _change_together(self, keys: Iterable[str], change: "Callable[[ObjectBackend, str], None]") -> None:
-        """Change objects, AT_ONCE at a time.
-
-        The fence is called before each batch and each repetition, since an outage may precede.
-        """
-
-        def change_one(key: str) -> None:
-            looks = itertools.count()
-            change(self.with_fence(lambda: self.check_fence() if next(looks) else None), key)
-
-        rest = iter(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            while together := list(itertools.islice(rest, AT_ONCE)):
-                self.check_fence()
-                list(pool.map(change_one, together))
+            list(pool.map(take, keys))
 
     def _in_bucket_of(self, other: StoreBackend) -> "tuple[ObjectStore | None, str, str]":
         """Return a client of the bucket of both backends, and the prefixes of their keys.
@@ -303,42 +276,31 @@ class ObjectBackend(StoreBackend):
         return bucket, f"{ours.path.lstrip('/')}/", f"{others.path.lstrip('/')}/"
 
     def put_new(self, key: str, data: bytes) -> bool:
-        from obstore.exceptions import AlreadyExistsError
+        """See ``StoreBackend``. HTTP's If-None-Match: * lets one of two simultaneous requests succeed."""
+        import obstore
+        from obstore.exceptions import AlreadyExistsError, BaseError
 
-        # HTTP's If-None-Match: * lets one of two simultaneous requests succeed.
-        return self._put_under(key, data, "create", (AlreadyExistsError,))
+        failed = False
 
-    def put_if(self, key: str, data: bytes, version: "UpdateVersion") -> bool:
-        """Replace an object if it still has this version, from ``get_tagged`` (If-Match); else return False."""
-        from obstore.exceptions import PreconditionError
+        def once() -> bool:
+            nonlocal failed
+            try:
+                obstore.put(self.client, key, data, mode="create", use_multipart=False)
+            except AlreadyExistsError:
+                # An earlier attempt may have written the object without its response arriving; then this is no failure.
+                return failed and self.get(key) == data
+            except BaseError:
+                failed = True
+                raise
+            return True
 
-        return self._put_under(key, data, version, (PreconditionError, FileNotFoundError))
+        return self._persist(once)
 
     def remove(self, key: str) -> None:
         import obstore
 
-        def once() -> None:
-            self.check_fence()
-            obstore.delete(self.client, key)
-
         with suppress(FileNotFoundError):
-            self._persist(once)
-
-    def remove_once(self, key: str) -> bool:
-        """Remove an object by one request; return False unless the server confirms the removal.
-
-        The request is not repeated: after a lost response another process may have written a new object of that key.
-        """
-        import obstore
-        from obstore.exceptions import BaseError
-
-        try:
-            obstore.delete(self.client, key)
-        except FileNotFoundError:
-            return True
-        except (BaseError, OSError):
-            return False
-        return True
+            self._persist(lambda: obstore.delete(self.client, key))
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
         wanted = list(keys)
@@ -350,13 +312,8 @@ class ObjectBackend(StoreBackend):
         import obstore
 
         unwanted = list(keys)
-
-        def once() -> None:
-            self.check_fence()
-            obstore.delete(self.client, unwanted)
-
         try:
-            self._persist(once)
+            self._persist(lambda: obstore.delete(self.client, unwanted))
         except FileNotFoundError:  # Google's and Azure's stores stop at a missing object, even if a retry removed it
             with ThreadPoolExecutor(AT_ONCE) as pool:
                 list(pool.map(self.remove, unwanted))
@@ -377,33 +334,15 @@ class ObjectBackend(StoreBackend):
             said = f"{self}: this web server does not list the objects of the store; copy the store to a disk"
             raise UnlistedError(said) from None
 
-    def _put_under(self, key: str, data: bytes, mode: "PutMode", refusals: tuple[type[Exception], ...]) -> bool:
-        """Write an object under a condition; return False if it does not hold.
-
-        Errors of the types ``refusals`` show that the condition does not hold.
-        """
-        import obstore
-        from obstore.exceptions import BaseError
-
-        failed = False
-
-        def once() -> bool:
-            nonlocal failed
-            self.check_fence()
-            try:
-                obstore.put(self.client, key, data, mode=mode, use_multipart=False)
-            except refusals:
-                # An earlier attempt may have written the object without its response arriving; then this is no failure.
-                return failed and self.get(key) == data
-            except BaseError:
-                failed = True
-                raise
-            return True
-
-        return self._persist(once)
-
     def _persist(self, call: Callable[[], _T]) -> _T:
         return retry_call(call, self.url, self.patience)
+
+
+def _range_of(part: slice) -> Any:
+    """Return a part of an object as obstore's range."""
+    if part.start < 0:
+        return {"suffix": -part.start}
+    return {"offset": part.start} if part.stop is None else (part.start, part.stop)
 
 
 @contextmanager

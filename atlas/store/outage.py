@@ -4,13 +4,12 @@ obstore's own retries are not used. They count from the beginning of a request, 
 repeated. They also hide whether an earlier attempt at a conditional write took effect.
 """
 
-import asyncio
 import errno
 import math
 import random
 import re
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import TypeVar
 
 from atlas.errors import NetworkError, without_secrets
@@ -42,19 +41,6 @@ def retry_call(call: Callable[[], _T], url: str, patience: float) -> _T:
         except BaseError as error:
             pause = outage.pause_after(error)
         time.sleep(pause)
-
-
-async def retry_call_async(call: Callable[[], Awaitable[_T]], url: str, patience: float) -> _T:
-    """``retry_call`` for a coroutine function."""
-    from obstore.exceptions import BaseError
-
-    outage = _Outage(url, patience)
-    while True:
-        try:
-            return await call()
-        except BaseError as error:
-            pause = outage.pause_after(error)
-        await asyncio.sleep(pause)
 
 
 def first_line(error: Exception) -> str:

@@ -16,7 +16,7 @@ DIGEST = "digest"
 
 def put_part(handle: AtlasStore, group: str, name: str, data: bytes) -> None:
     """Store a finished part of a search; the part appears whole or not at all."""
-    handle.backend.put(f"{PARTS}/{group}/{name}", sealed({"data": base64.b64encode(data).decode()}))
+    handle.backend.commit(f"{PARTS}/{group}/{name}", sealed({"data": base64.b64encode(data).decode()}))
 
 
 def get_part(handle: AtlasStore, group: str, name: str) -> bytes | None:

@@ -151,7 +151,9 @@ def layout_nodes(spec: Spec, tile: tuple[int, ...], retried: bool) -> dict[str, 
     nodes[HOSTS] = group_node({"long_name": "processors and software that solved this atlas"})
     nodes[TILES] = group_node({})
     nodes[PARTS.partition("/")[0]] = group_node({"long_name": "searches in progress"})
-    nodes[PARTS] = array_node((0,), "uint8", ("byte",), {"long_name": "finished parts, which lie in this folder"})
+    nodes[PARTS] = array_node(
+        (0,), "uint8", ("byte",), {"long_name": "finished parts, which lie in this folder", "units": "1"}
+    )
     return nodes | {RECORDS: record_node(spec.variables, spec.dims, tiling.grid)}
 
 

@@ -305,9 +305,9 @@ def chunk_key(variable: Variable, index: tuple[int, ...]) -> str:
 
 def array_by(place: StoreBackend, path: str, node: Node) -> Any:
     """Return a Zarr array of a store, for reading, that the metadata ``node`` describe."""
-    from atlas.store.zarr_stores import zarr_store  # with it Zarr, which takes a while to load
+    from atlas.store.zarr_store import BackendStore  # with it Zarr, which takes a while to load
 
-    return array_in(zarr_store(place, read_only=True), path, node)
+    return array_in(BackendStore(place), path, node)
 
 
 def array_in(store: Any, path: str, node: Node) -> Any:

@@ -163,6 +163,7 @@ class RunTileRecords:
 
     def clear_table(self) -> None:
         """Remove all records from the table, but not from memory: tiles are about to change."""
+        self._handle.backend.confirm_lease()
         keys = [_chunk_key(block, self._handle.tiling.grid) for block in _blocks_of(self._handle.tiling.grid)]
         self._handle.backend.remove_all(keys)
         self._changed.update(itertools.product(*map(range, _table_grid(self._handle.tiling.grid))))
@@ -194,6 +195,7 @@ def complete_records(handle: AtlasStore) -> None:
 def write_records(handle: AtlasStore, rows: Rows, chunks: Iterable[Index] | None = None) -> None:
     """Write the rows of these chunks of the table, by default of all; chunks without a record are removed."""
     table, grid = _table(handle), handle.tiling.grid
+    handle.backend.confirm_lease()
     for block in _blocks_of(grid):
         if chunks is None or _block_index(tuple(part.start for part in block), grid) in chunks:
             if rows[block].any():

@@ -35,7 +35,8 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
         (done if variable.name == REGIME.name else objects).update(made)
     row = _begin_tile(handle, index, whole)
     handle.backend.put_all(objects)
-    handle.backend.put_all(done)
+    for key, data in done.items():
+        handle.backend.commit(key, data)
     return row
 
 
@@ -47,7 +48,8 @@ def copy_tile(handle: AtlasStore, origin: AtlasStore, index: tuple[int, ...], ar
     row = _begin_tile(handle, index, _with_allowances(handle, index, arrays))
     *keys, last = [chunk_key(variable, index) for variable in _written(handle)]
     handle.backend.copy_all(origin.backend, keys)
-    handle.backend.copy_all(origin.backend, [last])
+    for key, data in origin.backend.get_all([last]).items():
+        handle.backend.commit(key, data)
     return row
 
 
@@ -77,6 +79,7 @@ def relabel_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str
     Other arrays stay as stored. The table of the records must not have an earlier record of the tile.
     """
     array = handle.arrays[LABEL.name]
+    handle.backend.confirm_lease()
     handle.backend.put_all(encode_chunks(array, block(array, index), arrays[LABEL.name]))
     return record_of(handle, index, arrays)
 
@@ -104,6 +107,7 @@ def record_of(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, n
 
 def drop_tile(handle: AtlasStore, index: tuple[int, ...]) -> None:
     """Make a tile unfinished, so that the next run solves it again. Its other chunks stay until they are rewritten."""
+    handle.backend.confirm_lease()
     handle.backend.remove(chunk_key(handle.regime, index))
 
 

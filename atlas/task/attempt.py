@@ -1,12 +1,16 @@
 """Execution of a job of a run on a worker, and of one attempt at a tile."""
 
+import json
+import os
+import socket
 import sys
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from atlas.errors import NetworkError
-from atlas.store.sidecar import sidecar_of, start_attempt
+from atlas.errors import NetworkError, RunError
+from atlas.store.backend import StoreBackend
+from atlas.store.sidecar import sidecar_of
 from atlas.store.store import is_done
 from atlas.task.store_ref import translate_file_errors
 from atlas.task.tile_job import (
@@ -36,26 +40,39 @@ def execute_job(job: RunJob) -> TileReport | DerivedReport:
 def run_tile_job(job: RunJob) -> TileReport:
     """Solve a tile, write it, and return its report.
 
-    During the attempt a sidecar file of the store holds its token. If a later attempt replaces the token, this one,
-    perhaps out of reach of its run, writes nothing more. A file found at the start is left by an attempt that died.
+    During the attempt a sidecar file of the store counts it. A file found at the start is left by an attempt that died.
     After MAX_DEATHS such attempts in one run the tile counts as one that kills its process. RunError then names the
-    last attempt, and the file stays, so that only another run tries again.
+    last attempt, and the file stays, so that only another run tries again. Of two attempts at the same time each writes
+    the same bits.
 
     Raise WorkerRefusedError if this worker must not solve the tile: another solver, or another store at the path. Raise
     NetworkError if the store does not respond within the job's patience.
     """
     with translate_file_errors(job.store_ref.store):
         handle = job.handle()
-        notes = sidecar_of(handle.backend)
+        sidecar, name = sidecar_of(handle.backend), "started-" + "-".join(map(str, job.index))
         if is_done(handle, job.index):  # its worker died between writing and reporting
             solved = np.ones(handle.tiling.at(job.index).shape, dtype=bool)
             arrays = stored_tile(handle, job.index)
             return make_report(handle, job.index, arrays, solved, record_in_report(handle, job.index, arrays))
-        attempt = start_attempt(notes, job.attempt_key, job.store_ref.lease, MAX_DEATHS)
+        _count_attempt(sidecar, name, job.store_ref.lease)
     try:
-        job = replace(job, attempt=attempt.token)
-        return solve_and_write(job, job.store_ref.with_fences(handle, job.attempt_key, job.attempt))
+        return solve_and_write(job, handle)
     finally:
         if not isinstance(sys.exception(), NetworkError):  # removing it would only wait for the network again
             with translate_file_errors(job.store_ref.store):
-                attempt.remove(notes, job.attempt_key)
+                sidecar.remove(name)
+
+
+def _count_attempt(sidecar: StoreBackend, name: str, run: str) -> None:
+    """Count an attempt of a run in the sidecar; raise RunError if MAX_DEATHS earlier ones have died."""
+    try:
+        before: dict[str, Any] = json.loads(sidecar.get(name) or b"{}")
+        number, last = before["number"] if before["run"] == run else 0, before["process"]
+        number = number if type(number) is int else 0
+    except (ValueError, KeyError, TypeError, RecursionError):  # none, or damaged
+        number, last = 0, ""
+    if number >= MAX_DEATHS:
+        raise RunError(f"its worker process has died {number} times, the last one was {last}")
+    process = f"{socket.gethostname()}, process {os.getpid()}"
+    sidecar.put(name, json.dumps({"run": run, "number": number + 1, "process": process}).encode())

@@ -1,4 +1,4 @@
-"""The reference to a run's store that jobs carry: it opens the store, checks it, and puts it behind fences."""
+"""The reference to a run's store that jobs carry: it opens and checks the store."""
 
 import errno
 from collections.abc import Iterator
@@ -6,10 +6,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from atlas.errors import InputError, RunError
-from atlas.store.backend import Fence, StoreBackend
+from atlas.store.backend import StoreBackend
 from atlas.store.outage import LONG_PATIENCE, SHORT_PATIENCE
 from atlas.store.parts import get_part, put_part
-from atlas.store.sidecar import LEASE_NAME, token_fence
+from atlas.store.sidecar import lease_confirmation
 from atlas.store.store import AtlasStore
 from atlas.task.handle_cache import cached_handle
 from workers import SOLVER_VERSION
@@ -34,8 +34,8 @@ class StoreRef:
     run_id           identifier of the run that created the store
     solver_version   solver version of the store
     patience         seconds to wait for a store at a URL that does not respond
-    lease            token of the run's lease of the store, empty for a job that is run by hand; nothing is written once
-                     the lease is lost
+    lease            token of the run's lease of the store, empty for a job that is run by hand; nothing is finished
+                     once the lease is lost
     """
 
     store: str | StoreBackend
@@ -44,45 +44,23 @@ class StoreRef:
     patience: float = LONG_PATIENCE
     lease: str = ""
 
-    def open(self, name: str = "", attempt: str = "") -> AtlasStore:
-        """Return the handle of the store, see ``open_checked``, behind the fence of the run's lease.
+    def open(self) -> AtlasStore:
+        """Return the handle of the store, see ``open_checked``, whose commits confirm the lease of the run.
 
-        With the token of an ``attempt`` the handle is also behind a fence of the sidecar file ``name``, which holds the
-        token.
+        They raise WorkerRefusedError if the run has lost its lease.
         """
         with translate_file_errors(self.store):
             handle = open_checked(self.store, self.run_id, self.solver_version, self.patience)
-            return self.with_fences(handle, name, attempt)
-
-    def with_fences(self, handle: AtlasStore, name: str = "", attempt: str = "") -> AtlasStore:
-        """Return the same handle behind these fences."""
-        return handle.with_backend(self._guarded(handle.backend, name, attempt))
+        if not self.lease:
+            return handle
+        lost = "the run that sent this job has lost its lease; nothing more is finished"
+        confirm = lease_confirmation(handle.backend, self.lease, WorkerRefusedError, lost)
+        return handle.with_backend(handle.backend.with_lease(confirm))
 
     def write_part(self, handle: AtlasStore, group: str, name: str, data: bytes) -> None:
         """Store a part of a group."""
         with translate_file_errors(self.store):
             put_part(handle, group, name, data)
-
-    def _guarded(self, place: StoreBackend, name: str, attempt: str) -> StoreBackend:
-        """Return a backend behind the fences of a job.
-
-        They check that its run has the lease, and that the sidecar file holds the attempt's token. They raise
-        WorkerRefusedError if another run has the lease. They raise RunError after a later attempt, since nothing is
-        wrong with this worker.
-        """
-        fences: list[Fence] = []
-        if self.lease:
-            lost = "the run that sent this job has lost its lease; nothing more is written"
-            fences.append(token_fence(place, LEASE_NAME, self.lease, WorkerRefusedError, lost))
-        if attempt:
-            lost = "a later attempt at this tile has started; nothing more is written"
-            fences.append(token_fence(place, name, attempt, RunError, lost))
-
-        def fence() -> None:
-            for check in fences:
-                check()
-
-        return place.with_fence(fence) if fences else place
 
 
 @dataclass(frozen=True)

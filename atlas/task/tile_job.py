@@ -33,23 +33,15 @@ class RunJob:
     index       index of the tile, or of the chunk
     store_ref   the store
     level       0 for a tile; above 0 for a chunk of that level of the overviews; LABELS for the final labels of basins
-    attempt     token of this attempt at the tile, set by ``attempt.run_tile_job``; of two live attempts the first
-                writes nothing more
     """
 
     index: tuple[int, ...]
     store_ref: StoreRef
     level: int = 0
-    attempt: str = ""
-
-    @property
-    def attempt_key(self) -> str:
-        """Name of the sidecar file with the token of the current attempt at the tile."""
-        return "started-" + "-".join(map(str, self.index))
 
     def handle(self) -> AtlasStore:
-        """Return the handle of the store in its present state, behind the fences of the run and of the attempt."""
-        return self.store_ref.open(self.attempt_key, self.attempt)
+        """Return the handle of the store in its present state, whose commits confirm the lease of the run."""
+        return self.store_ref.open()
 
 
 @dataclass(frozen=True)
@@ -163,10 +155,10 @@ def solve_cells(spec: Spec, slices: Slices, known: Arrays, due: np.ndarray) -> A
 
 
 def commit(handle: AtlasStore, job: RunJob, arrays: Arrays, source: AtlasStore | None = None) -> tuple[float, ...]:
-    """Write a tile, if the job still may, and the overview chunk over it alone; return the tile's record.
+    """Write a tile, if its run still leases the store, and the overview chunk over it alone; return its record.
 
-    ``source`` is a store with the same tile, whose objects are copied. A worker suspended between reading the sidecar
-    files and writing writes too late, but the same bits as any other worker.
+    ``source`` is a store with the same tile, whose objects are copied. A worker that is suspended between the
+    confirmation of the lease and the write writes too late, but the same bits as any other worker.
     """
     record = write_tile(handle, job.index, arrays) if source is None else copy_tile(handle, source, job.index, arrays)
     pyramid_of(handle).build_chunk_over(job.index, arrays)

@@ -15,8 +15,7 @@ from atlas import platform
 from atlas.errors import InputError
 from atlas.store import create, object_backend
 from atlas.store.object_backend import LocalBackend, is_url, open_backend
-from atlas.store.sidecar import LocalSidecar
-from atlas.store.zip_backend import ZipBackend
+from atlas.store.zarr_backend import ZarrBackend
 from tests.paths import ROOT
 
 APART = "atlas/platform.py"
@@ -135,7 +134,7 @@ def test_a_file_url_may_have_spaces_and_accents() -> None:
 
 @pytest.mark.parametrize("path", [PurePosixPath("/a b/é.zip"), PureWindowsPath("C:/a b/é.zip")])
 def test_an_archive_is_known_by_its_suffix_in_the_paths_of_both_systems(path: PurePosixPath) -> None:
-    assert isinstance(object_backend._place_at(Path(path.as_posix())), ZipBackend)
+    assert isinstance(object_backend._place_at(Path(path.as_posix())), ZarrBackend)
 
 
 NAMES_OF_FOLDERS = ("my atlases (2nd try)", "étude – Übergänge, 混沌", "a[1]{b}*?'$&;#%20", *["x" * 55] * 5)
@@ -221,38 +220,21 @@ def test_elsewhere_a_process_has_a_name_of_four_words_which_tells_the_living_fro
     system: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """psutil's part, which is the same code on all systems."""
-    from atlas.service import process_identity
-
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     monkeypatch.setattr(sys, "platform", system)
     try:
-        name = process_identity.process_name(child.pid)
-        assert process_identity.is_name(name)
-        assert process_identity.is_running(child.pid, name) is True
-        assert process_identity.is_running(child.pid, name.rpartition(" ")[0] + " 1.000000") is False
+        name = platform.process_name(child.pid)
+        assert len(name.split()) == 4
+        assert platform.is_running(child.pid, name) is True
+        assert platform.is_running(child.pid, name.rpartition(" ")[0] + " 1.000000") is False
     finally:
         child.communicate(b"\n")
-    assert process_identity.is_running(child.pid, name) is False
+    assert platform.is_running(child.pid, name) is False
 
 
 def test_a_system_without_affinity_counts_all_processors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     assert platform.processors() == os.cpu_count()
-
-
-def test_notes_next_to_a_store_do_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file system without locks answers ENOSYS or ENOLCK."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError("no locks here")
-
-    monkeypatch.setattr("filelock.FileLock.acquire", refuse)
-    notes = LocalSidecar(tmp_path / "notes")
-    assert notes.compare_and_set("a", b"1", expected=None)
-    assert notes.compare_and_set("a", b"22", expected=b"1")
-    assert notes.read("a") == b"22"
-    assert notes.compare_and_remove("a", b"22")
-    assert not notes.path.exists()
 
 
 # Text

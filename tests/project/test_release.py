@@ -58,8 +58,8 @@ ds.atlas    at basin_measures boundary branch compare count_reasons curves dista
             labels per_unit_time plot plot_side_by_side portrait regions to_html where_regime
 """
 JSON = """
-plan SPEC: axes dims shape cells tile tiles bytes objects workers seconds seconds_range seconds_per_cell
-    processor_seconds periods cells_probed note
+plan SPEC: axes dims shape cells tile tiles bytes objects objects_per_tile workers seconds seconds_range
+    seconds_per_cell processor_seconds periods cells_probed note
 status STORE: store system axes parameters columns solve tile tiles tiles_done tiles_pending cells cells_done
     cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
     solver_version run_id digest

@@ -141,7 +141,7 @@ def test_nothing_is_labelled_after_the_claim_of_the_store_is_lost(solved: Path, 
     handle = open_store(store)
     before = {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
     with pytest.raises(RunError, match="another run has this store"):
-        complete_basins(handle.with_backend(handle.backend.with_fence(lost)))
+        complete_basins(handle.with_backend(handle.backend.with_lease(lost)))
     assert {path: path.read_bytes() for path in store.rglob("*") if path.is_file()} == before
 
 

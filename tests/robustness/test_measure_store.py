@@ -221,7 +221,7 @@ def test_what_another_run_has_measured_meanwhile_is_not_lost(
     @contextmanager
     def claimed_late(place: Any, options: RunOptions) -> Iterator[Any]:
         write_measures(handle, theirs)
-        yield SimpleNamespace(fence_backend=lambda place: place)
+        yield SimpleNamespace(bind=lambda place: place)
 
     monkeypatch.setattr("atlas.service.worker_pool.hold_store_lease", claimed_late)
     with pytest.raises(RunError, match="another run has measured it meanwhile; rerun the same command"):

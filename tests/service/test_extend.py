@@ -353,10 +353,10 @@ def test_the_origin_is_read_once_for_all_tiles_that_copy_from_it(
     read: list[str] = []
     whole = LocalBackend.get
 
-    def get(place: LocalBackend, key: str) -> bytes | None:
+    def get(place: LocalBackend, key: str, part: slice | None = None) -> bytes | None:
         if place.local == old:
             read.append(key)
-        return whole(place, key)
+        return whole(place, key, part)
 
     monkeypatch.setattr(LocalBackend, "get", get)
     summary = extend(old, tmp_path / "new.zarr", spec_of(b=(0.1, 0.2, 0.3, 0.5)), client=client)

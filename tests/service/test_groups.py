@@ -208,16 +208,16 @@ def test_labels_that_lost_their_checksum_are_damaged(labelled: Path, tmp_path: P
 def test_a_repair_holds_the_claim_from_before_it_reads(whole: Path, tmp_path: Path) -> None:
     path, claims = copied(whole, tmp_path), []
     verify(
-        path, sample=0, repair=True, on_progress=lambda _: claims.append(sidecar_of(path).read(LEASE_NAME) is not None)
+        path, sample=0, repair=True, on_progress=lambda _: claims.append(sidecar_of(path).get(LEASE_NAME) is not None)
     )
     assert claims and all(claims)
-    assert sidecar_of(path).read(LEASE_NAME) is None
+    assert sidecar_of(path).get(LEASE_NAME) is None
 
 
 def test_verifying_without_a_repair_takes_no_claim(whole: Path, tmp_path: Path) -> None:
     path = copied(whole, tmp_path)
 
     def watch(_: Progress) -> None:
-        assert sidecar_of(path).read(LEASE_NAME) is None
+        assert sidecar_of(path).get(LEASE_NAME) is None
 
     assert verify(path, sample=0, on_progress=watch).faults == ()

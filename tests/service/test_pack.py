@@ -14,13 +14,12 @@ from distributed import Client
 import atlas
 from atlas.check.verify import verify
 from atlas.errors import ChunkError, InputError
+from atlas.platform import process_name
 from atlas.query.read_counter import count_chunk_reads
 from atlas.service.lease import LeaseRecord
-from atlas.service.pack import pack
-from atlas.service.process_identity import this_process
+from atlas.service.pack import pack, write_zip
 from atlas.store import create, store
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
-from atlas.store.zip_backend import write_zip
 from tests.interface.test_cli import call
 from tests.planes import plane_of
 from tests.synthetic import complete, fill, spec_of
@@ -158,13 +157,13 @@ def test_a_half_done_atlas_is_packed_with_a_word_about_it(tmp_path: Path) -> Non
 
 def test_a_store_that_a_run_is_at_work_on_is_not_packed(handle: store.AtlasStore, tmp_path: Path) -> None:
     notes = sidecar_of(handle.path)
-    claim = LeaseRecord("theirs", 1, "here", os.getpid(), this_process()).pack()
-    assert notes.compare_and_set(LEASE_NAME, claim, expected=None)
+    claim = LeaseRecord("theirs", 1, "here", os.getpid(), process_name()).pack()
+    assert notes.put_new(LEASE_NAME, claim)
     try:
         with pytest.raises(InputError, match=r"leased by another run .*; pack it when the run has ended"):
             pack(handle.path, tmp_path / "b.zip")
     finally:
-        notes.compare_and_remove(LEASE_NAME, claim)
+        notes.remove(LEASE_NAME)
     assert os.listdir(tmp_path) == []
 
 

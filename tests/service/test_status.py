@@ -12,21 +12,22 @@ from distributed import Client
 
 import atlas
 from atlas.cli.main import main
+from atlas.platform import process_name
 from atlas.service.lease import LeaseObserver, LeaseRecord
-from atlas.service.process_identity import process_name, this_process
 from atlas.service.progress import Progress
 from atlas.service.status import StoreCounts, read_status
 from atlas.service.timing import Timing
 from atlas.store import tile_records
 from atlas.store.create import create_store
-from atlas.store.sidecar import LEASE_NAME, LocalSidecar, sidecar_of
+from atlas.store.object_backend import LocalBackend
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import AtlasStore, open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from tests.planes import plane_of
 
 
 def claim(progress: dict[str, object] | None = None) -> LeaseRecord:
-    return LeaseRecord("ours", 1, "here", os.getpid(), this_process(), progress=progress or {})
+    return LeaseRecord("ours", 1, "here", os.getpid(), process_name(), progress=progress or {})
 
 
 def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_before_its_last_tile(
@@ -35,13 +36,13 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
     handle, counted, notes = open_store(finished), tile_records.done_tiles, sidecar_of(finished)
     last = read_tile(handle, (1, 1))
     drop_tile(handle, (1, 1))
-    notes.compare_and_set(LEASE_NAME, claim().pack(), expected=None)
+    notes.put_new(LEASE_NAME, claim().pack())
 
     def slow(of: AtlasStore) -> set[tuple[int, ...]]:
         found = counted(of)
-        if notes.read(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
+        if notes.get(LEASE_NAME):  # the run writes its last tile and ends, after the listing and before the next look
             write_tile(handle, (1, 1), last)
-            notes.compare_and_remove(LEASE_NAME, claim().pack())
+            notes.remove(LEASE_NAME)
         return found
 
     monkeypatch.setattr(tile_records, "done_tiles", slow)
@@ -53,19 +54,19 @@ def test_a_run_that_ends_while_its_tiles_are_counted_is_not_reported_as_ended_be
 def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counted, whole = tile_records.done_tiles, LocalSidecar.read
+    counted, whole = tile_records.done_tiles, LocalBackend.get
     looks: list[str] = []
 
     def count(of: AtlasStore) -> set[tuple[int, ...]]:
         looks.append("tiles")
         return counted(of)
 
-    def read(notes: LocalSidecar, name: str) -> bytes | None:
-        looks.append(name)
-        return whole(notes, name)
+    def read(place: LocalBackend, name: str, part: slice | None = None) -> bytes | None:
+        looks.extend([name] * (place.path.suffix == ".run"))
+        return whole(place, name, part)
 
     monkeypatch.setattr(tile_records, "done_tiles", count)
-    monkeypatch.setattr(LocalSidecar, "read", read)
+    monkeypatch.setattr(LocalBackend, "get", read)
     read_status(open_store(finished))
     assert looks == ["claim", "tiles", "claim"]
 
@@ -73,7 +74,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
     trouble = "no job finished for 40 s: Dask has paused 1 worker short of memory: tcp://10.0.0.2:1 (limit 300 MB)"
     reported = {"workers": 1, "cells": 35, "cells_done": 30, "cells_solved": 30, "seconds": 3.0, "trouble": trouble}
-    sidecar_of(finished).compare_and_set(LEASE_NAME, claim(reported).pack(), expected=None)
+    sidecar_of(finished).put_new(LEASE_NAME, claim(reported).pack())
     status = read_status(open_store(finished))
     assert status.as_dict()["trouble"] == trouble
     assert (status.seconds_left, status.as_dict()["cells_per_second"]) == (None, 0.0)
@@ -94,7 +95,7 @@ def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tile_records, "done_tiles", lambda _: pytest.fail("the store was listed"))
-    sidecar_of(finished).compare_and_set(LEASE_NAME, claim({"holds": HELD}).pack(), expected=None)
+    sidecar_of(finished).put_new(LEASE_NAME, claim({"holds": HELD}).pack())
     status = read_status(open_store(finished))
     assert (status.tiles_done, status.cells_done, status.regimes) == (4, 16, {"periodic": 15, "chaotic": 1})
 
@@ -116,13 +117,13 @@ def test_a_status_is_what_the_run_at_work_says_that_its_store_holds(
     ],
 )
 def test_a_claim_that_does_not_say_what_the_store_holds_is_not_believed(finished: Path, held: object) -> None:
-    sidecar_of(finished).compare_and_set(LEASE_NAME, claim({"holds": held}).pack(), expected=None)
+    sidecar_of(finished).put_new(LEASE_NAME, claim({"holds": held}).pack())
     assert read_status(open_store(finished)).cells_done == 35
 
 
 def test_a_claim_whose_holder_is_gone_is_not_believed(finished: Path) -> None:
-    gone = LeaseRecord("ours", 1, "here", 2**31 - 1, this_process(), progress={"holds": HELD})
-    sidecar_of(finished).compare_and_set(LEASE_NAME, gone.pack(), expected=None)
+    gone = LeaseRecord("ours", 1, "here", 2**31 - 1, process_name(), progress={"holds": HELD})
+    sidecar_of(finished).put_new(LEASE_NAME, gone.pack())
     assert read_status(open_store(finished)).cells_done == 35
 
 

@@ -25,11 +25,10 @@ from atlas.store import object_backend as placing
 from atlas.store.metadata import unsealed
 from atlas.store.object_backend import LocalBackend, ObjectBackend, StoreBackend, open_backend
 from atlas.store.schema import SPEC_KEY
-from atlas.store.sidecar import object_sidecar
+from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import open_store
 from atlas.store.tile_records import forget_records
 from atlas.store.tiles import drop_tile
-from atlas.store.zarr_stores import RetryingObjectStore
 from tests.object_server import BUCKET, object_server
 from tests.planes import find, plane_of
 from workers.settings import MAX_PERIODS
@@ -124,35 +123,18 @@ def test_an_object_is_put_new_only_once(place: StoreBackend) -> None:
     assert [place.put_new("x", b"first"), place.put_new("x", b"second"), place.get("x")] == [True, False, b"first"]
 
 
-def test_a_note_is_put_only_over_what_was_read(bucket: str) -> None:
-    place = ObjectBackend(f"{bucket}/notes/plane.zarr")
-    notes = object_sidecar(place)
-    assert notes.read("claim") is None
-    assert notes.compare_and_set("claim", b"1", expected=None)
-    assert not notes.compare_and_set("claim", b"2", expected=None)
-    assert not notes.compare_and_set("claim", b"2", expected=b"0")
-    assert notes.compare_and_set("claim", b"2", expected=b"1")
-    assert notes.read("claim") == b"2"
-    assert not notes.compare_and_remove("claim", b"1")
-    assert notes.compare_and_remove("claim", b"2")
-    assert (notes.read("claim"), notes.compare_and_remove("claim", b"2")) == (None, False)
-    assert notes.compare_and_set("claim", b"3", expected=None)
-    notes.compare_and_set("started-0", b"1", expected=None)
-    notes.clear(keep="claim")
-    assert (notes.read("claim"), notes.read("started-0")) == (b"3", None)
-    assert list(place.list_keys()) == []  # beside the store, not in it
+def test_a_part_of_an_object_is_got(place: StoreBackend) -> None:
+    place.put("x", b"0123456789")
+    parts = slice(2, 5), slice(7, None), slice(-2, None)
+    assert [place.get("x", part) for part in parts] == [b"234", b"789", b"89"]
+    assert place.get("none", slice(0, 2)) is None
 
 
-def test_of_two_that_replace_the_same_state_one_succeeds(bucket: str) -> None:
-    place = open_backend(f"{bucket}/conditions")
-    assert isinstance(place, ObjectBackend)
-    place.put("x", b"1")
-    found = place.get_tagged("x")
-    assert found is not None
-    assert [place.put_if("x", b"2", found[1]), place.put_if("x", b"3", found[1])] == [True, False]
-    assert place.get("x") == b"2"
-    place.remove("x")
-    assert not place.put_if("x", b"4", found[1])
+def test_the_notes_of_a_run_lie_beside_its_store(place: StoreBackend) -> None:
+    notes = sidecar_of(place)
+    assert notes.put_new(LEASE_NAME, b"1")
+    assert (notes.get(LEASE_NAME), list(place.list_keys())) == (b"1", [])
+    assert str(notes).endswith("/.plane.zarr.run")
 
 
 @pytest.mark.slow
@@ -327,10 +309,8 @@ def test_a_status_of_a_finished_atlas_takes_ten_requests_at_most(
 
         monkeypatch.setattr(owner, name, counted)
 
-    for name in ("get_tagged", "exists", "list_keys"):
+    for name in ("get", "exists", "list_keys"):
         count(ObjectBackend, name)
-    for name in ("get", "exists", "list_prefix", "list_dir"):
-        count(RetryingObjectStore, name)
     status = read_status(store.open_store(f"{bucket}/few"))
     assert (status.tiles_done, status.cells_done) == (9, 35)
     assert len(asked) <= 10, asked
@@ -428,7 +408,7 @@ def test_a_path_is_made_absolute_and_a_file_url_is_a_path(given: str) -> None:
 
 def test_a_store_at_a_bucket_itself_has_no_room_for_notes(bucket: str) -> None:
     with pytest.raises(InputError, match="needs a name below the bucket"):
-        object_sidecar(ObjectBackend(bucket))
+        sidecar_of(ObjectBackend(bucket))
 
 
 def test_a_chunk_that_was_never_written_reads_as_pending(place: StoreBackend) -> None:

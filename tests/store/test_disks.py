@@ -54,12 +54,12 @@ import atlas
 from atlas.errors import RunError
 from atlas.service.timing import Timing
 from atlas.store.tiles import read_tile
-from atlas.store.store import done_tiles, open_handle
+from atlas.store.store import done_tiles, open_store
 from tests.planes import plane_of
 from workers.tile import solve_tile
 
 disk, trouble = Path(sys.argv[1]), sys.argv[2]
-options = atlas.RunOptions(timing=Timing(dead=5.0))  # a claim that this very process left is watched for so long
+options = atlas.RunOptions(timing=Timing(expire_after=5.0))  # how long a claim of this process is watched
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "none", disk], check=True)
 plane, store = plane_of(), disk / "out.zarr"
 
@@ -90,7 +90,7 @@ with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_addres
     except RunError as error:
         print(error)
     (remount("rw") if trouble == "read-only" else (disk / "ballast").unlink())
-    handle = open_handle(store)
+    handle = open_store(store)
     kept = done_tiles(handle)
     for index in kept:
         assert (read_tile(handle, index)["regime"] >= 0).all()

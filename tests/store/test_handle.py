@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from zarr.storage import LocalStore
 
 import atlas
 from atlas.errors import InputError
@@ -21,6 +20,7 @@ from atlas.query.open import handle_of
 from atlas.store.backend import LocalBackend
 from atlas.store.create import create_store
 from atlas.store.store import AtlasStore, open_store
+from atlas.store.zarr_store import BackendStore
 from atlas.task import handle_cache
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
@@ -80,13 +80,13 @@ QUESTIONS: dict[str, Callable[[Any], object]] = {
 def test_a_question_to_a_dataset_looks_at_its_store_by_one_object_and_opens_it_no_second_time(
     finished: Path, asked: Counter[tuple[str, str]], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    keys, whole = list[str](), LocalStore.get
+    keys, whole = list[str](), BackendStore.get
 
-    async def get(store: LocalStore, key: str, *given: object, **named: object) -> object:
+    async def get(store: BackendStore, key: str, *given: object, **named: object) -> object:
         keys.append(key)
         return await whole(store, key, *given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(LocalStore, "get", get)
+    monkeypatch.setattr(BackendStore, "get", get)
     ds = atlas.open(finished)
     ds.atlas.fractions().to_dict()  # the first question opens the overviews
     asked.clear()
@@ -171,12 +171,12 @@ def test_a_header_that_is_sent_takes_along_nothing_that_it_has_opened(finished: 
 def test_zarr_reads_the_root_of_a_store_once_when_it_is_opened_as_a_dataset(
     finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keys, whole = list[str](), LocalStore.get
+    keys, whole = list[str](), BackendStore.get
 
-    async def get(store: LocalStore, key: str, *given: object, **named: object) -> object:
+    async def get(store: BackendStore, key: str, *given: object, **named: object) -> object:
         keys.append(key)
         return await whole(store, key, *given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(LocalStore, "get", get)
+    monkeypatch.setattr(BackendStore, "get", get)
     atlas.open(finished)
     assert keys.count(ROOT) <= 1

@@ -5,21 +5,20 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from atlas.errors import InputError, RunError
-from atlas.service.lease import LeaseObserver, LeaseRecord, cancel, hold_lease
-from atlas.service.process_identity import this_process
+from atlas.platform import process_name
+from atlas.service.lease import STOP, LeaseObserver, LeaseRecord, cancel, hold_lease
 from atlas.service.timing import Timing
-from atlas.store import sidecar
 from atlas.store.create import remove_half_made
-from atlas.store.sidecar import LEASE_NAME, LocalSidecar, read_lease_token, sidecar_of
+from atlas.store.object_backend import LocalBackend
+from atlas.store.sidecar import LEASE_NAME, read_lease_token, sidecar_of
 from tests.paths import ROOT
 from tests.polling import until
 
@@ -28,8 +27,8 @@ IMPATIENT = Timing(heartbeat=0.02, lease_poll=0.02, warn_after=0.3, expire_after
 
 
 @pytest.fixture
-def notes(tmp_path: Path) -> LocalSidecar:
-    return LocalSidecar(tmp_path / "notes")
+def notes(tmp_path: Path) -> LocalBackend:
+    return LocalBackend(tmp_path / "notes")
 
 
 REPLACED = "the next run takes it over"
@@ -43,102 +42,70 @@ def elsewhere(beat: int = 7) -> LeaseRecord:
     return LeaseRecord("theirs", beat, "far", 1, "another-boot pid:[1] 1 1")
 
 
-def test_a_note_is_put_only_where_there_is_none(notes: LocalSidecar) -> None:
-    assert notes.compare_and_set("a", b"1", expected=None)
-    assert not notes.compare_and_set("a", b"2", expected=None)
-    assert notes.read("a") == b"1"
+def test_of_many_that_ask_for_a_lease_at_once_one_gets_it(notes: LocalBackend) -> None:
+    held = list[str]()
 
+    def ask() -> None:
+        with suppress(InputError), hold_lease(notes, "out.zarr", timing=IMPATIENT) as claim:
+            held.append(claim.token)
+            done.wait(20)
 
-def test_a_note_is_replaced_only_by_who_read_it_last(notes: LocalSidecar) -> None:
-    notes.compare_and_set("a", b"first, and longer", expected=None)
-    assert notes.compare_and_set("a", b"second", expected=b"first, and longer")
-    assert not notes.compare_and_set("a", b"third", expected=b"first, and longer")
-    assert not notes.compare_and_remove("a", b"first, and longer")
-    assert notes.read("a") == b"second"
-
-
-def test_a_note_that_is_being_made_is_read_when_it_is_whole(notes: LocalSidecar) -> None:
-    notes.compare_and_set("n", b"whole", expected=None)
-    file = notes.path / "n"
-    data = file.read_bytes()
-    file.write_bytes(data[:100])
-    maker = threading.Timer(0.1, file.write_bytes, [data])
-    maker.start()
-    assert notes.read("n") == b"whole"
-    maker.join()
-
-
-def test_readers_of_a_claim_that_is_renewed_always_find_its_token_and_take_no_lock(
-    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Workers read the claim before each write; a reader that asked for the lock would hold up its renewal."""
-    locked, lock, done = set(), sidecar.file_lock, threading.Event()
-
-    def noted(*given: Any) -> Any:
-        locked.add(threading.current_thread().name)
-        return lock(*given)
-
-    def renew() -> None:
-        for beat in range(1, 200):
-            notes.compare_and_set(LEASE_NAME, note(beat), expected=note(beat - 1))
-        done.set()
-
-    def read() -> int:
-        count = 0
-        while not done.is_set():
-            assert read_lease_token(notes) == "of the run"
-            count += 1
-        return count
-
-    def note(beat: int) -> bytes:
-        return json.dumps({"token": "of the run", "beat": beat}).encode()
-
-    monkeypatch.setattr(sidecar, "file_lock", noted)
-    notes.compare_and_set(LEASE_NAME, note(0), expected=None)
-    with ThreadPoolExecutor(20, thread_name_prefix="reader") as pool:
-        readers = [pool.submit(read) for _ in range(20)]
-        writer = threading.Thread(target=renew, name="run")
-        writer.start()
-        writer.join()
-        assert min(reader.result() for reader in readers) > 0
-    assert not [name for name in locked if name.startswith("reader")]
-    assert "run" in locked
-
-
-def test_the_last_note_takes_its_folder_with_it(notes: LocalSidecar) -> None:
-    notes.compare_and_set("a", b"1", expected=None)
-    assert notes.compare_and_remove("a", b"1")
-    assert not notes.path.exists()
-    assert notes.read("a") is None
-    assert not notes.compare_and_set("a", b"2", expected=b"1")
-
-
-def test_of_many_that_replace_a_note_at_once_each_change_is_counted(notes: LocalSidecar) -> None:
-    notes.compare_and_set("count", b"0", expected=None)
-
-    def count() -> None:
-        for _ in range(50):
-            while True:
-                found = notes.read("count") or b""
-                if notes.compare_and_set("count", str(int(found) + 1).encode(), expected=found):
-                    break
-
-    threads = [threading.Thread(target=count) for _ in range(4)]
+    done = threading.Event()
+    threads = [threading.Thread(target=ask) for _ in range(8)]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
-    assert notes.read("count") == b"200"
+    within_20_s(lambda: sum(thread.is_alive() for thread in threads) == 1)
+    done.set()
+    assert len(held) == 1
 
 
-def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: LocalSidecar) -> None:
+def test_of_two_that_take_over_a_lease_at_once_the_later_one_holds_it(
+    notes: LocalBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other one writes its token right after the first has written its own."""
+    notes.put_new(LEASE_NAME, elsewhere().pack())
+    whole, later = LocalBackend.put, replace(elsewhere(), token="later")
+
+    def put(place: LocalBackend, key: str, data: bytes) -> None:
+        whole(place, key, data)
+        whole(place, key, later.pack())
+        moving.start()
+
+    def move() -> None:
+        for beat in range(8, 100):
+            time.sleep(0.02)
+            whole(notes, LEASE_NAME, replace(later, beat=beat).pack())
+
+    moving = threading.Thread(target=move)
+    monkeypatch.setattr(LocalBackend, "put", put)
+    with pytest.raises(InputError, match="leased by another run"), hold_lease(notes, "out.zarr", timing=IMPATIENT):
+        pass
+    moving.join()
+    assert read_lease_token(notes) == "later"
+
+
+def test_readers_of_a_claim_that_is_renewed_always_find_its_token(notes: LocalBackend) -> None:
+    """Workers read it before each commit."""
+    with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=1e-4)) as claim:
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            assert read_lease_token(notes) == claim.token
+
+
+def test_the_folder_of_the_claim_goes_with_it(notes: LocalBackend) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK):
-        seen = notes.read(LEASE_NAME)
-        within_20_s(lambda: notes.read(LEASE_NAME) != seen)
-    assert notes.read(LEASE_NAME) is None
+        (notes.path / "claim.0123.partial").touch()  # left by a process that was killed while it wrote
+    assert not notes.path.exists()
 
 
-def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalSidecar) -> None:
+def test_a_claim_moves_its_counter_and_goes_with_its_holder(notes: LocalBackend) -> None:
+    with hold_lease(notes, "out.zarr", timing=QUICK):
+        seen = notes.get(LEASE_NAME)
+        within_20_s(lambda: notes.get(LEASE_NAME) != seen)
+    assert notes.get(LEASE_NAME) is None
+
+
+def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalBackend) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as first:
         refusal = rf"^out.zarr: leased by another run \(process {os.getpid()} on "
         with pytest.raises(InputError, match=refusal), hold_lease(notes, "out.zarr", timing=QUICK):
@@ -146,8 +113,8 @@ def test_a_second_run_is_refused_and_leaves_the_first_alone(notes: LocalSidecar)
         first.check()
 
 
-def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
+def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere().pack())
     said: list[str] = []
     begin = time.monotonic()
     with hold_lease(notes, "out.zarr", said.append, IMPATIENT):
@@ -158,15 +125,15 @@ def test_a_claim_that_stands_still_is_replaced_and_not_before(notes: LocalSideca
     ]
 
 
-def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere(0).pack(), expected=None)
+def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere(0).pack())
     stop = threading.Event()
 
     def beat() -> None:
         now = elsewhere(0)
         while not stop.wait(0.05):
             after = replace(now, beat=now.beat + 1)
-            assert notes.compare_and_set(LEASE_NAME, after.pack(), expected=now.pack())
+            notes.put(LEASE_NAME, after.pack())
             now = after
 
     thread = threading.Thread(target=beat)
@@ -177,14 +144,14 @@ def test_a_claim_of_another_machine_is_respected_while_its_counter_moves(notes: 
     thread.join()
 
 
-def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: LocalSidecar) -> None:
+def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: LocalBackend) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from atlas.service.lease import hold_lease; from atlas.store.sidecar import LocalSidecar\n"
-        "with hold_lease(LocalSidecar(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
+        "from atlas.service.lease import hold_lease; from atlas.store.object_backend import LocalBackend\n"
+        "with hold_lease(LocalBackend(Path(sys.argv[1])), 'out.zarr'): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, notes.path], check=False, cwd=ROOT)
-    assert notes.read(LEASE_NAME) is not None
+    assert notes.get(LEASE_NAME) is not None
     seen = LeaseObserver(notes).observe()
     assert seen is not None
     assert (seen.alive, seen.trouble) == (False, f"{seen.record} ended without releasing its lease; {REPLACED}")
@@ -195,23 +162,23 @@ def test_a_claim_of_a_killed_process_of_this_machine_needs_no_watching(notes: Lo
     assert said[0].endswith("which no longer runs")
 
 
-def test_a_torn_claim_is_replaced(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, b'{"token": "thei', expected=None)
+def test_a_torn_claim_is_replaced(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, b'{"token": "thei')
     with hold_lease(notes, "out.zarr", timing=IMPATIENT):
         pass
 
 
-def test_a_holder_that_was_asleep_finds_itself_replaced(notes: LocalSidecar) -> None:
+def test_a_holder_that_was_asleep_finds_itself_replaced(notes: LocalBackend) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as slept:
-        within_20_s(lambda: notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME)))
+        notes.put(LEASE_NAME, elsewhere().pack())
         within_20_s(lambda: slept.lost != "")
         with pytest.raises(RunError, match=r"another run has taken over the store \(process 1 on far\)"):
             slept.check()
-    assert notes.read(LEASE_NAME) == elsewhere().pack()
+    assert notes.get(LEASE_NAME) == elsewhere().pack()
 
 
 def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
-    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
+    notes: LocalBackend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as claim:
         with monkeypatch.context() as away:
@@ -221,16 +188,16 @@ def test_a_holder_whose_disk_is_away_for_a_while_keeps_its_claim(
                 failed.set()
                 raise OSError(28, "No space left on device")
 
-            away.setattr(LocalSidecar, "compare_and_set", put)
+            away.setattr(LocalBackend, "put", put)
             assert failed.wait(20)
-        seen = notes.read(LEASE_NAME)
-        within_20_s(lambda: notes.read(LEASE_NAME) != seen)
+        seen = notes.get(LEASE_NAME)
+        within_20_s(lambda: notes.get(LEASE_NAME) != seen)
         claim.check()
 
 
 @pytest.mark.parametrize("patience", [0.0, 1.0])
 def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itself(
-    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch, patience: float
+    notes: LocalBackend, monkeypatch: pytest.MonkeyPatch, patience: float
 ) -> None:
     with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=patience) as claim:
 
@@ -240,7 +207,7 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
         claim.check()
         begin = time.monotonic()
         with monkeypatch.context() as away:
-            away.setattr(LocalSidecar, "compare_and_set", put)
+            away.setattr(LocalBackend, "put", put)
             with pytest.raises(
                 RunError,
                 match=r"no heartbeat succeeded for \d+ s \(Input/output error\), so another run",
@@ -249,17 +216,17 @@ def test_a_run_that_cannot_renew_its_claim_for_as_long_as_others_wait_stops_itse
                     claim.check()
                     time.sleep(0.02)
         assert time.monotonic() - begin >= max(patience, IMPATIENT.expire_after) - 2 * IMPATIENT.heartbeat
-    assert notes.read(LEASE_NAME) is None  # the store is free again
+    assert notes.get(LEASE_NAME) is None  # the store is free again
 
 
 def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
-    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
+    notes: LocalBackend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object, **__: object) -> bool:
         raise PermissionError(13, "ExpiredToken")
 
     with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=0.01, expire_after=0.05), patience=600.0) as claim:
-        monkeypatch.setattr(LocalSidecar, "compare_and_set", refused)
+        monkeypatch.setattr(LocalBackend, "put", refused)
         time.sleep(0.1)
         with pytest.raises(RunError, match=r"no heartbeat succeeded for \d+ s \(ExpiredToken\), so"):
             claim.check()
@@ -268,33 +235,28 @@ def test_a_run_whose_store_refuses_it_stops_with_the_reason_and_without_waiting(
 @pytest.fixture
 def away(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], None]]:
     """A disk that lets nothing be written until it is told to be back."""
-    whole, back = LocalSidecar.compare_and_set, threading.Event()
+    whole, back = LocalBackend.put, threading.Event()
 
-    def put(notes: LocalSidecar, name: str, data: bytes, expected: bytes | None) -> bool:
-        if (
-            name == LEASE_NAME
-            and expected is not None
-            and not back.is_set()
-            and LeaseRecord.unpack(data).token != "theirs"
-        ):  # type: ignore[union-attr]
+    def put(notes: LocalBackend, name: str, data: bytes) -> None:
+        if name == LEASE_NAME and not back.is_set() and b"theirs" not in data:
             raise OSError(5, "Input/output error")
-        return whole(notes, name, data, expected)
+        whole(notes, name, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(LocalSidecar, "compare_and_set", put)
+        patch.setattr(LocalBackend, "put", put)
         yield back.set
 
 
 def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_claim(
-    notes: LocalSidecar, away: Callable[[], None]
+    notes: LocalBackend, away: Callable[[], None]
 ) -> None:
     """Others may have replaced the claim by then, long before the run's patience ends."""
     with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
-        seen, waited = notes.read(LEASE_NAME), []
+        seen, waited = notes.get(LEASE_NAME), []
 
         def waiting() -> None:
             if len(waited) < 5:  # after that the beat comes through at any moment
-                assert notes.read(LEASE_NAME) == seen
+                assert notes.get(LEASE_NAME) == seen
             waited.append(time.monotonic())
             if len(waited) == 5:
                 away()
@@ -304,42 +266,42 @@ def test_a_run_that_waits_for_its_store_goes_on_only_once_it_has_renewed_its_cla
             claim.check(waiting)
         assert len(waited) >= 5
         assert waited[0] - begin >= IMPATIENT.expire_after - 2 * IMPATIENT.heartbeat
-        assert notes.read(LEASE_NAME) != seen
+        assert notes.get(LEASE_NAME) != seen
 
 
 def test_a_run_that_waits_for_its_store_stops_where_another_has_replaced_its_claim(
-    notes: LocalSidecar, away: Callable[[], None]
+    notes: LocalBackend, away: Callable[[], None]
 ) -> None:
     with hold_lease(notes, "out.zarr", timing=IMPATIENT, patience=60.0) as claim:
 
         def waiting() -> None:
-            notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=notes.read(LEASE_NAME))
+            notes.put(LEASE_NAME, elsewhere().pack())
             away()
 
         with pytest.raises(RunError, match=r"another run has taken over the store \(process 1 on far\)"):
             while True:
                 claim.check(waiting)
-    assert notes.read(LEASE_NAME) == elsewhere().pack()
+    assert notes.get(LEASE_NAME) == elsewhere().pack()
 
 
 def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
-    notes: LocalSidecar, monkeypatch: pytest.MonkeyPatch
+    notes: LocalBackend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its holder could not move it meanwhile; it does as soon as the store is back."""
     holder = elsewhere()
-    notes.compare_and_set(LEASE_NAME, holder.pack(), expected=None)
-    whole, reads = LocalSidecar.read, []
+    notes.put_new(LEASE_NAME, holder.pack())
+    whole, reads = LocalBackend.get, []
 
-    def read(folder: LocalSidecar, name: str) -> bytes | None:
+    def read(folder: LocalBackend, name: str) -> bytes | None:
         reads.append(name)
         if len(reads) == 3:
             time.sleep(2 * IMPATIENT.expire_after)
             return whole(folder, name)
         if len(reads) == 5:
-            notes.compare_and_set(LEASE_NAME, replace(holder, beat=8).pack(), expected=holder.pack())
+            notes.put(LEASE_NAME, replace(holder, beat=8).pack())
         return whole(folder, name)
 
-    monkeypatch.setattr(LocalSidecar, "read", read)
+    monkeypatch.setattr(LocalBackend, "get", read)
     with (
         pytest.raises(InputError, match="leased by another run"),
         hold_lease(notes, "out.zarr", timing=IMPATIENT),
@@ -347,10 +309,10 @@ def test_a_claim_is_not_replaced_because_the_store_was_away_from_its_watcher(
         pass
 
 
-def test_what_a_holder_reports_is_read_by_others(notes: LocalSidecar) -> None:
+def test_what_a_holder_reports_is_read_by_others(notes: LocalBackend) -> None:
     with hold_lease(notes, "out.zarr", timing=QUICK) as claim:
         claim.set_progress({"workers": 3})
-        within_20_s(lambda: json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"workers": 3})
+        within_20_s(lambda: json.loads(notes.get(LEASE_NAME) or b"{}")["progress"] == {"workers": 3})
         seen = LeaseObserver(notes).observe_until_settled()
         assert seen is not None
         assert seen.record is not None
@@ -358,7 +320,7 @@ def test_what_a_holder_reports_is_read_by_others(notes: LocalSidecar) -> None:
         assert (seen.alive, seen.trouble) == (True, "")
 
 
-def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: LocalSidecar) -> None:
+def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: LocalBackend) -> None:
     stopped = threading.Event()
 
     def work() -> None:
@@ -373,41 +335,41 @@ def test_cancel_reaches_the_holder_and_returns_when_it_has_stopped(notes: LocalS
 
     thread = threading.Thread(target=work)
     thread.start()
-    within_20_s(lambda: notes.read(LEASE_NAME) is not None)
+    within_20_s(lambda: notes.get(LEASE_NAME) is not None)
     cancel(notes, "out.zarr", wait_seconds=20)
     thread.join()
     assert stopped.is_set()
-    assert notes.read(LEASE_NAME) is None
+    assert notes.get(LEASE_NAME) is None
 
 
-def test_cancel_without_a_run_is_refused(notes: LocalSidecar) -> None:
+def test_cancel_without_a_run_is_refused(notes: LocalBackend) -> None:
     with pytest.raises(InputError, match=r"out.zarr: no run is at work on it"):
         cancel(notes, "out.zarr", wait_seconds=1)
 
 
-def test_cancel_says_when_a_run_has_not_stopped(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
+def test_cancel_says_when_a_run_has_not_stopped(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere().pack())
     with pytest.raises(RunError, match=r"has not stopped within 0.1 s"):
         cancel(notes, "out.zarr", wait_seconds=0.1)
 
 
-def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
+def test_cancel_says_at_once_that_a_claim_stands_still(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere().pack())
     with pytest.raises(RunError, match=r"out.zarr: no heartbeat from process 1 on far for 0 s; its"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
-    assert notes.read(LEASE_NAME) == replace(elsewhere(), cancelled=True).pack()
+    assert (notes.get(LEASE_NAME), notes.get(STOP)) == (elsewhere().pack(), b"theirs")
 
 
-def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: LocalSidecar) -> None:
-    boot, namespace, *_ = this_process().split()
+def test_cancel_of_a_killed_run_says_that_its_process_is_gone(notes: LocalBackend) -> None:
+    boot, namespace, *_ = process_name().split()
     gone = replace(elsewhere(), pid=2**31 - 1, process=f"{boot} {namespace} {2**31 - 1} 1")
-    notes.compare_and_set(LEASE_NAME, gone.pack(), expected=None)
+    notes.put_new(LEASE_NAME, gone.pack())
     with pytest.raises(InputError, match=rf"no run is at work on it: process {2**31 - 1} on far ended"):
         cancel(notes, "out.zarr", wait_seconds=600)
 
 
-def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
+def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere().pack())
     observer = LeaseObserver(notes, IMPATIENT)
     first, settled = observer.observe(), observer.observe_until_settled()
     assert first is not None
@@ -416,23 +378,23 @@ def test_a_claim_from_elsewhere_is_silent_only_after_it_has_stood_still(notes: L
     assert settled.trouble.startswith("no heartbeat from process 1 on far for ")
 
 
-def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere(0).pack(), expected=None)
+def test_a_claim_from_elsewhere_that_moves_is_in_no_trouble(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere(0).pack())
 
     def beat(_: float) -> None:  # its holder moves it while the observer sleeps
-        assert notes.compare_and_set(LEASE_NAME, elsewhere(1).pack(), expected=elsewhere(0).pack())
+        notes.put(LEASE_NAME, elsewhere(1).pack())
 
     seen = LeaseObserver(notes, sleep=beat).observe_until_settled()
     assert seen is not None
     assert (seen.record, seen.trouble) == (elsewhere(1), "")
 
 
-def test_a_request_to_stop_is_no_sign_of_life(notes: LocalSidecar) -> None:
-    notes.compare_and_set(LEASE_NAME, elsewhere().pack(), expected=None)
+def test_a_request_to_stop_is_no_sign_of_life(notes: LocalBackend) -> None:
+    notes.put_new(LEASE_NAME, elsewhere().pack())
 
     def ask(text: str) -> None:
         if "waiting for a heartbeat" in text:
-            notes.compare_and_set(LEASE_NAME, replace(elsewhere(), cancelled=True).pack(), expected=elsewhere().pack())
+            notes.put(STOP, b"theirs")
 
     with hold_lease(notes, "out.zarr", ask, IMPATIENT) as claim:
         claim.check()
@@ -450,14 +412,14 @@ DAMAGES: dict[str, object] = {
 
 
 @pytest.mark.parametrize("field", DAMAGES)
-def test_a_claim_with_a_field_of_another_type_is_damaged(notes: LocalSidecar, field: str) -> None:
+def test_a_claim_with_a_field_of_another_type_is_damaged(notes: LocalBackend, field: str) -> None:
     data = json.dumps(json.loads(elsewhere().pack()) | {field: DAMAGES[field]}).encode()
-    notes.compare_and_set(LEASE_NAME, data, expected=None)
+    notes.put_new(LEASE_NAME, data)
     assert LeaseRecord.unpack(data) is None
     seen = LeaseObserver(notes, IMPATIENT).observe_until_settled()
     assert seen is not None
-    assert seen.trouble == f"the lease file is damaged; {REPLACED}"
-    with pytest.raises(RunError, match=rf"^out.zarr: the lease file is damaged; {REPLACED}$"):
+    assert seen.trouble == f"the lease is damaged; {REPLACED}"
+    with pytest.raises(RunError, match=rf"^out.zarr: the lease is damaged; {REPLACED}$"):
         cancel(notes, "out.zarr", wait_seconds=600, timing=IMPATIENT)
     with hold_lease(notes, "out.zarr", timing=IMPATIENT) as claim:
         claim.check()
@@ -494,12 +456,12 @@ def test_a_half_made_store_is_removed_and_nothing_else(tmp_path: Path) -> None:
 
 def test_notes_are_next_to_the_store(tmp_path: Path) -> None:
     notes = sidecar_of(tmp_path / "out.zarr")
-    assert notes == LocalSidecar(tmp_path / ".out.zarr.run")
+    assert notes == LocalBackend(tmp_path / ".out.zarr.run")
 
 
-def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: LocalSidecar) -> None:
+def test_the_first_report_of_a_holder_is_told_at_once_and_the_next_with_its_beats(notes: LocalBackend) -> None:
     with hold_lease(notes, "out.zarr", timing=Timing(heartbeat=60.0)) as claim:
         claim.set_progress({"tiles": 3})
-        assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
+        assert json.loads(notes.get(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
         claim.set_progress({"tiles": 4})
-        assert json.loads(notes.read(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}
+        assert json.loads(notes.get(LEASE_NAME) or b"{}")["progress"] == {"tiles": 3}

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,11 @@ import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError, NetworkError, RunError
 from atlas.service.lease import hold_lease
+from atlas.service.timing import Timing
 from atlas.store import outage
 from atlas.store.create import create_store
 from atlas.store.object_backend import ObjectBackend
-from atlas.store.sidecar import LEASE_NAME, object_sidecar, sidecar_of
+from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, sidecar_of
 from atlas.store.store import done_tiles, open_store
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
@@ -81,13 +81,10 @@ def test_every_operation_of_a_place_outlives_an_outage(server: FakeObjectStore, 
     assert after_outage(lambda: list(place.list_keys("a/"))) == ["a/b"]
     assert after_outage(place.put_new, "a/c", b"2")
     assert not after_outage(place.put_new, "a/c", b"3")
-    found = place.get_tagged("a/c")
-    assert found is not None
-    assert after_outage(place.put_if, "a/c", b"4", found[1])
-    assert not after_outage(place.put_if, "a/c", b"5", found[1])
+    after_outage(place.commit, "a/c", b"4")
+    assert after_outage(place.get, "a/c", slice(-1, None)) == b"4"
     after_outage(place.remove, "a/b")
     assert list(place.list_keys()) == ["a/c"]
-    assert place.get("a/c") == b"4"
 
 
 @pytest.mark.parametrize("url", ["s3://bucket/plane.zarr", "gs://bucket/plane.zarr"])
@@ -105,20 +102,12 @@ def test_objects_that_are_got_or_removed_together_outlive_an_outage(server: Fake
 
 def test_notes_of_thousands_of_tiles_are_removed_by_a_few_requests(server: FakeObjectStore) -> None:
     notes = sidecar_of(URL)
-    notes.compare_and_set(LEASE_NAME, b"{}", expected=None)
+    notes.put_new(LEASE_NAME, b"{}")
     server.put({f"bucket/.plane.zarr.run/started-{k}": b"1" for k in range(2500)})
     server.forget()
-    notes.clear(keep=LEASE_NAME)
+    clear_sidecar(notes, (key for key in notes.list_keys() if key != LEASE_NAME))
     assert server.counts == {"list": 3, "delete many": 3}
     assert [*server.objects] == [f"bucket/.plane.zarr.run/{LEASE_NAME}"]
-
-
-def test_a_note_that_is_removed_leaves_nothing(server: FakeObjectStore) -> None:
-    notes = sidecar_of(URL)
-    notes.compare_and_set("started-0-0", b"1", expected=None)
-    assert notes.compare_and_remove("started-0-0", b"1")
-    assert not notes.compare_and_remove("started-0-0", b"1")
-    assert not server.objects
 
 
 def test_a_claim_that_is_released_leaves_nothing(server: FakeObjectStore) -> None:
@@ -127,20 +116,26 @@ def test_a_claim_that_is_released_leaves_nothing(server: FakeObjectStore) -> Non
     assert not server.objects
 
 
-def test_a_removal_whose_answer_is_lost_is_not_made_again(server: FakeObjectStore) -> None:
-    """By then the note may be somebody else's."""
-    place = ObjectBackend(URL)
-    place.put("note", b"mine")
-    server.forget()
-    server.trouble = InjectedFault(0, 1, "lost")
-    assert not place.remove_once("note")
-    assert server.counts.total() == 1
-    assert not server.objects
+def test_a_release_whose_answer_is_lost_leaves_the_claim_of_the_next_run_alone(server: FakeObjectStore) -> None:
+    with (
+        hold_lease(sidecar_of(URL), URL, timing=Timing(heartbeat=600.0)) as claim,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        remove = ObjectBackend.remove_all
+
+        def lost(place: ObjectBackend, keys: list[str]) -> None:
+            remove(place, keys)
+            place.put_new(LEASE_NAME, b'{"token": "next"}')
+            raise NetworkError("no answer")
+
+        patch.setattr(ObjectBackend, "remove_all", lost)
+        claim.release()
+    assert read_lease_token(sidecar_of(URL)) == "next"
 
 
 def test_a_process_has_one_client_of_a_place(server: FakeObjectStore) -> None:
     assert ObjectBackend(URL).client is ObjectBackend(URL, patience=3.0).client
-    assert ObjectBackend(URL).client is ObjectBackend(URL).with_fence(lambda: None).client
+    assert ObjectBackend(URL).client is ObjectBackend(URL).with_lease(lambda: None).client
 
 
 def test_zarr_outlives_an_outage_too(server: FakeObjectStore) -> None:
@@ -265,24 +260,34 @@ def test_an_outage_begins_with_the_first_failure_and_not_with_the_request(monkey
     assert len(asked) == 2
 
 
-def test_a_job_at_a_url_looks_at_the_claim_once_for_all_results_and_once_for_each_other_write(
+def test_a_job_at_a_url_looks_at_the_claim_once_right_before_it_finishes_its_tile(server: FakeObjectStore) -> None:
+    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
+    job = RunJob((0, 0), StoreRef(URL, handle.run_id, handle.solver_version, lease="ours"))
+    sidecar_of(URL).put_new(LEASE_NAME, b'{"token": "ours"}')
+    before = len(server.requests)
+    run_tile_job(job)
+    asked = [(request.method, request.key) for request in server.requests[before:]]
+    look = ("GET", "bucket/.plane.zarr.run/claim")
+    assert asked.count(look) == 1
+    assert asked[asked.index(look) + 1] == ("PUT", "bucket/plane.zarr/regime/c/0/0")
+
+
+def test_a_claim_lost_while_the_server_was_away_is_seen_before_the_next_attempt_at_a_commit(
     server: FakeObjectStore,
 ) -> None:
-    handle = create_store(ObjectBackend(URL), plane_of(), (2, 3))
-    job = RunJob((0, 0), StoreRef(URL, handle.run_id, handle.solver_version))
+    """Truth: the objects' generations. The lease is held at the first look; the first attempt at the commit fails."""
+    server.put({"bucket/plane.zarr/a": b"1"})
+    before, looks = server.objects, list[int]()
 
-    def requests(job: RunJob) -> list[tuple[str, str]]:
-        before = len(server.requests)
-        run_tile_job(job)
-        return [(request.method, request.key) for request in server.requests[before:]]
+    def confirm() -> None:
+        looks.append(1)
+        if len(looks) > 1:
+            raise RunError("lost")
+        server.trouble = InjectedFault(0, 1)
 
-    requests(replace(job, index=(1, 0)))  # the machine is on the store's list from now on
-    plain = requests(job)
-    sidecar_of(URL).compare_and_set(LEASE_NAME, b'{"token": "ours"}', expected=None)
-    fenced = requests(replace(job, index=(0, 1), store_ref=replace(job.store_ref, lease="ours")))
-    looks = 3 + sum(variable.sparse for variable in handle.variables)  # all results, the record, the regime
-    assert len(fenced) == len(plain) + looks
-    assert fenced.count(("GET", "bucket/.plane.zarr.run/claim")) == looks
+    with pytest.raises(RunError, match="lost"):
+        ObjectBackend(URL).with_lease(confirm).commit("a", b"2")
+    assert (server.objects, server.trouble.left) == (before, 0)
 
 
 def test_nobody_listening_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -310,44 +315,20 @@ def test_a_command_whose_server_does_not_answer_fails_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("url", "absent", "same"),
+    ("url", "absent"),
     [
-        ("s3://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
-        ("gs://bucket/plane.zarr", ("x-goog-if-generation-match", "0"), ("x-goog-if-generation-match", "{}")),
-        ("az://bucket/plane.zarr", ("if-none-match", "*"), ("if-match", '"{}"')),
+        ("s3://bucket/plane.zarr", ("if-none-match", "*")),
+        ("gs://bucket/plane.zarr", ("x-goog-if-generation-match", "0")),
+        ("az://bucket/plane.zarr", ("if-none-match", "*")),
     ],
 )
-def test_a_note_is_put_under_the_condition_that_each_kind_of_store_knows(
-    server: FakeObjectStore, url: str, absent: tuple[str, str], same: tuple[str, str]
+def test_a_claim_is_made_under_the_condition_that_each_kind_of_store_knows(
+    server: FakeObjectStore, url: str, absent: tuple[str, str]
 ) -> None:
-    notes = object_sidecar(ObjectBackend(url))
-    key = "bucket/.plane.zarr.run/claim"
-
-    def asked() -> dict[str, str]:
-        puts = [request for request in server.requests if request.method == "PUT"]
-        assert puts[-1].key == key
-        return puts[-1].headers
-
-    assert notes.compare_and_set("claim", b"1", expected=None)
-    assert asked()[absent[0]] == absent[1]
-    generation = server.objects[key]
-    assert notes.compare_and_set("claim", b"2", expected=b"1")
-    assert asked()[same[0]] == same[1].format(generation)
-    assert not notes.compare_and_set("claim", b"3", expected=None)
-    assert not notes.compare_and_set("claim", b"3", expected=b"1")
-    assert notes.read("claim") == b"2"
-    assert notes.compare_and_remove("claim", b"2")
-    assert notes.read("claim") is None
-    assert notes.compare_and_set("claim", b"4", expected=None)
-
-
-def test_of_two_that_replace_the_same_state_on_googles_store_one_succeeds(server: FakeObjectStore) -> None:
-    place = ObjectBackend("gs://bucket/conditions")
-    place.put("x", b"1")
-    found = place.get_tagged("x")
-    assert found is not None
-    assert [place.put_if("x", b"2", found[1]), place.put_if("x", b"3", found[1])] == [True, False]
-    assert place.get("x") == b"2"
+    with hold_lease(sidecar_of(url), url, timing=Timing(heartbeat=600.0)):
+        put = next(request for request in server.requests if request.method == "PUT")
+        assert (put.key, put.headers[absent[0]]) == ("bucket/.plane.zarr.run/claim", absent[1])
+        assert not sidecar_of(url).put_new(LEASE_NAME, b"2")
 
 
 def test_a_run_on_googles_store_has_the_bits_of_a_local_one(

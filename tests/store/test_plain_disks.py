@@ -7,6 +7,8 @@ import errno
 import fcntl
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,19 +18,15 @@ import pytest
 from distributed import Client
 
 import atlas
-from atlas.errors import InputError
 from atlas.overview.builder import OverviewBuilder
 from atlas.overview.pyramid import GROUP
-from atlas.service.lease import hold_lease
-from atlas.service.timing import Timing
-from atlas.store import sidecar
 from atlas.store.create import create_store
 from atlas.store.object_backend import LocalBackend
-from atlas.store.sidecar import sidecar_of
 from atlas.store.store import done_tiles, is_done, open_store
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef
 from atlas.task.tile_job import RunJob
+from tests.paths import ROOT
 from tests.planes import plane_of
 
 
@@ -63,22 +61,6 @@ def test_an_object_is_put_new_only_once_where_there_are_no_links(
     assert os.listdir(tmp_path) == ["a"]
 
 
-def test_a_lock_that_a_stopped_process_holds_ends_a_run_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sidecar, "_LOCK_SECONDS", 0.1)
-    (tmp_path / ".out.zarr.run").mkdir()
-    words = f"{tmp_path}/.out.zarr.run/.lock has been locked for 0.1 s by another process, which may be stopped"
-    with (tmp_path / ".out.zarr.run/.lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        taken = hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr")
-        with pytest.raises(InputError, match=f"^out.zarr: cannot be written: {words}"):
-            taken.__enter__()
-    with hold_lease(sidecar_of(tmp_path / "out.zarr"), "out.zarr", timing=Timing(heartbeat=60.0)):
-        pass
-    assert os.listdir(tmp_path) == []
-
-
 def test_a_tile_whose_regime_a_crash_has_emptied_is_solved_again(
     finished: Path, solved_plane: Path, client: Client
 ) -> None:
@@ -99,6 +81,18 @@ def test_an_overview_whose_regime_a_crash_has_emptied_is_made_again(finished: Pa
     (finished / key).write_bytes(b"")
     OverviewBuilder(open_store(finished), side=2, minimum=1).finish()
     assert (finished / key).read_bytes() == before
+
+
+def test_an_atlas_is_read_in_a_process_that_was_forked_from_a_reader(finished: Path) -> None:
+    """As by multiprocessing on Linux."""
+    code = f"""
+import os, atlas
+whole = atlas.open({str(finished)!r}).regime.values.tobytes()
+if child := os.fork():
+    raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+os._exit(atlas.open({str(finished)!r}).regime.values.tobytes() != whole)
+"""
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=120, check=False).returncode == 0
 
 
 def test_every_file_of_a_store_is_flushed_before_it_gets_its_name(

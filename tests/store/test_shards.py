@@ -19,6 +19,7 @@ from atlas.store import create, store
 from atlas.store.store import done_tiles, open_store
 from atlas.store.tiles import drop_tile, read_tile, write_tile
 from atlas.store.tiling import part_side
+from atlas.store.zarr_store import BackendStore
 from tests.corruption import flip
 from tests.synthetic import assert_view_is_true, indices, keep, results, spec_of
 
@@ -77,15 +78,15 @@ def test_a_cell_is_read_with_the_chunk_around_it_alone(whole: store.AtlasStore) 
     ds = atlas.open(whole.path)
     size = (whole.path / "largest/c/0/0").stat().st_size
     taken: list[int] = []
-    get = zarr.storage.LocalStore.get
+    get = BackendStore.get
 
-    async def counting(self: zarr.storage.LocalStore, key: str, *args: object, **named: object) -> object:
+    async def counting(self: BackendStore, key: str, *args: object, **named: object) -> object:
         found = await get(self, key, *args, **named)  # type: ignore[arg-type]
         taken.append(len(found.to_bytes()) if found is not None and "/c/" in key else 0)
         return found
 
     with pytest.MonkeyPatch.context() as patch, count_chunk_reads():
-        patch.setattr(zarr.storage.LocalStore, "get", counting)
+        patch.setattr(BackendStore, "get", counting)
         np.testing.assert_array_equal(ds.largest[3, 5].values, results(whole, (0, 0))["largest"][3, 5])
     assert 0 < sum(taken) < size / 3
 

@@ -237,7 +237,7 @@ def test_open_reads_nothing_before_it_is_used(handle: store.AtlasStore) -> None:
 def test_reading_variables_of_a_tile_reads_no_metadata(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handle = complete(tmp_path / "out.zarr", spec=spec_of(8, 8))
     asked, get = list[str](), LocalBackend.get
-    monkeypatch.setattr(LocalBackend, "get", lambda place, key: asked.append(key) or get(place, key))
+    monkeypatch.setattr(LocalBackend, "get", lambda place, key, *part: asked.append(key) or get(place, key, *part))
     names = ["largest", "period", "sticks", "regime"]
     assert read_tile(handle, (0, 0), names).keys() == {*names}
     assert asked == []

@@ -68,7 +68,7 @@ def handle(tmp_path_factory: pytest.TempPathFactory) -> store.AtlasStore:
 
 def test_every_array_of_every_group_has_a_meaning_and_a_unit(handle: store.AtlasStore) -> None:
     groups = {name.partition("/")[0] for name, *_ in arrays(handle.path) if "/" in name}
-    assert groups == {"curves", "overviews", "stability", "tiles"}
+    assert groups == {"curves", "overviews", "stability", "tiles", "searches"}
     assert wrong(handle.path) == []
 
 

@@ -21,7 +21,7 @@ from atlas.query.export import export
 from atlas.service.extend import place_from
 from atlas.store.access import BY_ENVIRONMENT
 from atlas.store.object_backend import LocalBackend, ObjectBackend, open_backend, picklable_backend
-from atlas.store.sidecar import ObjectSidecar, sidecar_of
+from atlas.store.sidecar import sidecar_of
 from atlas.store.store import open_store
 
 SECRET = "hunter2"
@@ -76,10 +76,10 @@ def test_a_user_and_a_password_become_the_header_of_each_request_and_leave_the_u
 def test_no_name_and_no_message_of_a_url_has_its_secrets(url: str) -> None:
     place = open_backend(url, patience=0.0)
     notes = sidecar_of(place)
-    assert isinstance(notes, ObjectSidecar)
+    assert isinstance(notes, ObjectBackend)
     ended = CliRunner().invoke(main, ["query", f"ftp{url.removeprefix('https')}"])
     assert ended.exit_code == 2
-    texts = [str(place), repr(place.subfolder("a")), str(notes.backend), ended.output]
+    texts = [str(place), repr(place.subfolder("a")), str(notes), ended.output]
     with pytest.raises(NetworkError) as caught:
         place.get("a")
     texts += [str(caught.value), str(InputError(f"{url}: is wrong"))]
@@ -91,8 +91,8 @@ def test_a_signature_stays_with_the_objects_within_a_store_and_beside_it() -> No
     assert isinstance(place, ObjectBackend)
     assert place.subfolder("zoom/x").url == "https://host/a/out.zarr/zoom/x?sig=1"
     notes = sidecar_of(place)
-    assert isinstance(notes, ObjectSidecar)
-    assert notes.backend.url == "https://host/a/.out.zarr.run?sig=1"
+    assert isinstance(notes, ObjectBackend)
+    assert notes.url == "https://host/a/.out.zarr.run?sig=1"
 
 
 @pytest.mark.parametrize("url", WITH_SECRETS)

@@ -17,7 +17,6 @@ from typing import Any
 import google_crc32c
 import numpy as np
 from zarr.abc.store import SuffixByteRequest
-from zarr.storage import WrapperStore
 
 from atlas.errors import ChunkError
 from atlas.overview.coarsen import REGIME_SHOWN, level_variables
@@ -25,7 +24,7 @@ from atlas.store.backend import StoreBackend
 from atlas.store.origin import ALLOWANCES
 from atlas.store.schema import OVERVIEWS, TABLES
 from atlas.store.store import AtlasStore
-from atlas.store.zarr_stores import zarr_store
+from atlas.store.zarr_store import BackendStore
 from workers.results import REGIME
 
 _CHECKSUM_BYTES = 4
@@ -36,13 +35,13 @@ _asked: ContextVar[set[tuple[StoreBackend, str]] | None] = ContextVar("asked", d
 """Arrays requested within ``skip_chunk_reads``; Zarr's own thread works in the context of the caller."""
 
 
-class VerifyingStore(WrapperStore[Any]):
+class GuardedStore(BackendStore):
     """Zarr's store of an atlas, read-only; ``get`` raises ChunkError. ``chunks_read`` counts the chunks read."""
 
     def __init__(self, handle: AtlasStore) -> None:
-        super().__init__(zarr_store(handle.backend, read_only=True))
+        super().__init__(handle.backend)
         levels = level_variables(handle.variables)
-        self.backend, self.chunks_read = handle.backend, 0
+        self.chunks_read = 0
         self._dims, self._end = len(handle.spec.shape), "/0" * len(handle.regime.extra_dims)
         self._complete = {variable.name for variable in (*handle.variables, *levels) if not variable.sparse}
         self._handle = handle
@@ -56,16 +55,16 @@ class VerifyingStore(WrapperStore[Any]):
             return prototype.buffer.from_bytes(self._handle.layout[key])
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
-            return await self._store.get(key, prototype, byte_range)
+            return await super().get(key, prototype, byte_range)
         array, asked = folder[1:], _asked.get()
         if asked is not None:
             asked.add((self.backend, array))
             return None
         try:
-            data = await self._store.get(key, prototype, byte_range)
+            data = await super().get(key, prototype, byte_range)
             if data is None and await self._must_exist(array, index):
                 # Read again: the chunk, and the regime, which comes last, may have been written in the meantime.
-                data = await self._store.get(key, prototype, byte_range)
+                data = await super().get(key, prototype, byte_range)
                 if data is None:
                     raise self._error(key, "is missing")
         except OSError as error:
@@ -97,7 +96,7 @@ class VerifyingStore(WrapperStore[Any]):
         place = "/".join(index.split("/")[: self._dims + 1])
         end = "" if above else self._end
         keys = [f"{above}/{mark}/c{place}{end}".lstrip("/") for mark in marks if mark != name]
-        return any([await self._store.exists(key) for key in keys])
+        return any([await self.exists(key) for key in keys])
 
     def _error(self, key: str, fault: str) -> ChunkError:
         _loops.add(asyncio.get_running_loop())

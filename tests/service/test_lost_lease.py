@@ -1,11 +1,10 @@
-"""A run that has lost its claim of a store writes nothing more into it: neither its jobs nor its coordinator.
+"""A run that has lost its claim of a store finishes nothing more there: neither its jobs nor its coordinator.
 
 Truth: the bytes of the store before and after.
 """
 
 import shutil
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from typing import Any
 import pytest
 import zarr
 from distributed import Client
-from zarr.core.sync import sync
 
 import atlas
 from atlas.check import repair as repairing
@@ -22,25 +20,25 @@ from atlas.overview.builder import OverviewBuilder
 from atlas.service.lease import Lease, LeaseRecord
 from atlas.service.progress import Progress
 from atlas.spec.extension import refine_spec
-from atlas.store import sidecar
 from atlas.store.create import create_store
-from atlas.store.object_backend import AT_ONCE, LocalBackend, StoreBackend, open_backend
+from atlas.store.groups import write_group
+from atlas.store.object_backend import LocalBackend
 from atlas.store.origin import Origin, RetryRequest
+from atlas.store.parts import put_part
 from atlas.store.record_format import RECORDS
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
-from atlas.store.store import done_tiles, open_store
+from atlas.store.store import AtlasStore, done_tiles, open_store
 from atlas.store.tile_records import TileRecords, write_records
-from atlas.store.zarr_stores import zarr_store
-from atlas.task import attempt, store_ref
+from atlas.store.tiles import drop_tile
+from atlas.task import attempt
 from atlas.task.attempt import run_tile_job
 from atlas.task.store_ref import StoreRef, WorkerRefusedError
 from atlas.task.tile_job import RunJob
 from tests.planes import plane_of
-from tests.support.fake_object_store import FakeObjectStore, InjectedFault, object_store
 from workers import tile as solving
 from workers.settings import MAX_PERIODS
 
-LOST = "the run that sent this job has lost its lease; nothing more is written"
+LOST = "the run that sent this job has lost its lease; nothing more is finished"
 OURS = LeaseRecord("ours", 3, "here", 1, "")
 THEIRS = replace(OURS, token="theirs", host="far")
 
@@ -53,12 +51,12 @@ def contents(store: Path) -> dict[str, bytes]:
 
 def take_over(store: Path) -> None:
     """Replace our claim of a store by that of another run."""
-    assert sidecar_of(store).compare_and_set(LEASE_NAME, THEIRS.pack(), expected=OURS.pack())
+    sidecar_of(store).put(LEASE_NAME, THEIRS.pack())
 
 
 def claimed_job(store: Path, index: tuple[int, ...]) -> RunJob:
     handle = open_store(store)
-    sidecar_of(store).compare_and_set(LEASE_NAME, OURS.pack(), expected=None)
+    sidecar_of(store).put_new(LEASE_NAME, OURS.pack())
     return RunJob(index, StoreRef(str(store), handle.run_id, handle.solver_version, lease=OURS.token))
 
 
@@ -86,7 +84,7 @@ JOBS: dict[str, Callable[[Path, Path], RunJob]] = {
 
 
 @pytest.mark.parametrize("kind", JOBS)
-def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
+def test_a_job_that_sleeps_through_a_lost_claim_does_not_finish_its_tile_and_changes_nothing_else(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     job = JOBS[kind](tmp_path, finished)
@@ -100,6 +98,26 @@ def test_a_job_that_sleeps_through_a_lost_claim_writes_nothing(
 
     monkeypatch.setattr(solving, "solve_tile", slow)
     with pytest.raises(WorkerRefusedError, match=LOST):
+        run_tile_job(job)
+    assert done_tiles(open_store(store)) == set()
+    assert contents(store).items() >= before.items()
+
+
+def test_a_job_that_sleeps_while_another_store_takes_the_place_of_its_own_writes_nothing(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = new_store(tmp_path, finished)
+    store, whole = Path(job.store_ref.store), solving.solve_tile
+    before: dict[str, bytes] = {}
+
+    def slow(*given: Any) -> Any:
+        shutil.rmtree(store)
+        create_store(store, plane_of(R=0.5), (2, 3))
+        before.update(contents(store))
+        return whole(*given)
+
+    monkeypatch.setattr(solving, "solve_tile", slow)
+    with pytest.raises(WorkerRefusedError, match="is not the store of run"):
         run_tile_job(job)
     assert contents(store) == before
 
@@ -116,11 +134,11 @@ def test_a_job_whose_run_holds_the_claim_writes_its_tile(tmp_path: Path, finishe
 @pytest.mark.parametrize(
     "claim", [b"", b"{", b"[]", b'{"token": "theirs"}'], ids=["none", "torn", "strange", "another"]
 )
-def test_a_job_without_a_claim_in_the_store_writes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
+def test_a_job_without_a_claim_in_the_store_finishes_nothing(tmp_path: Path, finished: Path, claim: bytes) -> None:
     job = new_store(tmp_path, finished)
-    sidecar_of(job.store_ref.store).compare_and_remove(LEASE_NAME, OURS.pack())
+    sidecar_of(job.store_ref.store).remove(LEASE_NAME)
     if claim:
-        sidecar_of(job.store_ref.store).compare_and_set(LEASE_NAME, claim, expected=None)
+        sidecar_of(job.store_ref.store).put_new(LEASE_NAME, claim)
     with pytest.raises(WorkerRefusedError, match=LOST):
         run_tile_job(job)
     assert done_tiles(open_store(job.store_ref.store)) == set()
@@ -149,23 +167,18 @@ def test_a_job_that_loses_the_claim_while_it_writes_does_not_commit_its_tile(
     assert "regime" not in written
 
 
-def test_each_write_of_a_tile_is_preceded_by_one_look_at_the_claim_and_one_at_the_attempt(
+def test_a_tile_is_finished_after_one_look_at_the_claim(
     tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    job, looks, writes = new_store(tmp_path, finished), Counter[str](), Counter[str]()
-    run_tile_job(replace(job, index=(0, 0)))  # the first of a process records its machine
-    put, remove, token_of = LocalBackend.put, LocalBackend.remove, sidecar.token_fence
-
-    def counted(place: Any, name: str, *rest: Any) -> Any:
-        look = token_of(place, name, *rest)
-        return lambda: (looks.update([name]), look())
-
-    monkeypatch.setattr(store_ref, "token_fence", counted)
-    monkeypatch.setattr(LocalBackend, "put", lambda place, key, data: (writes.update([key]), put(place, key, data)))
-    monkeypatch.setattr(LocalBackend, "remove", lambda place, key: (writes.update([key]), remove(place, key)))
+    job, order = new_store(tmp_path, finished), list[str]()
+    put, get = LocalBackend.put, LocalBackend.get
+    monkeypatch.setattr(LocalBackend, "put", lambda place, key, data: (order.append(key), put(place, key, data))[1])
+    monkeypatch.setattr(
+        LocalBackend, "get", lambda place, key, part=None: (order.append(key), get(place, key, part))[1]
+    )
     run_tile_job(job)
-    assert looks == {LEASE_NAME: writes.total(), "started-1-1": writes.total()}
-    assert writes.total() > len(open_store(job.store_ref.store).variables)
+    assert order.count(LEASE_NAME) == 1
+    assert order[order.index(LEASE_NAME) + 1] == "regime/c/1/1"
 
 
 def test_every_job_of_a_run_has_the_token_of_its_claim(
@@ -174,7 +187,7 @@ def test_every_job_of_a_run_has_the_token_of_its_claim(
     whole, tokens = attempt.run_tile_job, set()
 
     def looking(job: RunJob) -> Any:
-        record = LeaseRecord.unpack(sidecar_of(job.store_ref.store).read(LEASE_NAME) or b"")
+        record = LeaseRecord.unpack(sidecar_of(job.store_ref.store).get(LEASE_NAME) or b"")
         tokens.add((job.store_ref.lease, record and record.token))
         return whole(job)
 
@@ -197,15 +210,14 @@ def lost() -> None:
 
 def test_overviews_are_not_made_after_the_claim_is_lost(finished: Path) -> None:
     shutil.rmtree(finished / "overviews", ignore_errors=True)
-    handle = open_store(finished)
-    with pytest.raises(LostError):
-        OverviewBuilder(handle.with_backend(handle.backend.with_fence(lost)), side=2, minimum=1)
-    assert not handle.backend.exists("overviews/zarr.json")
     claims = [lambda: None]
-    overviews = OverviewBuilder(handle.with_backend(handle.backend.with_fence(lambda: claims[-1]())), side=2, minimum=1)
+    handle = open_store(finished)
+    handle = handle.with_backend(handle.backend.with_lease(lambda: claims[-1]()))
+    overviews = OverviewBuilder(handle, side=2, minimum=1)
     claims.append(lost)
-    with pytest.raises(LostError):
-        overviews.finish()
+    for make in (overviews.finish, lambda: OverviewBuilder(handle, side=2, minimum=1)):
+        with pytest.raises(LostError):
+            make()
     assert not any("/regime/c/" in key for key in handle.backend.list_keys("overviews/"))
 
 
@@ -213,89 +225,25 @@ def test_records_are_not_written_after_the_claim_is_lost(finished: Path) -> None
     handle = open_store(finished)
     before = (finished / RECORDS / "c.0.0.0").read_bytes()
     with pytest.raises(LostError):
-        write_records(handle.with_backend(handle.backend.with_fence(lost)), TileRecords(handle).columns())
+        write_records(handle.with_backend(handle.backend.with_lease(lost)), TileRecords(handle).columns())
     assert (finished / RECORDS / "c.0.0.0").read_bytes() == before
 
 
-def open_group(place: LocalBackend) -> zarr.Group:
-    return zarr.open_group(zarr_store(place, read_only=False), mode="r+", use_consolidated=False)
-
-
-CHANGES: dict[str, Callable[[LocalBackend], object]] = {
-    "put": lambda place: place.put("zarr.json", b""),
-    "put_all": lambda place: place.put_all({"zarr.json": b""}),
-    "put_new": lambda place: place.put_new("new", b""),
-    "remove": lambda place: place.remove("zarr.json"),
-    "remove_all": lambda place: place.remove_all(["zarr.json"]),
-    "inner": lambda place: place.subfolder("regime").put("zarr.json", b""),
-    "set by Zarr": lambda place: open_group(place)["regime"].__setitem__(..., 1),
-    "attributes by Zarr": lambda place: open_group(place).attrs.update({"a": 1}),
-    "deletion by Zarr": lambda place: open_group(place).__delitem__("largest"),
-    "creation by Zarr": lambda place: open_group(place).create_group("new"),
+CHANGES: dict[str, Callable[[AtlasStore], object]] = {
+    "an object that finishes others": lambda handle: handle.backend.commit("zarr.json", b""),
+    "the same below": lambda handle: handle.backend.subfolder("regime").commit("zarr.json", b""),
+    "a part of a search": lambda handle: put_part(handle, "curves", "1", b"1"),
+    "a tile that is dropped": lambda handle: drop_tile(handle, (0, 0)),
+    "a group": lambda handle: write_group(handle, "curves", {}, {}),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_place_behind_a_fence_is_not_changed_once_the_fence_raises(finished: Path, change: str) -> None:
-    before = contents(finished)
+def test_a_store_is_not_changed_once_the_claim_is_lost(finished: Path, change: str) -> None:
+    before, handle = contents(finished), open_store(finished)
     with pytest.raises(LostError):
-        CHANGES[change](LocalBackend(finished).with_fence(lost))
+        CHANGES[change](handle.with_backend(handle.backend.with_lease(lost)))
     assert contents(finished) == before
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[FakeObjectStore]:
-    with object_store() as served, pytest.MonkeyPatch.context() as patch:
-        for name, value in served.environment.items():
-            patch.setenv(name, value)
-        yield served
-
-
-AT_A_URL: dict[str, Callable[[StoreBackend], object]] = {
-    "put": lambda place: place.put("a", b"2"),
-    "put_all": lambda place: place.put_all({"a": b"2"}),
-    "put_new": lambda place: place.put_new("b", b"2"),
-    "take_all": lambda place: place.copy_all(open_backend("s3://bucket/origin.zarr"), ["a"]),
-    "remove": lambda place: place.remove("a"),
-    "remove_all": lambda place: place.remove_all(["a"]),
-    "set by Zarr": lambda place: zarr.create_group(zarr_store(place, False), zarr_format=3, overwrite=True),
-    "deletion by Zarr": lambda place: sync(zarr_store(place, False).delete("a")),
-    "deletion of a folder by Zarr": lambda place: sync(zarr_store(place, False).delete_dir("")),
-}
-
-
-@pytest.mark.parametrize("change", AT_A_URL)
-def test_a_claim_lost_while_the_server_was_away_is_seen_before_the_next_attempt(
-    server: FakeObjectStore, change: str
-) -> None:
-    """Truth: the objects' generations. The fence holds at the first look; the first attempt at the change fails."""
-    server.put({"bucket/fenced.zarr/a": b"1", "bucket/origin.zarr/a": b"2"})
-    before, looks = server.objects, list[int]()
-
-    def fence() -> None:
-        looks.append(1)
-        if len(looks) > 1:
-            raise LostError
-        server.trouble = InjectedFault(0, 1)
-
-    with pytest.raises(LostError):
-        AT_A_URL[change](open_backend("s3://bucket/fenced.zarr").with_fence(fence))
-    assert server.objects == before
-    assert server.trouble.left == 0
-
-
-def test_objects_beyond_the_first_requests_are_put_after_another_look(server: FakeObjectStore) -> None:
-    looks = list[int]()
-
-    def fence() -> None:
-        looks.append(1)
-        if len(looks) > 1:
-            raise LostError
-
-    place = open_backend("s3://bucket/many.zarr")
-    with pytest.raises(LostError):
-        place.with_fence(fence).put_all({f"{k:03}": b"1" for k in range(AT_ONCE + 1)})
-    assert len([*place.list_keys()]) == AT_ONCE
 
 
 def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -306,7 +254,7 @@ def test_a_repair_whose_claim_is_taken_drops_no_further_tile(finished: Path, mon
     def taken(handle: Any, index: tuple[int, ...]) -> None:
         drop(handle, index)
         notes = sidecar_of(finished)
-        notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+        notes.put(LEASE_NAME, THEIRS.pack())
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     monkeypatch.setattr(repairing, "drop_tile", taken)
@@ -324,16 +272,16 @@ def test_a_coordinator_that_slept_through_the_loss_of_its_claim_stops_and_leaves
     def asleep(progress: Progress) -> None:
         if progress.tiles_done == 9 and not written:
             notes = sidecar_of(store)
-            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
-            notes.compare_and_set("started-0-0", b"1", expected=None)
+            notes.put(LEASE_NAME, THEIRS.pack())
+            notes.put_new("started-0-0", b"1")
             written.update(contents(store))
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(RunError, match="lease lost: another run has taken over the store; finished tiles are kept"):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=asleep))
     assert contents(store) == written
-    assert sidecar_of(store).read("started-0-0") == b"1"
-    assert sidecar_of(store).read(LEASE_NAME) == THEIRS.pack()
+    assert sidecar_of(store).get("started-0-0") == b"1"
+    assert sidecar_of(store).get(LEASE_NAME) == THEIRS.pack()
 
 
 def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
@@ -343,9 +291,9 @@ def test_a_run_whose_workers_refuse_since_the_claim_was_taken_says_so(
 
     def taken(progress: Progress) -> None:
         notes = sidecar_of(store)
-        found = LeaseRecord.unpack(notes.read(LEASE_NAME) or b"")
+        found = LeaseRecord.unpack(notes.get(LEASE_NAME) or b"")
         if progress.tiles_done == 1 and found is not None and found.token != THEIRS.token:
-            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
+            notes.put(LEASE_NAME, THEIRS.pack())
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(RunError, match="lease lost: another run has taken over the store"):
@@ -361,11 +309,11 @@ def test_an_interrupted_run_that_lost_its_claim_leaves_the_notes_of_the_other_ru
     def interrupted(progress: Progress) -> None:
         if progress.tiles_done == 2:
             notes = sidecar_of(store)
-            notes.compare_and_set(LEASE_NAME, THEIRS.pack(), expected=notes.read(LEASE_NAME))
-            notes.compare_and_set("started-9-9", b"1", expected=None)
+            notes.put(LEASE_NAME, THEIRS.pack())
+            notes.put_new("started-9-9", b"1")
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Lease, "_beat", lambda _: None)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(plane, store, client=client, options=atlas.RunOptions(on_progress=interrupted))
-    assert sidecar_of(store).read("started-9-9") == b"1"
+    assert sidecar_of(store).get("started-9-9") == b"1"
