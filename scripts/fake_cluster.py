@@ -1,8 +1,7 @@
 """Pretended workers: real Dask workers, each with a connection of its own, whose tiles are sleep.
 
-Of what a worker does, the setup for a run and the tile itself are replaced: it checks nothing, sleeps a drawn time and
-returns a receipt of the right form; of a chunk of the overviews it puts the mark that it is there. Nothing is solved
-and nothing else is written.
+Of what a worker does, the tile is replaced: it checks nothing, sleeps a drawn time and returns a report of the right
+form; of a chunk of the overviews it puts the mark that it is there. Nothing is solved and nothing else is written.
 All else is Dask's and the project's own.
 
 Usage: python -m scripts.fake_cluster ADDRESS WORKERS SECONDS FOLDER [SEED]
@@ -19,10 +18,10 @@ import dask
 from distributed import Worker, get_worker
 
 from atlas.overview.pyramid import level_key
-from atlas.service import batches
+from atlas.service import attempts
+from atlas.service.attempts import AttemptOutcome, Ending
 from atlas.store.object_backend import open_backend
 from atlas.store.record_format import CELLS, WIDTH
-from atlas.task import store_ref
 from atlas.task.tile_job import DerivedReport, RunJob, TileReport
 from workers.results import PENDING, PERIODIC, REGIME
 
@@ -38,18 +37,18 @@ def pretend(seconds: float, draw: random.Random) -> None:
     row = [0.0] * WIDTH
     row[CELLS.start + PERIODIC - PENDING] = CELLS_OF_TILE
 
-    async def sleep(_act: object, job: RunJob) -> batches.AttemptSuccess[Any]:
+    async def sleep(_act: object, job: RunJob) -> AttemptOutcome[Any]:
+        worker = get_worker().address
         if job.level:
             await asyncio.to_thread(open_backend(job.store_ref.store).put, level_key(job.level, REGIME, job.index), b"")
-            return batches.AttemptSuccess(get_worker().address, DerivedReport(job.index))
+            return AttemptOutcome(worker, Ending.DONE, DerivedReport(job.index))
         begin = time.perf_counter()
         await asyncio.sleep(seconds * draw.lognormvariate(-(SPREAD**2) / 2, SPREAD))
         solved, counts = time.perf_counter() - begin, {"periodic": CELLS_OF_TILE}
-        receipt = TileReport(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
-        return batches.AttemptSuccess(get_worker().address, receipt)
+        report = TileReport(job.index, CELLS_OF_TILE, counts, {}, solved, 0.0, 1, 0, record=tuple(row))
+        return AttemptOutcome(worker, Ending.DONE, report, solved)
 
-    batches.run_on_worker = sleep  # type: ignore[assignment]
-    store_ref.prepare_worker = lambda *_: None
+    attempts.run_attempt = sleep  # type: ignore[assignment]
 
 
 async def work(address: str, workers: int, folder: str) -> None:

@@ -7,14 +7,17 @@ import asyncio
 import heapq
 import itertools
 from collections import Counter
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
-from atlas.service.batches import AttemptSuccess, JobType
-from atlas.service.dispatch import WorkerStatus, open_dispatcher
+import distributed
+import pytest
+
+from atlas.service import dispatch
+from atlas.service.attempts import AttemptOutcome, Ending
+from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.timing import TIMING, Timing
-from atlas.service.worker_health import AttemptFailure
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class Cluster:
     busy: float = 0.0
     requests: Counter[str] = field(default_factory=Counter)
     attempts: Counter[str] = field(default_factory=Counter)
+    ended: list[PretendedFuture] = field(default_factory=list)
+    loop: object = None
 
     def __post_init__(self) -> None:
         self._queues: dict[str, list[PretendedFuture]] = {worker: [] for worker in self.workers}
@@ -72,6 +77,7 @@ class Cluster:
         while self._ends and self._ends[0][0] <= until:
             self.now, _, future = heapq.heappop(self._ends)
             future.status = "finished"
+            self.ended.append(future)
             queue = self._queues[future.worker]
             queue.remove(future)
             if queue:
@@ -94,43 +100,20 @@ class Cluster:
         self.requests["processing"] += 1
         return {worker: [future.key for future in queue] for worker, queue in self._queues.items()}
 
-    def map(
-        self,
-        work: object,
-        acts: list[object],
-        jobs: list[Numbered],
-        workers: list[str] | None,
-        key: list[object],
-        **_: object,
-    ) -> list[PretendedFuture]:
-        """Each job goes to the worker that has fewest, as Dask gives it."""
-        self.requests["map"] += 1
-        futures = [PretendedFuture(*pair) for pair in zip(jobs, key, strict=True)]
-        loads = [(len(self._queues[worker]), k, worker) for k, worker in enumerate(workers or self.workers)]
-        heapq.heapify(loads)
-        for future in futures:
-            load, k, future.worker = loads[0]
-            heapq.heapreplace(loads, (load + 1, k, future.worker))
-            self._queues[future.worker].append(future)
-            if load == 0:
-                self._begin(future)
-        return futures
-
-    async def gather(self, futures: Mapping[int, PretendedFuture], **_: object) -> dict[int, object]:
-        self.requests["gather"] += 1
-        return {number: self._result(future) for number, future in futures.items()}
-
-    def sync(self, call: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
-        return asyncio.run(call())
+    def submit(
+        self, work: object, act: object, job: Numbered, workers: list[str] | None, key: object, **_: object
+    ) -> PretendedFuture:
+        """The job goes to the worker that has fewest, as Dask gives it."""
+        self.requests["submit"] += 1
+        worker = min(workers or self.workers, key=lambda worker: len(self._queues[worker]))
+        future = PretendedFuture(job, key, worker)
+        self._queues[worker].append(future)
+        if len(self._queues[worker]) == 1:
+            self._begin(future)
+        return future
 
     def cancel(self, futures: list[PretendedFuture]) -> None:
         self.requests["cancel"] += 1
-
-    def register_plugin(self, plugin: object) -> None:
-        self.requests["register_plugin"] += 1
-
-    def unregister_worker_plugin(self, name: str) -> None:
-        self.requests["unregister_worker_plugin"] += 1
 
     def _begin(self, future: PretendedFuture) -> None:
         self.attempts[future.worker] += 1
@@ -138,19 +121,37 @@ class Cluster:
         self.busy += seconds
         heapq.heappush(self._ends, (self.now + seconds, next(self._numbers), future))
 
-    def _result(self, future: PretendedFuture) -> object:
+    # Dask's as_completed
+
+    def add(self, future: PretendedFuture) -> None:
+        """All futures are watched."""
+
+    def next_batch(self, block: bool) -> list[PretendedFuture]:
+        assert not block
+        batch, self.ended = self.ended, []
+        return batch
+
+    async def gather(self, futures: dict[int, PretendedFuture], **_: object) -> dict[int, AttemptOutcome[Numbered]]:
+        return {number: self._outcome(future) for number, future in futures.items()}
+
+    def sync(self, call: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+        return asyncio.run(call())
+
+    def _outcome(self, future: PretendedFuture) -> AttemptOutcome[Numbered]:
         reason = self.fails(future.worker, future.job)
         seconds = self.seconds(future.worker, future.job)
-        return AttemptFailure(future.worker, reason) if reason else AttemptSuccess(future.worker, future.job, seconds)
+        if reason:
+            return AttemptOutcome(future.worker, Ending.FAILED, reason=reason)
+        return AttemptOutcome(future.worker, Ending.DONE, future.job, seconds)
 
 
-def outcomes(
-    client: Any,
-    labour: JobType[Any, Any],
-    jobs: Iterable[Any],
-    tick: Callable[[WorkerStatus], None],
-    timing: Timing = TIMING,
-) -> Iterator[Any]:
-    """The outcomes of jobs, the only ones of their run."""
-    with open_dispatcher(client, labour, timing) as force:
-        yield from force.iter_outcomes(jobs, tick)
+def all_outcomes(
+    cluster: Cluster, jobs: int, monkeypatch: pytest.MonkeyPatch, timing: Timing = TIMING
+) -> tuple[list[Any], list[WorkerStatus]]:
+    """The outcomes of so many jobs on a pretended cluster, and what the looks showed of the workers."""
+    seen: list[WorkerStatus] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(dispatch, "time", cluster)
+        patch.setattr(distributed, "as_completed", lambda **_: cluster)
+        force: Dispatcher[Numbered, Numbered] = Dispatcher(cluster, lambda job: job, timing)  # type: ignore[arg-type]
+        return list(force.iter_outcomes((Numbered((k,)) for k in range(jobs)), seen.append)), seen

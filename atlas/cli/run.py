@@ -1,11 +1,9 @@
 """Commands that compute: plan, run, retry, cancel, extend."""
 
 import logging
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 
 import click
 
@@ -15,13 +13,11 @@ from atlas.cli.options import (
     PLACE,
     examples,
     json_option,
-    options_given,
     print_status,
     read_factors,
     read_whole,
     spec_argument,
     storage_option,
-    storage_words,
     store_argument,
     timing_of,
     worker_options,
@@ -35,9 +31,7 @@ from atlas.service.options import RunOptions
 from atlas.service.plan import check_free_space, make_plan
 from atlas.service.probe import add_probe, with_time
 from atlas.service.retry import retry as retry_store
-from atlas.service.retry import submit_retry
 from atlas.service.run import run as run_spec
-from atlas.service.submit import submit as submit_spec
 from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
 from atlas.store.object_backend import open_backend
@@ -126,11 +120,6 @@ def _out_option(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("-o", "--out", type=PLACE, required=True, help=words)(storage_option(command))
 
 
-_submit_option = click.option(
-    "--submit", "leave", is_flag=True, help="Run the coordinator on the cluster of --scheduler, and return."
-)
-
-
 def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with the options of an encrypted connection to a scheduler."""
     for option in (
@@ -150,7 +139,7 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.command(
     epilog=examples(
         "atlas run plane.toml -o plane.zarr",
-        "atlas run plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786 --submit",
+        "atlas run plane.toml -o /shared/plane.zarr --scheduler tcp://10.0.0.1:8786",
     )
 )
 @spec_argument
@@ -168,7 +157,6 @@ def _tls_options(command: Callable[..., None]) -> Callable[..., None]:
 )
 @click.option("--tile", metavar="I,J", help="Solve only this tile, in this process, with its traceback.")
 @click.option("--log", type=PLACE, metavar="FILE", help="Log decisions, and tracebacks of failed tiles, to a file.")
-@_submit_option
 def run(
     ctx: click.Context,
     /,
@@ -180,18 +168,12 @@ def run(
     report: str | None,
     tile: str | None,
     log: str | None,
-    leave: bool,
     **tls: str | None,
 ) -> None:
     """Compute SPEC into a store. The same command resumes a run that was stopped."""
-    if leave:
-        _check_submit(ctx, options.scheduler)
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
     options = options.replace_fields(tls=_tls(**tls), tile=index, performance_report=report)
-    if leave:
-        _submit(out, options, lambda shown: submit_spec(read, out, shown))
-        return
     with _logged(log), progress.resumable(ctx, options, with_time) as shown:
         summary = run_spec(read, out, options=shown)
     _report(ctx, summary)
@@ -200,7 +182,7 @@ def run(
 @click.command(
     epilog=examples(
         "atlas retry plane.zarr undetermined --max-periods 100000 -o decided.zarr",
-        "atlas retry plane.zarr chaotic --survival 500000 -o watched.zarr --scheduler tcp://10.0.0.1:8786 --submit",
+        "atlas retry plane.zarr chaotic --survival 500000 -o watched.zarr --scheduler tcp://10.0.0.1:8786",
     )
 )
 @store_argument
@@ -210,7 +192,6 @@ def run(
 @click.option("--survival", type=int, help="For chaotic or aperiodic cells: a longer survival than that of the spec.")
 @_tls_options
 @worker_options
-@_submit_option
 def retry(
     ctx: click.Context,
     /,
@@ -220,7 +201,6 @@ def retry(
     max_periods: int | None,
     survival: int | None,
     options: RunOptions,
-    leave: bool,
     **tls: str | None,
 ) -> None:
     """Solve cells of STORE again, with more periods or a longer survival, into a new store with all other cells.
@@ -229,36 +209,9 @@ def retry(
     command resumes a retry that was stopped.
     """
     options = options.replace_fields(tls=_tls(**tls))
-    if leave:
-        _check_submit(ctx, options.scheduler)
-        _submit(out, options, lambda shown: submit_retry(store, out, regimes, max_periods, survival, shown))
-        return
     with progress.resumable(ctx, options) as shown:
         summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
     _report(ctx, summary)
-
-
-def _check_submit(ctx: click.Context, scheduler: str | None) -> None:
-    """Raise InputError if a submitted run has no cluster, or an option that only a run in this process has."""
-    if scheduler is None:
-        raise InputError("--submit needs a cluster: give its --scheduler, too")
-    for option in options_given(ctx):
-        if option.name in ("tile", "log", "report"):
-            raise InputError(f"{option.opts[0]} is for a run that this process coordinates; with --submit leave it out")
-
-
-def _submit(out: str, options: RunOptions, hand_over: Callable[[RunOptions], str]) -> None:
-    """Submit a run to a cluster and print the coordinating worker; ``hand_over`` returns its address."""
-    store = shlex.join([out, *storage_words()])
-    advice = f"show its progress: atlas status {store} --watch\nstop it: atlas cancel {store}"
-    try:
-        with progress.reporter(sys.stderr) as show:
-            where = hand_over(replace(options, on_progress=show))
-    except KeyboardInterrupt:
-        print_status(f"interrupted: the cluster may have begun already\n{advice}")
-        raise
-    click.echo(f"{out}: running on the cluster, coordinated by {where}")
-    print_status(advice)
 
 
 @click.command(epilog=examples("atlas cancel plane.zarr"))

@@ -1,7 +1,7 @@
 """Jobs that the explorer runs on a Dask cluster, by the priority that they have at the moment.
 
 Submission, retries and failures are those of ``atlas.service.dispatch``. A job that no consumer waits for any more is
-cancelled, unless a worker has started it: Dask cannot interrupt running jobs. Its result is delivered all the same.
+not submitted. If it was submitted before, it is done, and its result is delivered all the same.
 """
 
 import logging
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from atlas.errors import InputError, RunError
 from atlas.explore.threads import restarting_thread, why
-from atlas.service.batches import MIN_WORKER_MEMORY
 from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported
 from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.summary import TileFailure
@@ -168,11 +167,6 @@ class JobQueue(Iterator[ServiceJob]):
         with self._lock:
             return len(self._jobs.get(consumer, ()))
 
-    def __contains__(self, job: ServiceJob) -> bool:
-        """Return True if any consumer waits for a job."""
-        with self._lock:
-            return any(job in jobs for jobs in self._jobs.values())
-
     def __next__(self) -> ServiceJob:
         """Return the next job, which is in flight from now on."""
         with self._lock:
@@ -185,10 +179,10 @@ class JobQueue(Iterator[ServiceJob]):
                         return job
         raise StopIteration
 
-    def release(self, job: ServiceJob | None = None) -> None:
-        """Mark a job, or all jobs, as not in flight."""
+    def release_all(self) -> None:
+        """Mark all jobs as not in flight."""
         with self._lock:
-            self._under_way = self._under_way - {job} if job else set()
+            self._under_way = set()
 
     def remove(self, job: ServiceJob) -> None:
         """Remove a job from the queues of all consumers."""
@@ -259,13 +253,11 @@ class JobService:
 
         Raise _StoppedError once the service is stopped.
         """
-        dispatcher = Dispatcher(client, answer, self._timing, MIN_WORKER_MEMORY, queued_seconds=0.0)
+        dispatcher = Dispatcher(client, answer, self._timing, queue=False)
         try:
             while True:
                 self._woken.clear()
-                for outcome in dispatcher.iter_outcomes(
-                    filter(None, map(self._made, self._wanted)), partial(self._look, dispatcher)
-                ):
+                for outcome in dispatcher.iter_outcomes(filter(None, map(self._made, self._wanted)), self._look):
                     self._take(outcome)
                 self._woken.wait(self._timing.tick)
         except RunError as error:
@@ -275,17 +267,14 @@ class JobService:
                 self._give_up(job, _without_advice(error))
             self._forget()
 
-    def _look(self, force: "Dispatcher[SubmittedJob, JobOutput]", workers: WorkerStatus) -> None:
-        """Record the state of the cluster, and cancel jobs that no consumer waits for and no worker has started."""
+    def _look(self, workers: WorkerStatus) -> None:
+        """Record the state of the cluster; raise _StoppedError once the service is stopped."""
         if self._stopped.is_set():
             raise _StoppedError
         self._say(
             workers.trouble or ("" if workers.threads else "no workers connected: waiting for one to join"),
             workers.threads,
         )
-        for sent in force.cancel_stale(lambda sent: self._sent[sent.index][0] not in self._wanted):
-            job, _ = self._sent.pop(sent.index)
-            self._wanted.release(job)
 
     def _say(self, trouble: str, workers: int = 0) -> None:
         with self._lock:
@@ -318,7 +307,7 @@ class JobService:
     def _forget(self) -> None:
         """Mark all jobs as not submitted."""
         self._sent.clear()
-        self._wanted.release()
+        self._wanted.release_all()
 
     def _tried(self, job: ServiceJob, step: Callable[[], Any]) -> Any:
         """Return the result of a step of a job; None after an unexpected exception, which ends that job only."""

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 DASHBOARD = "127.0.0.1:8787"
 """Address of the dashboard: Dask's default port, so that a browser or a tunnel may stay open from run to run."""
+LOST_WORKER_TIMEOUT = "10 minutes"
+"""Time in which a worker process that died must be back: on a busy host it may take longer than Dask's 15 s."""
 LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado", "tornado.application")
 """Loggers to which Dask gives a level and a handler of their own when it is imported; others have those of a parent."""
 CLUSTER_LOST_MESSAGE = "the cluster was lost; rerun the same command to resume from the stored tiles"
@@ -87,7 +89,7 @@ def connect_to_scheduler(scheduler: str, tls: Tls | None = None, timing: Timing 
 
 async def _knock(scheduler: str, security: "Security", seconds: float) -> None:
     """Connect to the scheduler and close the connection; raise an exception if nothing answers."""
-    from distributed.comm.core import connect
+    from distributed import connect
 
     comm = await connect(scheduler, timeout=seconds, **security.get_connection_args("client"))
     await comm.close()
@@ -117,7 +119,8 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
 
     check_startable(count)
     dashboard = dashboard and has_dashboard()
-    with _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
+    patient = {"distributed.deploy.lost-worker-timeout": LOST_WORKER_TIMEOUT}
+    with dask.config.set(patient), _quiet(*["bokeh"] * dashboard), ExitStack() as stack:
         try:
             with (
                 interrupts_blocked(),
@@ -131,7 +134,7 @@ def local_cluster(count: int, dashboard: bool = False) -> Iterator["Client"]:
                     processes=True,
                     host="127.0.0.1",
                     dashboard_address=DASHBOARD if dashboard else "127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": dashboard},
+                    scheduler_kwargs={"dashboard": dashboard, "allowed_failures": 1},
                     memory_limit=0,
                     silence_logs=logging.CRITICAL,
                     security=Security.temporary(),
@@ -194,7 +197,7 @@ def performance_reported(
 def loss_reported(client: "Client") -> Iterator[None]:
     """Raise RunError in place of Dask's errors if the cluster is lost within the block."""
     from distributed import CancelledError
-    from distributed.comm.core import CommClosedError
+    from distributed.comm import CommClosedError  # type: ignore[attr-defined]  # exported without __all__
 
     try:
         yield

@@ -1,54 +1,65 @@
-"""Sending jobs to workers and collecting the outcomes.
+"""Sending jobs to the workers of a Dask cluster and collecting their reports.
 
-A limited number of jobs is in flight, and failed jobs are retried.
+Dask places the jobs, moves them to idle workers, and repeats those of workers that die. Added here is what Dask does
+not know: a window of jobs in flight, since the jobs of a large atlas would take gigabytes of the scheduler; another
+worker for a job that failed, since Dask's own retries may choose the same one; a second attempt elsewhere at a job that
+takes too long; and workers at which jobs fail that succeed elsewhere.
 """
 
+import asyncio
 import logging
 import math
 import random
 import time
-from collections import deque
+import uuid
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import count
+from statistics import median
+from typing import TYPE_CHECKING, Any, Generic
 
 from atlas.errors import RunError
 from atlas.formatting import byte_size, duration, plural
-from atlas.service.batches import AttemptSuccess, InFlightJobs, J, JobAttempt, JobType, R, Result
-from atlas.service.cluster import CLUSTER_LOST_MESSAGE, worker_memory, worker_threads
+from atlas.service.attempts import Attempt, AttemptOutcome, Ending, J, OpenJob, R, outcome_of_error, run_attempt
+from atlas.service.cluster import CLUSTER_LOST_MESSAGE, loss_reported, worker_memory, worker_threads
 from atlas.service.summary import TileFailure
 from atlas.service.timing import TIMING, Timing
-from atlas.service.worker_health import AttemptFailure, WorkerHealth, WorkerRefusal, host_of
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 LOG = logging.getLogger(__name__)
 """Decisions, and errors of workers with their tracebacks, at level DEBUG."""
+POLL_SECONDS, QUICK_POLL_SECONDS = 0.1, 0.01
+"""Seconds between two looks at the jobs in flight; jobs that finish meanwhile form a batch, which costs less.
+
+The second is for jobs that do not wait for a thread.
+"""
 IN_FLIGHT, MAX_IN_FLIGHT = 2, 64
-"""Number of jobs in flight for each thread, at least and at most: one running, one waiting, so that no thread idles.
-
-If jobs are short, enough of them are in flight to keep the thread busy for QUEUED_SECONDS.
-"""
+"""Number of jobs in flight for each thread, at least and at most: one running, one waiting, so that no thread idles."""
 QUEUED_SECONDS = 10.0
-"""Seconds of work queued per thread. Dask's adaptive scaling adds workers while more than 5 s are queued."""
-EXTRA_IN_FLIGHT = 1
-"""Number of jobs in flight beyond one per thread if their order may change: the next begins as soon as one ends."""
-MAX_ATTEMPTS = 3
-"""Maximum number of attempts, in one run, at a tile that raises or whose workers die."""
-MAX_NAMED_WORKERS = 3
-"""Maximum number of workers, or of tiles of a worker, that a message names."""
-SLOW = 10.0
-"""Factor on the duration of the longest job so far.
+"""Seconds of work in flight for each thread. Dask's adaptive scaling adds workers while more than 5 s are queued."""
+SLOW = 20.0
+"""Factor on the median duration of a job.
 
-A worker that finishes no job for longer hangs, if ``Timing.hung`` has passed too.
+A job that is in flight for longer is given to a second worker, if ``Timing.hung`` has passed too.
 """
-MAX_ALLOWED_WORKERS = 64
-"""Maximum number of workers that jobs are restricted to, with four more for each job.
-
-Dask keeps a copy of the list for each job.
-"""
+MEDIAN_OF = 1001
+"""Number of last jobs whose durations give the median."""
+MAX_BLAMED = 3
+"""Number of jobs that failed on a worker and succeeded on another after which the worker is excluded."""
+MAX_ERRORS, MAX_DEATHS = 3, 2
+"""Number of exceptions, and of deaths of its workers, after which a job is given up."""
+MAX_FAILED_JOBS = 16
+"""Number of jobs that failed twice after which a run in which no job has succeeded ends."""
+MAX_ALLOWED = 64
+"""Maximum number of workers that a job is restricted to; Dask keeps a copy of the list for each job."""
+MAX_NAMED = 3
+"""Maximum number of workers that a message names."""
+MIN_WORKER_MEMORY = 500_000_000
+"""Bytes of memory that a worker needs. The kernels take most of them; Dask pauses a worker with a lower limit."""
 
 
 @dataclass(frozen=True)
@@ -65,126 +76,79 @@ class WorkerStatus:
     trouble: str = ""
 
 
-@contextmanager
-def open_dispatcher(client: "Client", job_type: JobType[J, R], timing: Timing = TIMING) -> "Iterator[Dispatcher[J, R]]":
-    """Set up the workers of a cluster for their jobs until the end of the block, and yield their dispatcher."""
-    from atlas.service.worker_setup import prepare_workers  # imports Dask, which takes a while to load
-
-    with prepare_workers(client, job_type, timing.connect) as act:
-        yield Dispatcher(client, act, timing, job_type.memory)
-
-
 class Dispatcher(Generic[J, R]):
-    """Sends jobs to the workers of a cluster and collects their outcomes.
+    """Sends jobs to the workers of a cluster and collects their reports.
 
-    A job that fails is retried, on another worker or host if there is one. A worker is excluded if MAX_FAILURES
-    consecutive jobs failed on it while other workers succeed, if it has too little memory, or while it hangs. Jobs of a
-    worker that hangs are sent to others, each once: a job that is as slow elsewhere is slow.
+    A job that fails is tried again on another worker, and if it fails there, too, a last time after all other jobs. A
+    worker is excluded if it refuses, has too little memory, or fails at jobs that succeed elsewhere; if the store does
+    not respond to it, until another worker has done a job; and if one of its jobs takes too long, until it ends a job.
 
     client  client of the cluster
-    act     function that does a job on a worker
+    act     module-level function that does a job on a worker
     timing  waiting times
     memory  bytes of memory that a worker needs
-    ahead   seconds of work queued for each thread; with 0 the next job is chosen as late as possible
+    queue   True to keep jobs waiting for each thread; False to choose the next job as late as possible
     """
 
     def __init__(
         self,
         client: "Client",
         act: Callable[[J], R],
-        timing: Timing,
-        memory: int,
-        queued_seconds: float = QUEUED_SECONDS,
+        timing: Timing = TIMING,
+        memory: int = MIN_WORKER_MEMORY,
+        queue: bool = True,
     ) -> None:
-        self.client, self.timing, self.memory, self.ahead = client, timing, memory, queued_seconds
-        self.pending: Iterator[J] = iter(())
-        self.in_flight: InFlightJobs[J, R] = InFlightJobs(client, act, timing.connect)
-        self.retries: deque[JobAttempt[J]] = deque()
-        self.doubtful: list[JobAttempt[J]] = []
-        self.fitness = WorkerHealth()
-        self.threads: dict[str, int] = {}
-        self.most_workers = self.done = 0
-        self.thread_seconds = 0.0
-        self.longest: float | None = None
-        self.heard: dict[str, float] = {}
-        self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
+        self.client, self._act, self._timing, self.memory, self._queue = client, act, timing, memory, queue
+        self._token, self._numbers = uuid.uuid4().hex[:8], count()
+        self._threads: dict[str, int] = {}
+        self._most_workers = 0
+        self._seconds = deque[float](maxlen=MEDIAN_OF)
+        self._refused, self._unreachable, self._slow = dict[str, str](), dict[str, str](), dict[str, str]()
+        self._blamed = defaultdict[str, dict[tuple[int, ...], str]](dict)
+        self._proven = set[str]()
+        self._start(iter(()))
+
+    def _start(self, jobs: Iterator[J]) -> None:
+        self._pending = jobs
+        self._attempts: dict[Future[AttemptOutcome[R]], Attempt[J]] = {}
+        self._flying: set[OpenJob[J]] = set()
+        self._retries: deque[OpenJob[J]] = deque()
+        self._deferred: list[OpenJob[J]] = []
+        self._unfetched: list[Future[AttemptOutcome[R]]] = []
+        self._fit_at = self._ended_at = time.monotonic()
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
-        """Submit jobs, a limited number at a time, and yield their outcomes as they finish.
+        """Submit jobs, a limited number at a time, and yield their reports or failures as they end.
 
         ``jobs`` may run dry and yield again later. It is polled whenever there is room, as long as jobs are in flight.
         ``on_tick`` is called about every ``timing.tick`` seconds and after the last outcome; it may raise to stop. At
-        an error the jobs in flight are cancelled. Raise RunError if the cluster is lost, all workers are excluded, or
-        the store is full.
+        an error the jobs in flight are cancelled. Raise RunError if the cluster is lost, all workers are excluded, the
+        store is full, or many jobs fail and none succeeds.
         """
-        self.pending, ticked = iter(jobs), -math.inf
-        self.last_fit_worker_at = self.last_finished_at = self.refreshed_at = time.monotonic()
-        self.done, self.thread_seconds = 0, 0.0
+        from distributed import as_completed
+
+        self._start(iter(jobs))
+        self._completed = as_completed(loop=self.client.loop)
+        ticked = -math.inf
         try:
             while True:
-                if time.monotonic() - ticked >= self.timing.tick:
-                    self.refresh_workers()
-                    on_tick(self.worker_status())
+                if time.monotonic() - ticked >= self._timing.tick:
+                    self._refresh()
+                    on_tick(self._status())
                     ticked = time.monotonic()
-                self.submit_jobs()
-                if not (self.in_flight or self.retries):
-                    yield from self.judge_doubtful()
-                    if not self.retries:
-                        on_tick(self.worker_status())  # shows workers excluded since the last tick
-                        return
-                    continue
-                for attempt, result in self.in_flight.ended():
-                    outcome = self.handle_result(attempt, result)
+                is_waiting = not self._fill()
+                if not (is_waiting or self._flying or self._retries or self._deferred):
+                    on_tick(self._status())  # shows workers excluded since the last tick
+                    return
+                time.sleep(POLL_SECONDS if self._queue else QUICK_POLL_SECONDS)
+                for future, result in self._fetch_results():
+                    outcome = self._handle(future, result)
                     if outcome is not None:
                         yield outcome
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing to cancel
-                self.in_flight.cancel(lambda _: True)
-
-    def refresh_workers(self) -> None:
-        """Update the workers from the cluster, which may grow and shrink during the run."""
-        threads, now = worker_threads(self.client), time.monotonic()
-        self.thread_seconds += sum(self.threads.values()) * (now - self.refreshed_at)
-        self.refreshed_at = now
-        if threads.keys() - self.threads.keys():
-            self.require_memory(self.memory)
-        if threads != self.threads:
-            LOG.debug("%s: %s", plural(len(threads), "worker"), ", ".join(sorted(threads)))
-        self.threads = threads
-        self.most_workers = max(self.most_workers, len(self.threads))
-        # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
-        lost = self.in_flight.cancel(lambda a: a.workers is not None and threads.keys().isdisjoint(a.workers))
-        if lost:
-            LOG.debug("workers are gone: %s sent to others", plural(len(lost), "tile"))
-        self.retries.extend(lost)
-        for worker in threads:
-            self.heard.setdefault(worker, now)
-        self.move_jobs(now)
-
-    def move_jobs(self, now: float) -> None:
-        """Take jobs from workers that hang, and readmit workers that have finished the jobs taken from them."""
-        for worker in self.in_flight.returned():
-            LOG.debug("%s has ended the tiles that were taken from it", worker)
-            self.fitness.readmit(worker)
-            self.heard[worker] = now
-        if self.longest is None:
-            return
-        limit = max(self.timing.hung, SLOW * self.longest)
-        if now - self.in_flight.oldest <= limit:
-            return
-        willing = self.threads.keys() - self.fitness.excluded.keys()
-        hung = {}
-        for worker, attempts in self.in_flight.held().items():
-            old = [attempt for attempt in attempts if not attempt.is_moved and now - attempt.since > limit]
-            if worker in willing and old and now - self.heard[worker] > limit:
-                hung[worker] = [attempt for attempt in attempts if not attempt.is_moved]
-        for worker, attempts in hung.items() if willing - hung.keys() else ():  # else there is no other worker
-            silent = duration(now - max(self.heard[worker], min(attempt.since for attempt in attempts)))
-            reason = f"it has had {_tiles(attempts)} for {silent}, the longest job took {duration(self.longest)}"
-            LOG.debug("%s hangs: %s", worker, reason)
-            self.fitness.record_refusal(WorkerRefusal(worker, f"{reason}; other workers do them"))
-            self.in_flight.set_apart(worker, attempts)
-            self.retries.extend(replace(attempt, is_moved=True) for attempt in attempts)
+                self.client.cancel(list(self._attempts))
+            self._attempts.clear()
 
     def require_memory(self, memory: int) -> None:
         """Set the bytes of memory that jobs need from now on. Workers with less memory are excluded."""
@@ -192,154 +156,245 @@ class Dispatcher(Generic[J, R]):
         for worker, (limit, _) in worker_memory(self.client).items():
             if 0 < limit < memory:
                 needed = f"required {byte_size(memory)}; raise it with: dask worker --memory-limit"
-                self.fitness.record_refusal(
-                    WorkerRefusal(worker, f"memory limit {byte_size(limit)} is below the {needed}")
-                )
+                self._exclude(self._refused, worker, f"memory limit {byte_size(limit)} is below the {needed}")
 
-    def worker_status(self) -> WorkerStatus:
-        """Return the status of the workers, by the last refresh and the outcomes so far."""
-        return WorkerStatus(sum(self.threads.values()), self.fitness.excluded, self.describe_trouble())
+    def _refresh(self) -> None:
+        """Update the workers from the cluster, which may grow and shrink, and take jobs from those that hang."""
+        threads, now = worker_threads(self.client), time.monotonic()
+        if threads.keys() - self._threads.keys():
+            self.require_memory(self.memory)
+        if threads != self._threads:
+            LOG.debug("%s: %s", plural(len(threads), "worker"), ", ".join(sorted(threads)))
+        self._threads, self._most_workers = threads, max(self._most_workers, len(threads))
+        # Dask keeps a job for the workers to which it is restricted, even if all of them are gone.
+        lost = [f for f, a in self._attempts.items() if a.workers and threads.keys().isdisjoint(a.workers)]
+        if lost:
+            self.client.cancel(lost)
+        for future in lost:
+            open_job = self._attempts.pop(future).open_job
+            open_job.n_flying -= 1
+            if open_job in self._flying and not open_job.n_flying:
+                self._requeue(open_job, self._retries)
+        self._copy_slow(now)
 
-    def describe_trouble(self) -> str:
-        """Return the reason why no job has finished for a while; empty if nothing is known to be wrong."""
-        silent = time.monotonic() - self.last_finished_at
-        if silent < self.timing.stall_after or not self.in_flight:
+    def _copy_slow(self, now: float) -> None:
+        """Give jobs that take many times the median to second workers; the first outcome counts."""
+        old = {
+            f: a for f, a in self._attempts.items() if now - a.since > self._timing.hung and not a.open_job.is_copied
+        }
+        old = {future: attempt for future, attempt in old.items() if attempt.open_job in self._flying}
+        usual = median(self._seconds) if old and self._seconds else math.inf
+        old = {future: attempt for future, attempt in old.items() if now - attempt.since > SLOW * usual}
+        holders = self._holders() if old else {}
+        slow = {future: attempt for future, attempt in old.items() if future.key in holders}
+        if not self._threads.keys() - self._excluded.keys() - {holders[future.key] for future in slow}:
+            return  # no other worker
+        for future, attempt in slow.items():
+            worker, index = holders[future.key], attempt.open_job.job.index
+            taken = f"tile {index} has taken {duration(now - attempt.since)}, the median is {duration(usual)}"
+            self._exclude(self._slow, worker, f"{taken}; other workers do its tiles")
+        for attempt in slow.values():
+            attempt.open_job.is_copied = True
+            self._submit(attempt.open_job)
+
+    def _holders(self) -> dict[Any, str]:
+        """Return the worker of each job that a worker has, by Dask's key."""
+        with loss_reported(self.client):
+            return {key: worker for worker, keys in self.client.processing().items() for key in keys}
+
+    @property
+    def _excluded(self) -> dict[str, str]:
+        """The reasons for exclusion, by address of the worker."""
+        blamed = {worker: jobs for worker, jobs in self._blamed.items() if len(jobs) >= MAX_BLAMED}
+        reasons = {
+            worker: f"{len(jobs)} tiles failed on this worker and succeeded elsewhere, the first is {index}: {reason}"
+            for worker, jobs in blamed.items()
+            for index, reason in list(jobs.items())[:1]
+        }
+        return reasons | self._slow | self._unreachable | self._refused
+
+    def _exclude(self, kind: dict[str, str], worker: str, reason: str) -> None:
+        LOG.debug("%s is excluded: %s", worker, reason)
+        kind[worker] = reason
+
+    def _status(self) -> WorkerStatus:
+        return WorkerStatus(sum(self._threads.values()), self._excluded, self._describe_trouble())
+
+    def _describe_trouble(self) -> str:
+        """Return the reason why no job has ended for a while; empty if nothing is known to be wrong."""
+        silent = time.monotonic() - self._ended_at
+        if silent < self._timing.stall_after or not self._flying:
             return ""
         memory = worker_memory(self.client)
         paused = [f"{worker} (limit {byte_size(limit)})" for worker, (limit, stopped) in memory.items() if stopped]
-        if not paused:
-            usual = self.timing.hung if self.longest is None else 2.0 * self.longest
-            held = self.in_flight.held() if silent >= usual else {}
-            shown = [f"{worker} has {_tiles(attempts)}" for worker, attempts in held.items()]
-            more = ", ..." if len(shown) > MAX_NAMED_WORKERS else ""
-            return (
-                f"no job finished for {duration(silent)}: {', '.join(shown[:MAX_NAMED_WORKERS])}{more}" if shown else ""
-            )
-        names = ", ".join(paused[:MAX_NAMED_WORKERS]) + (", ..." if len(paused) > MAX_NAMED_WORKERS else "")
-        return (
-            f"no job finished for {duration(silent)}: Dask has paused {plural(len(paused), 'worker')} short of "
-            f"memory: {names}"
-        )
+        begin = f"no job finished for {duration(silent)}: "
+        if paused:
+            return f"{begin}Dask has paused {plural(len(paused), 'worker')} short of memory: {_some_of(paused)}"
+        if silent < (2 * median(self._seconds) if self._seconds else self._timing.hung):
+            return ""
+        holders = self._holders()
+        held = [(holders[f.key], a.open_job.job.index) for f, a in self._attempts.items() if f.key in holders]
+        return f"{begin}{_some_of([f'{worker} has tile {index}' for worker, index in held])}" if held else ""
 
-    def submit_jobs(self) -> None:
-        """Submit jobs until the maximum number is in flight, jobs to be retried first.
+    def _fill(self) -> bool:
+        """Submit jobs until the window is full; return False if no worker is fit, and one may come.
 
-        Raise RunError if the cluster is lost, or if all workers are excluded and no replacement has come.
+        Raise RunError if no worker is left and no replacement has come.
         """
-        left_out = self.fitness.excluded
-        willing = [worker for worker in self.threads if worker not in left_out]
-        if willing or not left_out:
-            self.last_fit_worker_at = time.monotonic()
-        elif not self.in_flight and (
-            len(self.threads) >= self.most_workers
-            or time.monotonic() - self.last_fit_worker_at > self.timing.replacement_worker
-        ):
-            if not self.fitness.readmit_failed():
-                worker, reason = next(iter(left_out.items()))
-                raise RunError(
-                    f"all workers are excluded, for example {worker}: {reason}; finished tiles are kept, rerun the "
-                    "same command to resume"
-                )
-            return
+        fit, waited = self._fit_workers(), time.monotonic() - self._fit_at > self._timing.replacement_worker
+        if fit or not self._threads:
+            self._fit_at = time.monotonic()
+        elif not self._flying and (waited or len(self._threads) >= self._most_workers):
+            worker, reason = next(iter(self._excluded.items()))
+            raise RunError(
+                f"all workers are excluded, for example {worker}: {reason}; finished tiles are kept, rerun the same "
+                "command to resume"
+            )
         else:
-            return  # a worker that did jobs is gone, and may reconnect
+            return False  # a worker that did jobs is gone, and may reconnect
         if self.client.status != "running":
             raise RunError(CLUSTER_LOST_MESSAGE)
-        room = max(0, self.window_size(max(1, sum(self.threads[worker] for worker in willing))) - len(self.in_flight))
-        anywhere = _some(willing, room) if left_out else None
-        attempts = []
-        for _ in range(room):
-            attempt = self.retries.popleft() if self.retries else next(map(JobAttempt, self.pending), None)
-            if attempt is None:
-                break
-            workers = _elsewhere(willing, attempt.failures) if attempt.failures and willing else anywhere
-            attempts.append(replace(attempt, workers=workers))
-        self.in_flight.submit(attempts)
+        threads = max(1, sum(self._threads[worker] for worker in fit))
+        while len(self._flying) < self._window(threads) and (open_job := self._next_job()):
+            self._flying.add(open_job)
+            self._submit(open_job)
+        return True
 
-    def window_size(self, threads: int) -> int:
-        """Return the number of jobs to keep in flight for this number of threads, by the durations of jobs so far."""
-        if not self.ahead:
-            return threads + EXTRA_IN_FLIGHT
-        jobs = math.ceil(self.ahead * self.done / self.thread_seconds) if self.thread_seconds else IN_FLIGHT
-        return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, jobs))
+    def _fit_workers(self) -> list[str]:
+        """Return the workers that get jobs: those not excluded; if there are none, those that do not refuse."""
+        excluded, refusing = self._excluded, self._refused | self._unreachable
+        fit = [worker for worker in self._threads if worker not in excluded]
+        return fit or [worker for worker in self._threads if worker not in refusing]
 
-    def cancel_stale(self, stale: Callable[[J], bool]) -> list[J]:
-        """Cancel the jobs for which ``stale`` is True, and return them.
+    def _window(self, threads: int) -> int:
+        """Return the number of jobs to keep in flight, by the durations of the last ones."""
+        if not self._queue:
+            return threads + 1
+        short = math.ceil(QUEUED_SECONDS * len(self._seconds) / (sum(self._seconds) or math.inf))
+        return threads * min(MAX_IN_FLIGHT, max(IN_FLIGHT, short))
 
-        Jobs that a worker has begun are not cancelled.
-        """
-        dropped = self.in_flight.cancel(lambda attempt: stale(attempt.job), waiting=True)
-        for attempts in (self.retries, self.doubtful):
-            gone = [attempt for attempt in attempts if stale(attempt.job)]
-            for attempt in gone:
-                attempts.remove(attempt)
-            dropped += gone
-        return [attempt.job for attempt in dropped]
+    def _next_job(self) -> OpenJob[J] | None:
+        """Return the next job to submit, None if there is none: retries first, and deferred jobs after all others."""
+        if not self._retries and (job := next(self._pending, None)) is not None:
+            return OpenJob(job)
+        if not self._retries and not self._flying:
+            # Dask blames a worker's death on all its jobs: alone only the job that kills its worker fails again.
+            last = [each for each in self._deferred if not each.failures[-1].is_death] or self._deferred[:1]
+            self._deferred = [each for each in self._deferred if each not in last]
+            self._retries.extend(last)
+        return self._retries.popleft() if self._retries else None
 
-    def handle_result(self, attempt: JobAttempt[J], result: Result[R]) -> R | TileFailure | None:
-        """Return the outcome of a job; None if the job is retried, or in doubt."""
-        self.last_finished_at = time.monotonic()
-        if result.worker:
-            self.heard[result.worker] = self.last_finished_at
-        if isinstance(result, AttemptSuccess):
-            self.fitness.finish(result.worker)
-            self.done += 1
-            self.longest = max(self.longest or 0.0, result.seconds)
-            return result.result
-        if isinstance(result, WorkerRefusal):
-            LOG.debug("%s refuses tile %s: %s", result.worker, attempt.job.index, result.reason)
-            self.fitness.record_refusal(result)
-            self.retries.append(attempt)
+    def _submit(self, open_job: OpenJob[J]) -> None:
+        """Submit an attempt at a job."""
+        workers = self._allowed_workers(open_job)
+        key = (f"tile-{self._token}", next(self._numbers), *open_job.job.index)  # Dask remembers a failed attempt's
+        with loss_reported(self.client):
+            future = self.client.submit(
+                run_attempt, self._act, open_job.job, key=key, workers=workers and list(workers), pure=False
+            )
+        open_job.n_flying += 1
+        self._attempts[future] = Attempt(open_job, workers, time.monotonic())
+        self._completed.add(future)
+
+    def _allowed_workers(self, open_job: OpenJob[J]) -> tuple[str, ...] | None:
+        """Return the workers for a job, after a failure others that have done jobs, if there are any; None for all."""
+        if not (open_job.failures or self._excluded):
             return None
-        if result.store_full:
-            raise RunError(f"{result.reason}; finished tiles are kept, make room and rerun the same command")
-        where, trace = result.worker or "a worker that died", f"\n{result.traceback}".rstrip()
-        LOG.debug("tile %s failed on %s: %s%s", attempt.job.index, where, result.reason, trace)
-        self.fitness.fail(attempt.job.index, result, attempt.failures)
-        attempt = replace(attempt, failures=(*attempt.failures, result))
-        at_fault = self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS)
-        if at_fault:
-            return _given_up(attempt)
-        LOG.debug("tile %s is retried, %s", attempt.job.index, "later" if at_fault is None else "elsewhere if possible")
-        (self.retries if at_fault is False else self.doubtful).append(attempt)
+        fit, failed = self._fit_workers(), {failure.worker for failure in open_job.failures}
+        some = [worker for worker in fit if worker not in failed] or fit
+        some = [worker for worker in some if not failed or worker in self._proven] or some
+        return None if len(some) == len(self._threads) else tuple(random.sample(some, min(len(some), MAX_ALLOWED)))
+
+    def _handle(self, future: "Future[AttemptOutcome[R]]", outcome: AttemptOutcome[R]) -> R | TileFailure | None:
+        """Return the report or the failure of a job; None if the job is still open, or has ended before."""
+        attempt = self._attempts.pop(future, None)
+        if attempt is None:
+            return None  # cancelled
+        open_job, self._ended_at = attempt.open_job, time.monotonic()
+        open_job.n_flying -= 1
+        self._slow.pop(outcome.worker, None)  # it does not hang
+        if open_job not in self._flying:
+            return None  # another attempt was faster
+        if outcome.ending is Ending.DONE:
+            self._flying.remove(open_job)
+            self._record_success(open_job, outcome)
+            return outcome.report
+        self._record_failure(open_job, outcome)
+        is_hopeless = open_job.n_errors >= MAX_ERRORS or open_job.n_deaths >= MAX_DEATHS
+        if open_job.n_flying and not is_hopeless:
+            open_job.is_copied = False
+            return None  # another attempt is in flight, which may hang
+        if outcome.ending is not Ending.FAILED:
+            self._requeue(open_job, self._retries)
+        elif is_hopeless:
+            self._flying.remove(open_job)
+            LOG.debug("tile %s is given up after %s", open_job.job.index, plural(len(open_job.failures), "attempt"))
+            return TileFailure(open_job.job.index, outcome.reason, outcome.worker, outcome.traceback)
+        else:
+            defer = outcome.is_death or open_job.n_errors >= MAX_ERRORS - 1
+            self._requeue(open_job, self._deferred if defer else self._retries)
         return None
 
-    def judge_doubtful(self) -> Iterator[TileFailure]:
-        """Decide on the jobs in doubt once all others are finished: retry a job, or yield its failure."""
-        if self.fitness.excluded.keys() >= self.threads.keys():
-            self.fitness.readmit_failed()
-        for attempt in self.doubtful:
-            if self.fitness.is_at_fault(attempt.failures, MAX_ATTEMPTS) is False:
-                self.retries.append(attempt)
-            else:
-                yield _given_up(attempt)
-        self.doubtful.clear()
+    def _fetch_results(self) -> "Iterator[tuple[Future[AttemptOutcome[R]], AttemptOutcome[R]]]":
+        """Yield the attempts that have ended, with their outcomes, by one request to the scheduler.
+
+        If a result was lost with its worker, Dask repeats the job, and the attempt ends again. Dask would wait for it,
+        and for a worker that hangs; so an outcome that does not come soon is asked for again.
+        """
+        ended = [*self._unfetched, *self._completed.next_batch(block=False)]
+        by_number = {n: future for n, future in enumerate(ended) if future.status == "finished"}
+
+        async def gather() -> dict[int, AttemptOutcome[R]]:
+            asked = self.client.gather(by_number, errors="skip", direct=False, asynchronous=True)
+            return await asyncio.wait_for(asked, self._timing.connect)
+
+        outcomes: dict[int, AttemptOutcome[R]] = {}
+        with loss_reported(self.client), suppress(TimeoutError):
+            outcomes = {n: found for n, found in self.client.sync(gather).items() if found} if by_number else {}
+        self._unfetched = []
+        for n, future in enumerate(ended):
+            if n in outcomes:
+                yield future, outcomes[n]
+            elif n in by_number:
+                self._unfetched.append(future)
+            elif future.status == "error":
+                yield future, outcome_of_error(future.exception())
+            elif future in self._attempts and future.status == "pending":
+                self._completed.add(future)  # its result was lost
+            elif future in self._attempts:
+                raise RunError(CLUSTER_LOST_MESSAGE)
+
+    def _requeue(self, open_job: OpenJob[J], queue: "deque[OpenJob[J]] | list[OpenJob[J]]") -> None:
+        self._flying.remove(open_job)
+        queue.append(open_job)
+
+    def _record_success(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
+        """Record a worker's success: failures of the same job speak against the workers on which it failed."""
+        self._seconds.append(outcome.seconds)
+        self._proven.add(outcome.worker)
+        self._unreachable.clear()  # the store responds to this worker, so perhaps to the others too
+        for failure in open_job.failures:
+            if failure.worker:
+                self._blamed[failure.worker][open_job.job.index] = failure.reason
+        self._blamed.pop(outcome.worker, None)
+
+    def _record_failure(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
+        """Record an attempt that did not succeed; raise RunError if there is no point in going on."""
+        index, where = open_job.job.index, outcome.worker or "an unknown worker"
+        LOG.debug("tile %s failed on %s: %s\n%s", index, where, outcome.reason, outcome.traceback)
+        if outcome.ending is Ending.FULL:
+            raise RunError(f"{outcome.reason}; finished tiles are kept, make room and rerun the same command")
+        if outcome.ending is not Ending.FAILED:
+            kind = self._refused if outcome.ending is Ending.REFUSED else self._unreachable
+            self._exclude(kind, outcome.worker, outcome.reason)
+            return
+        open_job.failures.append(outcome)
+        if not self._proven and len(self._deferred) >= MAX_FAILED_JOBS:
+            raise RunError(
+                f"{plural(len(self._deferred), 'tile')} failed twice and none succeeded, for example tile {index} on "
+                f"{where}: {outcome.reason}; rerun the same command to resume"
+            )
 
 
-def _tiles(attempts: list[JobAttempt[J]]) -> str:
-    """Return the first few tiles of some attempts as text."""
-    names = ", ".join(str(attempt.job.index) for attempt in attempts[:MAX_NAMED_WORKERS])
-    return f"tile{'s' * (len(attempts) > 1)} {names}{', ...' * (len(attempts) > MAX_NAMED_WORKERS)}"
-
-
-def _elsewhere(willing: list[str], failures: tuple[AttemptFailure, ...]) -> tuple[str, ...] | None:
-    """Return the workers for the next attempt.
-
-    They are those on hosts without a failure, else those without a failure, else all.
-    """
-    failed = {failure.worker for failure in failures}
-    hosts = {host_of(worker) for worker in failed}
-    apart = [worker for worker in willing if host_of(worker) not in hosts]
-    return _some(apart or [worker for worker in willing if worker not in failed] or willing)
-
-
-def _some(workers: list[str], jobs: int = 1) -> tuple[str, ...] | None:
-    """Return enough workers for Dask to choose from, for this number of jobs; None if there are no workers."""
-    enough = MAX_ALLOWED_WORKERS + 4 * jobs
-    return tuple(workers if len(workers) <= enough else random.sample(workers, enough)) or None
-
-
-def _given_up(attempt: JobAttempt[J]) -> TileFailure:
-    last = attempt.failures[-1]
-    LOG.debug("tile %s is given up after %s", attempt.job.index, plural(len(attempt.failures), "attempt"))
-    return TileFailure(attempt.job.index, last.reason, last.worker, last.traceback)
+def _some_of(names: list[str]) -> str:
+    return ", ".join(names[:MAX_NAMED]) + ", ..." * (len(names) > MAX_NAMED)

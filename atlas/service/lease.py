@@ -29,8 +29,8 @@ from atlas.store.sidecar import LEASE_NAME, clear_sidecar, lease_confirmation, r
 
 _RELEASES = 3
 """Number of attempts to remove the lease at the end of a run; if they fail, it expires."""
-STOP, ENDED = "stop", "ended"
-"""Names of the objects with the token of a run that is asked to stop, and about the end of the last submitted run."""
+STOP = "stop"
+"""Name of the object with the token of a run that is asked to stop."""
 
 
 @dataclass(frozen=True)
@@ -340,20 +340,6 @@ def cancel(
             raise RunError(f"{name}: {seen.trouble}")
         time.sleep(timing.lease_poll)
     raise RunError(f"{name}: {record} has not stopped within {wait_seconds:g} s; it stops at its next heartbeat")
-
-
-def record_end(sidecar: StoreBackend, text: str) -> None:
-    """Write the end of a submitted run into the sidecar, for ``atlas status``.
-
-    The next run that ends well clears it.
-    """
-    with suppress(Exception):  # a failure to write must not hide the run's own error
-        sidecar.put(ENDED, text.encode())
-
-
-def read_end(sidecar: StoreBackend) -> str:
-    """Return the text about the end of the last submitted run; empty if it ended well."""
-    return (sidecar.get(ENDED) or b"").decode(errors="replace")
 
 
 def _is_abandoned(sidecar: StoreBackend, name: str, data: bytes, notify: Callable[[str], None], timing: Timing) -> bool:

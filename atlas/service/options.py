@@ -23,7 +23,7 @@ MAX_WORKERS = 1024
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of ``run``, ``extend`` and ``submit``.
+    """Options of ``run`` and of the functions that compute from a store.
 
     workers             processes of a local cluster, by default one per processor; not with a scheduler or a client; an
                         active client is then not used

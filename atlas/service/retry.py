@@ -13,7 +13,6 @@ from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_o
 from atlas.service.progress import Progress
 from atlas.service.run import complete
 from atlas.service.status import read_status
-from atlas.service.submit import submit
 from atlas.service.summary import RunSummary
 from atlas.spec.spec import Spec
 from atlas.store.object_backend import Given, StoreBackend, sibling_name
@@ -65,23 +64,6 @@ def retry(
         options = replace(options, on_progress=on_progress)
         options.report(Progress(report))
         return complete(spec, place, client, options, origin)
-
-
-def submit_retry(
-    store: str,
-    into: str,
-    regimes: str,
-    max_periods: int | None,
-    survival: int | None,
-    options: RunOptions,
-) -> str:
-    """Start the coordinator of a ``retry`` on the cluster at ``options.scheduler``, and return its address.
-
-    See ``submit.submit``.
-    """
-    spec, place, origin, report = prepare_retry(store, into, regimes, max_periods, survival)
-    options.report(Progress(report))
-    return submit(spec, place, options, origin)
 
 
 def prepare_retry(

@@ -9,10 +9,9 @@ from atlas.argument_checks import validate_type
 from atlas.errors import InputError, RunError
 from atlas.formatting import plural
 from atlas.overview.builder import OverviewBuilder
-from atlas.service.batches import MIN_WORKER_MEMORY
 from atlas.service.clients import check_client, connect_client, worker_count
 from atlas.service.cluster import leave_if_bootstrapping
-from atlas.service.dispatch import WorkerStatus
+from atlas.service.dispatch import MIN_WORKER_MEMORY, WorkerStatus
 from atlas.service.notebook import progress_reporter
 from atlas.service.options import DEFAULTS, RunOptionFields, RunOptions, merge_options, with_fields
 from atlas.service.plan import Plan, check_free_space, plan_of_run
@@ -86,18 +85,16 @@ def complete(
     client: "Client | None" = None,
     options: RunOptions = DEFAULTS,
     origin: Origin | None = None,
-    run_id: str = "",
 ) -> RunSummary:
     """Create or complete a store, and return the summary of the run; see ``run``.
 
-    ``origin`` is the store whose cells are reused; None for a store of its own. ``run_id``, if given, is the id of the
-    run to which the store must belong, and a new store gets it. Raise RunError if the store belongs to another run.
+    ``origin`` is the store whose cells are reused; None for a store of its own.
     """
     leave_if_bootstrapping()
     check_client(client, options)
     with ExitStack() as stack:
         handle = find_store(place)  # reads only, so that bad input leaves no trace
-        check_run(place, spec, handle, origin, run_id)
+        check_run(place, spec, handle, origin)
         client = connect_client(client, options, stack)
         workers = worker_count(client, options)
         plan = plan_of_run(spec, place, handle, workers, options.tile)
@@ -106,10 +103,10 @@ def complete(
         before = handle  # before the lease another run may have created or replaced the store
         handle = find_store(place) if before is None else before.with_backend(place).current()
         if handle is None or before is None or handle.run_id != before.run_id:
-            check_run(place, spec, handle, origin, run_id)
+            check_run(place, spec, handle, origin)
         if handle is None:
             options.report(Progress("creating the store"))
-            handle = create_store(place, spec, plan.tiling.tile, origin, run_id)
+            handle = create_store(place, spec, plan.tiling.tile, origin)
         kernels, memory = kernels_of(handle.spec), memory_of(math.prod(handle.tile))
         pool = WorkerPool(handle, execute_job, kernels, options, claim, stack, workers, client, memory)
         run = _Run(handle, pool, replace(plan, tiling=handle.tiling))

@@ -9,7 +9,7 @@ import numpy as np
 
 from atlas.errors import ChunkError
 from atlas.formatting import duration, html_table, text_repr
-from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord, read_end
+from atlas.service.lease import LeaseObservation, LeaseObserver, LeaseRecord
 from atlas.service.progress import Progress, reason_lines
 from atlas.service.timing import TIMING, Timing
 from atlas.store.record_format import WIDTH
@@ -31,9 +31,8 @@ class StoreStatus:
     reasons     numbers of cells without a certain result, by the reason as text
     run         lease of the run that writes the store, or None
     trouble     reason to doubt the lease (holder dead or silent, file damaged), or why the run makes no progress
-    ended       how the last submitted run ended
 
-    ``trouble`` and ``ended`` are empty if all is well.
+    ``trouble`` is empty if all is well.
     """
 
     handle: AtlasStore
@@ -43,7 +42,6 @@ class StoreStatus:
     reasons: dict[str, int]
     run: LeaseRecord | None
     trouble: str
-    ended: str
 
     @property
     def fraction(self) -> float:
@@ -104,9 +102,8 @@ class StoreStatus:
 
     def _run(self) -> str:
         if self.run is None:
-            ended = f"; the last one submitted ended: {self.ended}" if self.ended else ""
             trouble = f"; {self.trouble}" if self.trouble else ""
-            return "complete" if self.fraction == 1 and not ended + trouble else f"none at work{ended}{trouble}"
+            return "complete" if self.fraction == 1 and not trouble else f"none at work{trouble}"
         if self.trouble:
             return f"{self.run}: {self.trouble}" if self.trouble == self.run.trouble else self.trouble
         workers = int(self._reported("workers"))
@@ -140,7 +137,6 @@ class StoreStatus:
             "reasons": self.reasons,
             "run": self.run and str(self.run),
             "trouble": self.trouble or None,
-            "ended": self.ended or None,
             "workers": int(self._reported("workers")),
             "cells_per_second": self.progress.rate,
             "seconds_left": self.seconds_left,
@@ -209,7 +205,7 @@ class StatusReader:
         trouble = trouble or (run.trouble if run else "")
         cells = sum(holding.regimes.values())
         counted = (holding.tiles, cells, holding.regimes, holding.reasons)
-        return StoreStatus(self.handle, *counted, run, trouble, read_end(self.notes))
+        return StoreStatus(self.handle, *counted, run, trouble)
 
     def _count(self) -> StoreCounts:
         records = TileRecords(self.handle)

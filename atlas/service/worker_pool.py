@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from atlas.errors import RunError
-from atlas.service.batches import MIN_WORKER_MEMORY, J, JobType, R
+from atlas.service.attempts import J, R
 from atlas.service.clients import check_client, connect_client, start_client, worker_count
 from atlas.service.cluster import leave_if_bootstrapping
-from atlas.service.dispatch import Dispatcher, WorkerStatus, open_dispatcher
+from atlas.service.dispatch import MIN_WORKER_MEMORY, Dispatcher, WorkerStatus
 from atlas.service.lease import Lease, hold_lease
 from atlas.service.notebook import progress_reporter
 from atlas.service.options import RunOptions
@@ -24,7 +24,7 @@ from atlas.store.create import remove_half_made
 from atlas.store.object_backend import Given, StoreBackend, open_backend, picklable_backend, with_patience
 from atlas.store.sidecar import LEASE_NAME, clear_sidecar, read_lease_token, sidecar_of
 from atlas.store.store import AtlasStore, open_store
-from atlas.task.store_ref import StoreRef, prepare_worker
+from atlas.task.store_ref import StoreRef
 from workers import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -108,16 +108,12 @@ class WorkerPool(Generic[J, R]):
 
     @cached_property
     def dispatcher(self) -> Dispatcher[J, R]:
-        """The dispatcher of the pool's workers, open until ``stack`` is closed."""
-        site = self.store_ref
+        """The dispatcher of the pool's workers; a local cluster is open until ``stack`` is closed."""
         if self.client is None:
             prepare_kernels(self.options.report, *self.kernels)
         client = start_client(self.client, self.threads, self.options, self.stack)
         self.begin = time.monotonic() if self.client is None else self.begin
-        job_type = JobType(
-            str(site.store), self.run, partial(prepare_worker, site, self.kernels), site.evict, self.memory
-        )
-        return self.stack.enter_context(open_dispatcher(client, job_type, self.options.timing))
+        return Dispatcher(client, self.run, self.options.timing, self.memory)
 
     def iter_outcomes(self, jobs: Iterable[J], on_tick: Callable[[WorkerStatus], None]) -> Iterator[R | TileFailure]:
         """Yield the outcomes of jobs as ``Dispatcher.iter_outcomes`` does.

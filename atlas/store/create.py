@@ -8,7 +8,7 @@ import tempfile
 import uuid
 from pathlib import Path
 
-from atlas.errors import InputError, RunError
+from atlas.errors import InputError
 from atlas.spec.differences import differences
 from atlas.spec.spec import Spec
 from atlas.store.metadata import ROOT
@@ -31,16 +31,13 @@ from workers.results import REGIME
 TRIAL = ".trial-"
 
 
-def check_run(
-    place: StoreBackend, spec: Spec, handle: AtlasStore | None, origin: Origin | None = None, run_id: str = ""
-) -> None:
+def check_run(place: StoreBackend, spec: Spec, handle: AtlasStore | None, origin: Origin | None = None) -> None:
     """Raise InputError unless a run of ``spec`` may create a store in a backend, or resume the store there.
 
     place    backend of the store
     spec     spec of the run
     handle   handle of the existing store, None if there is none
     origin   the origin that the existing store must have, if given
-    run_id   the run that must have created the store, if given; otherwise raise RunError
     """
     check_not_packed(place)
     if handle is None:
@@ -63,8 +60,6 @@ def check_run(
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         elif root := place.get(ROOT):
             place.put_new(ROOT, root)  # writes nothing, but raises without permission to write
-    if run_id and run_id != handle.run_id:
-        raise RunError(f"{place}: not the store of run {run_id}")
     if origin and origin != handle.origin:
         raise InputError(
             f"{place}: a store that was not made from {sibling_backend(place, origin.store)}; choose another path"
@@ -86,7 +81,6 @@ def create_store(
     spec: Spec,
     tile: tuple[int, ...],
     origin: Origin | None = None,
-    run_id: str = "",
 ) -> AtlasStore:
     """Create a store without results, see ``make_store``, and return its handle.
 
@@ -94,11 +88,10 @@ def create_store(
     spec     spec of the atlas
     tile     cells of a tile along each dimension
     origin   store whose cells the new store takes over, None if there is none
-    run_id   identifier of the run; drawn at random if empty
     """
     place = open_backend(store)
     with os_errors_as_input_errors(place, "written"):
-        make_store(place, spec, tile, origin, run_id)
+        make_store(place, spec, tile, origin, "")
     return open_store(place)
 
 

@@ -3,11 +3,13 @@
 from collections.abc import Hashable
 from threading import Lock
 
-from atlas.store.object_backend import StoreBackend, open_backend, sibling_backend, with_patience
+from atlas.store.object_backend import StoreBackend, open_backend, with_patience
 from atlas.store.outage import LONG_PATIENCE
 from atlas.store.store import ROOT, AtlasStore, open_store
 from atlas.store.tile_records import TileRecords
 
+MAX_HANDLES = 16
+"""Maximum number of handles kept; a worker of a long-lived cluster serves many runs, each of a store and its origin."""
 _reading = Lock()
 _records: dict[StoreBackend, TileRecords] = {}
 _headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
@@ -21,6 +23,10 @@ def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) ->
     with _reading:  # the threads of a worker ask at the same time
         known = _headers.get((place, patience))
         if known is None or known[0] != version:
+            if len(_headers) >= MAX_HANDLES:
+                oldest = next(iter(_headers))
+                del _headers[oldest]
+                _records.pop(oldest[0], None)
             known = _headers[place, patience] = version, open_store(place)
             _records.pop(place, None)
     return known[1]
@@ -31,12 +37,3 @@ def cached_records(handle: AtlasStore) -> TileRecords:
     if handle.backend not in _records:
         _records[handle.backend] = TileRecords(handle)
     return _records[handle.backend]
-
-
-def evict_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> None:
-    """Remove the handles of a store and of its origin from the cache."""
-    place = open_backend(store)
-    known = _headers.pop((place, patience), None)
-    _records.pop(place, None)
-    if known is not None and known[1].origin is not None:
-        evict_handle(sibling_backend(place, known[1].origin.store))

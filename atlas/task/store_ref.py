@@ -1,7 +1,7 @@
 """The reference to a run's store that jobs carry: it opens and checks the store."""
 
 import errno
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -11,8 +11,7 @@ from atlas.store.outage import LONG_PATIENCE, SHORT_PATIENCE
 from atlas.store.parts import get_part, put_part
 from atlas.store.sidecar import lease_confirmation
 from atlas.store.store import AtlasStore
-from atlas.task.compile import compile_once
-from atlas.task.handle_cache import cached_handle, evict_handle
+from atlas.task.handle_cache import cached_handle
 from workers import SOLVER_VERSION
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -63,10 +62,6 @@ class StoreRef:
         with translate_file_errors(self.store):
             put_part(handle, group, name, data)
 
-    def evict(self) -> None:
-        """Remove the handles of the store from the cache of this process."""
-        evict_handle(self.store, self.patience)
-
 
 @dataclass(frozen=True)
 class PartReport:
@@ -82,12 +77,6 @@ class PartReport:
     name: str
     processor_seconds: float
     cells: int = 0
-
-
-def prepare_worker(site: StoreRef, kernels: Sequence[str]) -> None:
-    """Check what every job needs on this worker, and make sure that the kernels are compiled."""
-    site.open()
-    compile_once(*kernels)
 
 
 def open_checked(

@@ -14,9 +14,8 @@ from atlas.errors import InputError, RunError
 from atlas.explore.explorer import Explorer
 from atlas.explore.session import _connection
 from atlas.explore.subject import subject_of
-from atlas.service.batches import JobType
 from atlas.service.cluster import count_threads
-from atlas.service.dispatch import WorkerStatus, open_dispatcher
+from atlas.service.dispatch import Dispatcher, WorkerStatus
 from atlas.service.progress import Progress
 from atlas.service.timing import TIMING, Timing
 from tests.explore.test_faults import begun
@@ -91,10 +90,6 @@ def brief(job: Numbered) -> tuple[int, ...]:
     return job.index
 
 
-def nothing() -> None:
-    """No setup."""
-
-
 def test_a_cluster_grows_to_its_largest_for_many_short_jobs(growing: Client) -> None:
     """Two jobs of .3 s under way are too few for Dask to start a second worker, though hundreds wait here."""
     seen: list[int] = []
@@ -107,9 +102,9 @@ def test_a_cluster_grows_to_its_largest_for_many_short_jobs(growing: Client) -> 
         if workers.threads == 4:
             raise GrownError
 
-    labour, jobs = JobType("brief", brief, nothing, nothing), (Numbered((k,)) for k in range(400))
-    with open_dispatcher(growing, labour, Timing(tick=0.1)) as force, pytest.raises(GrownError):
-        for _ in force.iter_outcomes(jobs, tick):
+    jobs = (Numbered((k,)) for k in range(400))
+    with pytest.raises(GrownError):
+        for _ in Dispatcher(growing, brief, Timing(tick=0.1)).iter_outcomes(jobs, tick):
             pass
     assert seen[0] == 0
 

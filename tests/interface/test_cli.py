@@ -379,22 +379,3 @@ def check_refused(shown: Result, message: str) -> None:
 
 def state_of(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ([], "--submit needs a cluster: give its --scheduler, too"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--tile", "0,0"], "--tile is for a run that this process coordinates"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--log", "a.log"], "--log is for a run that this process coordinates"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--performance-report", "a.html"], "--performance-report is for a run"),
-        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "give only one"),
-    ],
-)
-def test_a_run_that_is_left_to_a_cluster_needs_one_and_refuses_what_this_process_would_do(
-    tmp_path: Path, options: list[str], says: str
-) -> None:
-    shown = call("run", "tiny", "-o", tmp_path / "out.zarr", "--submit", *options)
-    assert (shown.exit_code, shown.stdout) == (2, "")
-    assert says in shown.stderr and len(shown.stderr.splitlines()) == 1
-    assert not list(tmp_path.iterdir())

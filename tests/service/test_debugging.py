@@ -10,9 +10,7 @@ from distributed import Client
 import atlas
 from atlas.cli.main import main
 from atlas.errors import InputError
-from atlas.service import dispatch
-from atlas.service.batches import JobType
-from atlas.service.dispatch import open_dispatcher
+from atlas.service.dispatch import Dispatcher
 from atlas.service.summary import TileFailure
 from atlas.store.store import done_tiles, open_store
 from tests.fake_cluster import Numbered
@@ -20,10 +18,6 @@ from tests.planes import plane_of
 from workers import tile as solving
 
 FAULTY = (1, 1)
-
-
-def nothing() -> None:
-    """No setup."""
 
 
 def faulty(job: Numbered) -> tuple[int, ...]:
@@ -35,8 +29,7 @@ def faulty(job: Numbered) -> tuple[int, ...]:
 
 def outcomes(client: Client) -> list[object]:
     jobs = [Numbered((i, j)) for i in range(3) for j in range(3)]
-    with open_dispatcher(client, JobType("faulty", faulty, nothing, nothing)) as force:
-        return list(force.iter_outcomes(jobs, lambda _: None))
+    return list(Dispatcher(client, faulty).iter_outcomes(jobs, lambda _: None))
 
 
 def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(
@@ -49,7 +42,7 @@ def test_the_traceback_of_a_tile_that_fails_is_in_its_failure_and_in_the_log(
     assert line in failure.traceback and "in faulty" in failure.traceback
     assert failure.traceback not in repr(failure)
     said = [record.getMessage() for record in caplog.records if record.name.startswith("atlas.")]
-    assert sum(line in text for text in said) == dispatch.MAX_ATTEMPTS
+    assert sum(line in text for text in said) == 3
     assert "tile (1, 1) is given up after 3 attempts" in said
 
 

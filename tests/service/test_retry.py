@@ -27,9 +27,8 @@ from atlas.store.create import create_store
 from atlas.store.host import host_from_facts
 from atlas.store.host_records import read_hosts, record_host
 from atlas.store.origin import Origin, RetryRequest
-from atlas.store.store import chunk_key, done_tiles, find_store, open_store
+from atlas.store.store import chunk_key, done_tiles, open_store
 from atlas.store.tiles import read_tile
-from tests.polling import until
 from workers.results import APERIODIC, CHAOTIC, REGIME, UNDETERMINED
 from workers.settings import MAX_PERIODS
 from workers.tile import solve_tile
@@ -342,24 +341,6 @@ def test_the_command_makes_the_new_store_and_needs_no_spec(old: Path, tmp_path: 
     assert shown.exit_code == 0
     assert f"solving {(whole(old)['regime'] == UNDETERMINED).sum()} of 35 cells of {old} again" in shown.stderr
     np.testing.assert_array_equal(whole(tmp_path / "new.zarr")["regime"], solved_apart(plane_of_few(MORE))["regime"])
-
-
-def test_leaving_a_retry_to_a_cluster_needs_its_address(tmp_path: Path) -> None:
-    shown = call("retry", tmp_path / "old.zarr", "undetermined", "-o", tmp_path / "new.zarr", "--submit")
-    assert (shown.exit_code, len(shown.stderr.splitlines())) == (2, 1)
-    assert "give its --scheduler, too" in shown.stderr
-
-
-def test_a_retry_can_be_left_to_a_cluster(old: Path, tmp_path: Path, client: Client) -> None:
-    given = ["--max-periods", MORE, "--scheduler", client.scheduler.address, "--submit"]
-    shown = call("retry", old, "undetermined", "-o", tmp_path / "new.zarr", *given)
-    assert shown.exit_code == 0
-    assert "running on the cluster" in shown.stdout
-    new = tmp_path / "new.zarr"
-    until(lambda: find_store(new) is not None and atlas.status(new).fraction == 1.0 and atlas.status(new).run is None)
-    assert open_store(tmp_path / "new.zarr").origin == Origin(
-        os.path.relpath(old, tmp_path / "new.zarr"), open_store(old).run_id, RetryRequest(("undetermined",), MORE)
-    )
 
 
 # Survival

@@ -1,18 +1,24 @@
 """A status is true at some moment between its question and its answer, whatever the run at work does meanwhile."""
 
+import json
 import os
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from distributed import Client
 
 import atlas
+from atlas.cli.main import main
 from atlas.platform import process_name
 from atlas.service.lease import LeaseObserver, LeaseRecord
 from atlas.service.progress import Progress
 from atlas.service.status import StoreCounts, read_status
 from atlas.service.timing import Timing
 from atlas.store import tile_records
+from atlas.store.create import create_store
 from atlas.store.object_backend import LocalBackend
 from atlas.store.sidecar import LEASE_NAME, sidecar_of
 from atlas.store.store import AtlasStore, open_store
@@ -62,7 +68,7 @@ def test_a_status_looks_at_the_claim_twice_and_counts_the_tiles_once(
     monkeypatch.setattr(tile_records, "done_tiles", count)
     monkeypatch.setattr(LocalBackend, "get", read)
     read_status(open_store(finished))
-    assert looks == ["claim", "tiles", "claim", "ended"]
+    assert looks == ["claim", "tiles", "claim"]
 
 
 def test_a_status_has_the_trouble_that_a_run_reports_in_place_of_the_time_left(finished: Path) -> None:
@@ -132,3 +138,51 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
     timing = Timing(tick=0.0, heartbeat=0.001)
     atlas.run(plane_of(), path, client, atlas.RunOptions(on_progress=look, timing=timing))
     assert any(held and 0 < held[0] < 9 and held[1] > 0 for held in seen)
+
+
+# Leases that others hold
+
+
+@pytest.fixture
+def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
+    def make(claim: bytes) -> Path:
+        store = create_store(tmp_path / "out.zarr", plane_of((5, 7)), (5, 7)).path
+        sidecar_of(store).compare_and_set(LEASE_NAME, claim, expected=None)
+        return store
+
+    return make
+
+
+def status(store: Path) -> tuple[str, dict[str, object]]:
+    """The line of the run, and the object of --json."""
+    timing = Timing(lease_poll=0.02, warn_after=0.1)
+    text, message = (CliRunner().invoke(main, ["status", str(store), *more], obj=timing) for more in ((), ("--json",)))
+    assert (text.exit_code, message.exit_code) == (0, 0)
+    line = next(line for line in text.stdout.splitlines() if line.startswith("run "))
+    return line.removeprefix("run").strip(), json.loads(message.stdout)
+
+
+FAR = LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1", progress={"workers": 3})
+
+
+def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Callable[[bytes], Path]) -> None:
+    line, message = status(claimed_store(FAR.pack()))
+    assert line.startswith("no heartbeat from process 1 on far for ")
+    assert (message["run"], str(message["trouble"])[:24]) == ("process 1 on far", "no heartbeat from proces")
+
+
+@pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
+def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
+    line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
+    assert line == "none at work; the lease file is damaged; the next run takes it over"
+    assert message["run"] is None
+
+
+def test_status_says_that_a_runs_process_was_killed(claimed_store: Callable[[bytes], Path]) -> None:
+    with subprocess.Popen(["sleep", "600"]) as sleeper:
+        pid = sleeper.pid
+        process = process_name(pid)
+        sleeper.kill()
+    line, message = status(claimed_store(LeaseRecord("t", 7, "here", pid, process).pack()))
+    gone = f"process {pid} on here ended without releasing its lease; the next run takes it over"
+    assert (line, message["run"], message["trouble"]) == (f"none at work; {gone}", None, gone)

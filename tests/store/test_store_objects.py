@@ -27,7 +27,6 @@ from atlas.cli.main import main
 from atlas.errors import InputError
 from atlas.query.resample import read_view
 from atlas.query.store_block import find_part
-from atlas.service.submit import submit
 from atlas.store.access import StorageAccess, access_by
 from atlas.store.backend import StoreBackend
 from atlas.store.object_backend import LocalBackend, ObjectBackend, open_backend
@@ -383,12 +382,6 @@ def test_credentials_that_cannot_be_sent_to_workers_are_refused(server: dict[str
     options = {"endpoint": server["endpoint"], "region": "us-east-1", "credential_provider": provider}
     with pytest.raises(InputError, match="its credential_provider cannot be sent to workers"):
         atlas.run(plane_of(), f"s3://{BUCKET}/unsent/plane.zarr", client, storage_options=options)
-
-
-def test_a_submitted_run_takes_no_options() -> None:
-    for store, options in (("s3://b/p", {"anon": True}), (obstores.S3Store("b", prefix="p", region="x"), None)):
-        with pytest.raises(InputError, match="submit: the coordinator reaches the store by its own environment"):
-            submit(plane_of(), store, atlas.RunOptions(scheduler="tcp://127.0.0.1:1", storage_options=options))  # type: ignore[arg-type]
 
 
 def test_two_objects_are_two_places() -> None:

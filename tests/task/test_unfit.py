@@ -12,9 +12,7 @@ from distributed import Client, LocalCluster, Status, get_worker
 
 import atlas
 from atlas.errors import RunError
-from atlas.service import dispatch as fanout
 from atlas.service import run as running
-from atlas.service import worker_health
 from atlas.service.progress import Progress
 from atlas.service.status import read_status
 from atlas.service.timing import Timing
@@ -52,10 +50,8 @@ def test_a_worker_at_which_tile_after_tile_fails_is_left_out_and_named_and_costs
     summary = atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert (summary.tiles_done, summary.failures) == (35, ())
     assert summary.refused.keys() == {unfit}
-    assert re.match(r"\d+ consecutive tiles failed on this worker, the first is \(\d, \d\): ", summary.refused[unfit])
+    assert re.match(r"\d+ tiles failed on this worker and succeeded elsewhere, the first is ", summary.refused[unfit])
     assert str(error) in summary.refused[unfit]
-    # The tiles that make it unfit, and those given to it before it was.
-    assert worker_health.MAX_FAILURES <= noted(name).count(unfit) <= worker_health.MAX_FAILURES + 2 * fanout.IN_FLIGHT
 
 
 def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_and_reason(
@@ -66,10 +62,7 @@ def test_a_run_in_which_every_tile_fails_at_every_worker_ends_with_worker_tile_a
         raise ImportError("no numba")
 
     monkeypatch.setattr(running, "execute_job", fail)
-    words = (
-        r"^all workers are excluded, for example inproc://\S+: "
-        r"\d consecutive tiles failed on this worker, the first is .*: ImportError"
-    )
+    words = r"^16 tiles failed twice and none succeeded, for example tile .* on inproc://\S+: ImportError: no numba"
     with pytest.raises(RunError, match=words):
         atlas.run(plane_of((1, 1)), tmp_path / "out.zarr", client=two_workers)
     assert len({*noted(str(tmp_path))}) < 35

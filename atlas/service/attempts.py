@@ -1,0 +1,133 @@
+"""One try of a job on a Dask worker, and its outcome as a value that names the worker."""
+
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Generic, Protocol, TypeVar
+
+from atlas.errors import NetworkError, RunError
+from atlas.task.store_ref import StoreFullError, WorkerRefusedError
+
+
+class IndexedJob(Protocol):
+    """A job with an index, which identifies it."""
+
+    @property
+    def index(self) -> tuple[int, ...]:
+        """The index of the job's tile, or its number among other jobs."""
+
+
+J = TypeVar("J", bound=IndexedJob)
+R = TypeVar("R")
+
+
+class Ending(Enum):
+    """How an attempt ended.
+
+    DONE         with a report
+    REFUSED      the worker must not or cannot do jobs of this run
+    UNREACHABLE  the store does not respond to the worker
+    FULL         the store has no space left
+    FAILED       with an exception, for which the job or the worker may be the reason
+    """
+
+    DONE = ()
+    REFUSED = (WorkerRefusedError,)
+    UNREACHABLE = (NetworkError,)
+    FULL = (StoreFullError,)
+    FAILED = (Exception,)
+
+
+@dataclass(frozen=True)
+class AttemptOutcome(Generic[R]):
+    """The outcome of an attempt.
+
+    worker     address of the worker; empty if unknown
+    ending     how it ended
+    report     what the job returned; None unless it is done
+    seconds    duration on the worker
+    reason     message of the exception; empty if the job is done
+    traceback  traceback on the worker
+    is_death   True if the worker's process died
+    """
+
+    worker: str
+    ending: Ending
+    report: R | None = None
+    seconds: float = 0.0
+    reason: str = ""
+    traceback: str = ""
+    is_death: bool = False
+
+
+@dataclass(eq=False)
+class OpenJob(Generic[J]):
+    """A job without an outcome.
+
+    job        the job
+    failures   failures of its attempts
+    n_flying   number of its attempts in flight
+    is_copied  True if it took long, and a second worker has got it
+    """
+
+    job: J
+    failures: list[AttemptOutcome[Any]] = field(default_factory=list)
+    n_flying: int = 0
+    is_copied: bool = False
+
+    @property
+    def n_deaths(self) -> int:
+        """Number of its attempts that ended with the death of their workers."""
+        return sum(failure.is_death for failure in self.failures)
+
+    @property
+    def n_errors(self) -> int:
+        """Number of its attempts that ended with an exception."""
+        return len(self.failures) - self.n_deaths
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt(Generic[J]):
+    """An attempt in flight: its job, the workers that it is restricted to, its begin in seconds of ``monotonic``."""
+
+    open_job: OpenJob[J]
+    workers: tuple[str, ...] | None
+    since: float
+
+
+def run_attempt(act: Callable[[J], R], job: J) -> AttemptOutcome[R]:
+    """Do a job on this worker, and return the outcome: an exception becomes a value that names the worker."""
+    from distributed import get_worker
+
+    worker, begin = get_worker().address, time.perf_counter()
+    try:
+        return AttemptOutcome(worker, Ending.DONE, act(job), time.perf_counter() - begin)
+    except Exception as error:
+        ending = next(ending for ending in Ending if isinstance(error, ending.value))
+        reason = _format_error(error) if ending is Ending.FAILED else str(error)
+        return AttemptOutcome(worker, ending, reason=reason, traceback=traceback.format_exc())
+
+
+def outcome_of_error(error: BaseException) -> AttemptOutcome[Any]:
+    """Return the outcome of an attempt that never returned, from Dask's error.
+
+    Raise RunError if the scheduler cannot load this package.
+    """
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        reason = f"all of its workers have died, {error.allowed_failures + 1} of them"
+        return AttemptOutcome(error.last_worker.address, Ending.FAILED, reason=reason, is_death=True)
+    if "deserialization of the task graph" in str(error):
+        raise RunError(
+            f"the scheduler cannot load this package ({type(error).__name__}); install the same impact-atlas on every "
+            "host, the scheduler's too"
+        )
+    return AttemptOutcome("", Ending.FAILED, reason=_format_error(error))
+
+
+def _format_error(error: BaseException) -> str:
+    """Return the type and the message of an exception in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
