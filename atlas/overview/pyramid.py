@@ -198,7 +198,7 @@ class Pyramid:
         return True
 
     def _write(self, level: int, index: Index, below: Cells) -> None:
-        """Coarsen the cells of the previous level below a chunk and write the chunk, ``regime`` last."""
+        """Coarsen the cells of the previous level below a chunk, write the chunk, and commit its ``regime`` last."""
         block = self.levels.block(level, index)
         finer = self.levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(self.widths[level - 1], finer, strict=True))
@@ -208,7 +208,8 @@ class Pyramid:
                 self.handle.backend.put_all(objects)
                 objects = {}
             objects |= encode_chunks(self.array(level, variable.name), block, coarse[variable.name])
-        self.handle.backend.put_all(objects)
+        for key, data in objects.items():
+            self.handle.backend.commit(key, data)
 
     def drop(self, tiles: Iterable[Index]) -> None:
         """Drop the overviews of these tiles, before any of the tiles is written."""

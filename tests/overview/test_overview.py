@@ -482,12 +482,12 @@ def test_a_chunk_over_damage_is_named_at_the_end_and_no_worker_is_blamed(begun: 
     assert len(store.done_tiles(handle)) == 9
 
 
-def test_a_job_whose_run_has_lost_its_claim_makes_no_chunk(filled: store.AtlasStore) -> None:
+def test_a_job_whose_run_has_lost_its_lease_finishes_no_chunk(filled: store.AtlasStore) -> None:
     overviews_of(filled)
     job = job_of(filled, (0, 0), 1)
     with pytest.raises(WorkerRefusedError, match="has lost its lease"):
         execute_job(replace(job, store_ref=replace(job.store_ref, lease="another")))
-    assert not list(filled.backend.list_keys("overviews/1/largest/c/"))
+    assert not list(filled.backend.list_keys("overviews/1/regime/c/"))
 
 
 # Killed at any step

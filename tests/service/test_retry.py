@@ -134,7 +134,8 @@ def test_tiles_without_such_cells_are_the_same_files(old: Path, new: Path) -> No
         for index in done_tiles(handle):
             key = chunk_key(variable, index)
             if (old / key).exists() and (new / key).exists():  # no object says that no cell has a reason
-                assert (old / key).samefile(new / key) == (index in shared), key
+                is_link = index in shared and variable.name != "regime"  # the object that finishes a tile is its own
+                assert (old / key).samefile(new / key) == is_link, key
 
 
 def test_where_there_are_no_links_the_bytes_are_copied(

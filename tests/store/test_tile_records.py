@@ -384,6 +384,7 @@ def test_a_run_reports_what_its_store_holds_after_each_receipt(finished: Path) -
     run.add((1, 1), record_of(handle, (1, 1), read_tile(handle, (1, 1))).tolist())
     assert run.counts is not None
     assert (run.counts["tiles"], run.counts["regimes"]) == (9, counts_of(finished))
+    run.write()
     assert run.counts["reasons"] == read_status(handle).reasons
     run.add((0, 0), (0.0,) * WIDTH)
     assert run.counts is None
