@@ -71,7 +71,7 @@ def open(store: Given, chunks: Chunks = None, storage_options: Mapping[str, Any]
 
     >>> import atlas
     >>> ds = atlas.open("plane.zarr")
-    >>> ds.atlas.at(omega=3.0, b=0.3)["regime"]
+    >>> ds.atlas.at(omega=3.0, b=0.3)["regime"].item()
     'periodic'
     """
     return open_atlas(store, chunks, storage_options)

@@ -159,7 +159,7 @@ class Dispatcher(Generic[J, R]):
                 self._exclude(self._refused, worker, f"memory limit {byte_size(limit)} is below the {needed}")
 
     def _refresh(self) -> None:
-        """Update the workers from the cluster, which may grow and shrink, and take jobs from those that hang."""
+        """Update the workers from the cluster, which may grow and shrink, and take jobs from workers that hang."""
         threads, now = worker_threads(self.client), time.monotonic()
         if threads.keys() - self._threads.keys():
             self.require_memory(self.memory)
@@ -191,8 +191,8 @@ class Dispatcher(Generic[J, R]):
             return  # no other worker
         for future, attempt in slow.items():
             worker, index = holders[future.key], attempt.open_job.job.index
-            taken = f"tile {index} has taken {duration(now - attempt.since)}, the median is {duration(usual)}"
-            self._exclude(self._slow, worker, f"{taken}; other workers do its tiles")
+            reason = f"tile {index} has taken {duration(now - attempt.since)}, the median is {duration(usual)}"
+            self._exclude(self._slow, worker, f"{reason}; other workers do its tiles")
         for attempt in slow.values():
             attempt.open_job.is_copied = True
             self._submit(attempt.open_job)
@@ -261,7 +261,7 @@ class Dispatcher(Generic[J, R]):
         return True
 
     def _fit_workers(self) -> list[str]:
-        """Return the workers that get jobs: those not excluded; if there are none, those that do not refuse."""
+        """Return the workers that get jobs: all that are not excluded; if all are, the workers that do not refuse."""
         excluded, refusing = self._excluded, self._refused | self._unreachable
         fit = [worker for worker in self._threads if worker not in excluded]
         return fit or [worker for worker in self._threads if worker not in refusing]
@@ -279,8 +279,8 @@ class Dispatcher(Generic[J, R]):
             return OpenJob(job)
         if not self._retries and not self._flying:
             # Dask blames a worker's death on all its jobs: alone only the job that kills its worker fails again.
-            last = [each for each in self._deferred if not each.failures[-1].is_death] or self._deferred[:1]
-            self._deferred = [each for each in self._deferred if each not in last]
+            last = [job for job in self._deferred if not job.failures[-1].is_death] or self._deferred[:1]
+            self._deferred = [job for job in self._deferred if job not in last]
             self._retries.extend(last)
         return self._retries.popleft() if self._retries else None
 
@@ -350,7 +350,7 @@ class Dispatcher(Generic[J, R]):
 
         outcomes: dict[int, AttemptOutcome[R]] = {}
         with loss_reported(self.client), suppress(TimeoutError):
-            outcomes = {n: found for n, found in self.client.sync(gather).items() if found} if by_number else {}
+            outcomes = {n: outcome for n, outcome in self.client.sync(gather).items() if outcome} if by_number else {}
         self._unfetched = []
         for n, future in enumerate(ended):
             if n in outcomes:
@@ -369,7 +369,7 @@ class Dispatcher(Generic[J, R]):
         queue.append(open_job)
 
     def _record_success(self, open_job: OpenJob[J], outcome: AttemptOutcome[R]) -> None:
-        """Record a worker's success: failures of the same job speak against the workers on which it failed."""
+        """Record a worker's success. The workers on which the same job failed are blamed for it."""
         self._seconds.append(outcome.seconds)
         self._proven.add(outcome.worker)
         self._unreachable.clear()  # the store responds to this worker, so perhaps to the others too

@@ -212,7 +212,7 @@ def _open_handle(place: StoreBackend) -> AtlasStore:
 
 def _attributes(place: StoreBackend, content: bytes | None) -> dict[str, Any]:
     """Return the attributes of a root without a right checksum. Raise InputError if it is not that of an atlas."""
-    path = getattr(place, "path", None)
+    path = place.local or getattr(place, "file", None)
     if content is None and not (path is not None and path.exists()):
         raise InputError(f"{place}: no such store")
     try:

@@ -83,12 +83,12 @@ class ZarrBackend(StoreBackend):
         return self.get(key)  # a Zarr store has no cheaper token
 
     def exists(self, key: str) -> bool:
-        async def found() -> bool:
+        async def is_stored() -> bool:
             store = await self._open()
             return store is not None and await store.exists(key)
 
         with self._damage_as_os_error():
-            return run_in_zarr(found())
+            return run_in_zarr(is_stored())
 
     def list_keys(self, prefix: str = "") -> Iterator[str]:
         async def listed() -> list[str]:

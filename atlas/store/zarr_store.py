@@ -38,8 +38,8 @@ class BackendStore(Store):
 
     async def get(self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None) -> Buffer | None:
         if isinstance(self.backend, ZarrBackend):
-            found: Buffer | None = await self.backend.read(key, prototype, byte_range)
-            return found
+            buffer: Buffer | None = await self.backend.read(key, prototype, byte_range)
+            return buffer
         data = await _in_thread(self.backend.get, key, _slice_of(byte_range))
         return None if data is None else prototype.buffer.from_bytes(data)
 

@@ -61,7 +61,7 @@ JSON = """
 plan SPEC: axes dims shape cells tile tiles bytes objects objects_per_tile workers seconds seconds_range
     seconds_per_cell processor_seconds periods cells_probed note
 status STORE: store system axes parameters columns solve tile tiles tiles_done tiles_pending cells cells_done
-    cells_pending cells_failed fraction regimes reasons run trouble ended workers cells_per_second seconds_left
+    cells_pending cells_failed fraction regimes reasons run trouble workers cells_per_second seconds_left
     solver_version run_id digest
 verify STORE: store sound complete tiles tiles_done chunks cells_checked cells_solved comparison seed faults doubts
     overview_chunks repaired dropped removed restored leftovers

@@ -14,6 +14,7 @@ from atlas.query.connected_regions import labels, regions
 from atlas.query.extremes import extremes
 from atlas.query.read_counter import count_chunk_reads
 from atlas.store import create, store
+from atlas.store.tile_records import complete_records
 from atlas.store.tiles import write_tile
 from tests.interface.test_cli import call
 from tests.query.test_query import plane, spec
@@ -213,6 +214,7 @@ def recorded(path: Path) -> store.AtlasStore:
             made["regime"][...] = code
         made["period"] = np.where(made["regime"] == PERIODIC, 2, 0).astype(np.int32)
         write_tile(handle, (0, column), made)
+    complete_records(handle)
     return handle
 
 

@@ -166,9 +166,7 @@ def test_two_runs_share_a_scheduler_and_a_third_on_the_same_store_is_refused(ser
 
 def test_watch_gives_up_on_a_lease_that_stands_still(tmp_path: Path) -> None:
     store = create_store(tmp_path / "out.zarr", PLANE, (1, 3)).path
-    sidecar_of(store).compare_and_set(
-        LEASE_NAME, LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack(), expected=None
-    )
+    sidecar_of(store).put_new(LEASE_NAME, LeaseRecord("theirs", 7, "far", 1, "another-boot pid:[1] 1 1").pack())
     seen = list(watch(StatusReader(open_store(store)), seconds=4.0, sleep=lambda _: None))
     assert all(status.run is not None for status in seen)
     assert len(seen) == 1 + TIMING.expire_after // 4 + 1

@@ -147,7 +147,7 @@ def test_a_run_says_in_its_claim_what_its_store_holds(tmp_path: Path, client: Cl
 def claimed_store(tmp_path: Path) -> Callable[[bytes], Path]:
     def make(claim: bytes) -> Path:
         store = create_store(tmp_path / "out.zarr", plane_of((5, 7)), (5, 7)).path
-        sidecar_of(store).compare_and_set(LEASE_NAME, claim, expected=None)
+        sidecar_of(store).put_new(LEASE_NAME, claim)
         return store
 
     return make

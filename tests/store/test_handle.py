@@ -38,9 +38,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Counter[tuple[str, str]]]
     def counting(name: str) -> None:
         whole = getattr(LocalBackend, name)
 
-        def call(place: LocalBackend, key: str) -> object:
+        def call(place: LocalBackend, key: str, *part: slice | None) -> object:
             counts[name, key] += 1
-            return whole(place, key)
+            return whole(place, key, *part)
 
         monkeypatch.setattr(LocalBackend, name, call)
 
