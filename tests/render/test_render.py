@@ -16,6 +16,7 @@ from atlas.query import color_limits
 from atlas.query.plane import CoordinateInfo
 from atlas.query.window import cell_edges
 from atlas.render import scalar_maps, style, text
+from atlas.render.class_maps import PERIODS
 from atlas.render.layers import paint
 from tests.pictures import NAN, atlas, colour, every_regime, labels, layers, pixel, section, sweep
 from workers.model.system import System
@@ -232,7 +233,7 @@ def test_impact_free_cells_are_their_own_class_and_not_period_1() -> None:
     codes = np.array([[NO_IMPACT, PERIODIC]], np.int8)
     rgba = paint(layers("period", regime=codes, period=np.ones((1, 2), np.int32)))
     assert tuple(rgba[0, 0]) == colour(NO_IMPACT)
-    assert tuple(rgba[0, 1]) == colour(PERIODIC)
+    assert tuple(rgba[0, 1]) == style.rgb(PERIODS[0][2])
 
 
 # Axes

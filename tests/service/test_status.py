@@ -174,7 +174,7 @@ def test_status_says_that_a_claim_from_elsewhere_stands_still(claimed_store: Cal
 @pytest.mark.parametrize("damage", [{"beat": "x"}, {"pid": None}, {"progress": [1]}, {"token": 1}])
 def test_status_says_that_a_claim_is_damaged(claimed_store: Callable[[bytes], Path], damage: dict[str, object]) -> None:
     line, message = status(claimed_store(json.dumps(json.loads(FAR.pack()) | damage).encode()))
-    assert line == "none at work; the lease file is damaged; the next run takes it over"
+    assert line == "none at work; the lease is damaged; the next run takes it over"
     assert message["run"] is None
 
 
