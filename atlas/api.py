@@ -90,8 +90,8 @@ def plan(spec: Spec, workers: int | None = None, probe: bool = True) -> Plan:
     """
     validate_flag("probe", probe)
     validate_type("spec", spec, Spec, "an atlas.Spec")
-    made = make_plan(spec, RunOptions(workers=workers).workers)
-    return add_probe(made, lambda progress: None) if probe else made
+    estimate = make_plan(spec, RunOptions(workers=workers).workers)
+    return add_probe(estimate, lambda progress: None) if probe else estimate
 
 
 def status(store: Given, storage_options: Mapping[str, Any] | None = None) -> StoreStatus:

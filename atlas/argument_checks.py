@@ -86,5 +86,5 @@ def validate_atlas(value: object, name: str = "atlas") -> Any:
 
 def _items(value: object) -> tuple[Any, ...]:
     """Return the items of a sequence or one-dimensional array; empty for text and for any other value."""
-    whole = isinstance(value, Sequence) or getattr(value, "ndim", 0) == 1
-    return tuple(value) if whole and not isinstance(value, str | bytes) else ()  # type: ignore[arg-type]
+    is_sequence = isinstance(value, Sequence) or getattr(value, "ndim", 0) == 1
+    return tuple(value) if is_sequence and not isinstance(value, str | bytes) else ()  # type: ignore[arg-type]

@@ -22,12 +22,12 @@ def duration(seconds: float) -> str:
     """Return a duration as text: 0.4 s, 12 s, 3 min 20 s, 5 h 10 min."""
     if seconds < 10:
         return f"{seconds:.1f} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    total = round(seconds)
+    if total < 60:
+        return f"{total} s"
+    if total < 3600:
+        return f"{total // 60} min {total % 60} s"
+    return f"{total // 3600} h {total % 3600 // 60} min"
 
 
 def text_repr(value: object) -> str:
@@ -37,8 +37,12 @@ def text_repr(value: object) -> str:
 
 def short_repr(value: Any) -> str:
     """Return a dataclass as a call with the fields that differ from their defaults, without ``repr=False`` fields."""
-    shown = [entry for entry in fields(value) if entry.repr]
-    changed = [f"{entry.name}={given!r}" for entry in shown if (given := getattr(value, entry.name)) != entry.default]
+    visible_fields = [entry for entry in fields(value) if entry.repr]
+    changed = [
+        f"{entry.name}={field_value!r}"
+        for entry in visible_fields
+        if (field_value := getattr(value, entry.name)) != entry.default
+    ]
     return f"{type(value).__name__}({', '.join(changed)})"
 
 
@@ -102,4 +106,4 @@ def mathtext_to_unicode(symbol: str) -> str:
 
 def _lowered(text: str) -> str:
     low = text.translate(_BELOW)
-    return low if all(below != given for below, given in zip(low, text, strict=True)) else f"_{text}"
+    return low if all(below != character for below, character in zip(low, text, strict=True)) else f"_{text}"

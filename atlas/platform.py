@@ -164,12 +164,12 @@ def process_name(pid: int | None = None) -> str:
 
 def is_running(pid: int, name: str) -> bool | None:
     """Return True if the process with this id and name runs, False if it does not; None if this host cannot know."""
-    here, there = process_name().split(), name.split()
-    if not here or here[:2] != there[:2]:
+    own_parts, name_parts = process_name().split(), name.split()
+    if not own_parts or own_parts[:2] != name_parts[:2]:
         return None
     if not psutil.pid_exists(pid):
         return False
     try:
-        return process_start(pid) == there[3]
+        return process_start(pid) == name_parts[3]
     except OSError:
         return None

@@ -41,7 +41,7 @@ class Mutation(NamedTuple):
 MUTATIONS = tuple(
     Mutation(*row)
     for row in (
-        ("atlas/formatting.py", "if whole < 3600:", "if whole < 360:", "interface/test_text.py"),
+        ("atlas/formatting.py", "if total < 3600:", "if total < 360:", "interface/test_text.py"),
         ("atlas/argument_checks.py", "and int(n) >= 1 for n in sizes", "and int(n) >= 0 for n in sizes", "interface/test_arguments.py"),
         ("atlas/spec/cells.py", "if not edges[0] <= value <= edges[-1]:", "if not edges[0] < value < edges[-1]:", "query/test_query.py spec/test_axes.py"),
         ("atlas/spec/cells.py", "[2.0 * points[0] - middle[0]], middle", "[points[0]], middle", "query/test_query.py spec/test_axes.py"),

@@ -62,8 +62,8 @@ class LawCheck:
 
     def __str__(self) -> str:
         lines = [
-            f"{where}: {here} segments at the defaults, compared with {there}"
-            for where, (here, there) in self.segments.items()
+            f"{where}: {coarse} segments at the defaults, compared with {fine}"
+            for where, (coarse, fine) in self.segments.items()
         ]
         invalid = f", {self.beyond} of them invalid" if self.beyond else ""
         lines.append(f"{len(self.changed)} of {self.cells} cells change their class{invalid}")
@@ -73,7 +73,7 @@ class LawCheck:
                 f"states of periodic cells change by {size:.2g} at most, {share:.2g} of their size, at {_point(at)}"
             )
         lines += [
-            f"{_point(at)}: {here}, with twice the segments {there}" for at, here, there in self.changed[:MAX_ROWS]
+            f"{_point(at)}: {coarse}, with twice the segments {fine}" for at, coarse, fine in self.changed[:MAX_ROWS]
         ]
         if len(self.changed) > MAX_ROWS:
             lines.append(f"... and {len(self.changed) - MAX_ROWS} more; --json lists all")
@@ -84,7 +84,10 @@ class LawCheck:
         change = dict(
             zip(("state_change", "state_change_share", "state_change_at"), self.state or (None,) * 3, strict=True)
         )
-        changed = [{"at": at, "class": here, "finer_class": there} for at, here, there in self.changed]
+        changed = [
+            {"at": at, "class": coarse_class, "finer_class": finer_class}
+            for at, coarse_class, finer_class in self.changed
+        ]
         return {"segments": self.segments, "cells": self.cells, "invalid": self.beyond, "changed": changed, **change}
 
 
@@ -119,20 +122,20 @@ def check_law(spec: Spec, fine: FinerLaws, cells: int = CELLS) -> LawCheck:
     ]
     grids = dict(zip((axis.name for axis in spec.axes), np.meshgrid(*lines), strict=True))
     params = {**spec.parameters, **{name: grid.ravel() for name, grid in grids.items()}}
-    here, there = (solve_tile(record, params, spec.settings) for record in (spec.system_def, fine.record))
-    invalid = (here["regime"] == INVALID) | (there["regime"] == INVALID)
-    other = np.any([here[name] != there[name] for name in CLASS], axis=0) & ~invalid
+    results, finer_results = (solve_tile(record, params, spec.settings) for record in (spec.system_def, fine.record))
+    invalid = (results["regime"] == INVALID) | (finer_results["regime"] == INVALID)
+    other = np.any([results[name] != finer_results[name] for name in CLASS], axis=0) & ~invalid
 
     def at(k: int) -> dict[str, float]:
         return {axis.name: float(params[axis.name][k]) for axis in spec.axes}
 
-    changed = [(at(k), _named(here, k), _named(there, k)) for k in np.flatnonzero(other).tolist()]
-    change = np.max(np.abs(here["state"] - there["state"]), axis=-1)
-    change = np.where((here["period"] > 0) & ~other & ~invalid, change, np.nan)
+    changed = [(at(k), _named(results, k), _named(finer_results, k)) for k in np.flatnonzero(other).tolist()]
+    change = np.max(np.abs(results["state"] - finer_results["state"]), axis=-1)
+    change = np.where((results["period"] > 0) & ~other & ~invalid, change, np.nan)
     state = None
     if not np.all(np.isnan(change)):
         k = int(np.nanargmax(change))
-        state = float(change[k]), float(change[k] / np.max(np.abs(here["state"][k]))), at(k)
+        state = float(change[k]), float(change[k] / np.max(np.abs(results["state"][k]))), at(k)
     return LawCheck(fine.segments, len(other), int(np.sum(invalid)), changed, state)
 
 

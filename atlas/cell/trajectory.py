@@ -131,28 +131,28 @@ def cell_orbit(
     parameters = validate_parameters(record, given)
     settings = given_settings(settings)
     samples = max(SECTION_STATES, settings.section_samples)
-    asked = replace(settings, exponents="spectrum", section_samples=samples)
-    cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, asked).items()}
+    full_settings = replace(settings, exponents="spectrum", section_samples=samples)
+    cell: dict[str, Any] = {name: array[()] for name, array in solve_tile(record, parameters, full_settings).items()}
     start = cell["state"]
     if not np.all(np.isfinite(start)):
         reason = in_words(cell).get(REASON.name, "its state is not known")
         raise InputError(f"this cell has no motion to show: {reason}")
-    here = parameters | dict(zip(record.states, map(float, start), strict=True))
+    values = parameters | dict(zip(record.states, map(float, start), strict=True))
     cycle, closes = None, int(cell["period"])
     section = cell["section"][np.isfinite(cell["section"]).all(axis=-1)]
     section = section[-closes:] if closes else section
     if record.definition.unforced:
         closes = min(closes, 1)  # one period, the period of the cycle
         cycle = float(cell[CYCLE_PERIOD.name]) if np.isfinite(cell[CYCLE_PERIOD.name]) else None
-    running = _running(record, here, asked, cycle)
+    running = _running(record, values, full_settings, cycle)
     osc = take_one(record.build_many(_given(record, parameters, cycle))[0], 0)
     gap = section[:, : osc.gap_row.size] @ osc.gap_row
     long = math.ceil(2.0 * modulation(gap)) if int(cell[REGIME.name]) == QUASIPERIODIC else 0
-    times, states, impacts = path_of(record, here, closes or min(max(OPEN_PATH, long), MAX_PATH_PERIODS), cycle)
+    times, states, impacts = path_of(record, values, closes or min(max(OPEN_PATH, long), MAX_PATH_PERIODS), cycle)
     return CellTrajectory(
         system=record,
         parameters=parameters,
-        settings=asked,
+        settings=full_settings,
         cell=cell,
         period=osc.period,
         stops=(osc.lower, osc.upper),

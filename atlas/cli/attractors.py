@@ -72,8 +72,8 @@ def measure_attractors(
     """
     from atlas.service import measures  # imports Numba
 
-    with resumable(ctx, options) as shown:
-        summary = measures.measure_attractors(store, shocks=shocks, norm=norm, options=shown)
+    with resumable(ctx, options) as run_options:
+        summary = measures.measure_attractors(store, shocks=shocks, norm=norm, options=run_options)
     emit(summary, as_json)
 
 
@@ -107,8 +107,8 @@ def stability(
     weights = validate_weights(norm, record)
     with show_solving(record, ATTRACTORS):
         measures = measure(pairs, system=record, settings=settings, starts=starts, norm=weights, shocks=shocks)
-    shown = measures | {"system": record.name}
-    click.echo(to_json(measures)) if as_json else print_values(shown, "coexisting")
+    summary = measures | {"system": record.name}
+    click.echo(to_json(measures)) if as_json else print_values(summary, "coexisting")
 
 
 @click.command(
@@ -144,8 +144,8 @@ def saddles(
     if as_json:
         click.echo(to_json(results))
         return
-    shown = ("period", "between", "residual", "multipliers", "states", "slopes")
-    rows = [(name, *(text(saddle.get(name, "")) for saddle in results["saddles"])) for name in shown]
+    names = ("period", "between", "residual", "multipliers", "states", "slopes")
+    rows = [(name, *(text(saddle.get(name, "")) for saddle in results["saddles"])) for name in names]
     if results["saddles"]:
         print_table("saddles", ["", *map(str, range(len(results["saddles"])))], rows)
     for line in results["troubles"]:

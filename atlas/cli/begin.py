@@ -34,8 +34,8 @@ def demo(ctx: click.Context, folder: Path) -> None:
         group = ctx.parent.command
         assert isinstance(group, click.Group)
         command = group.commands[words[0]]
-        with command.make_context(words[0], words[1:], parent=ctx.parent) as own:
-            command.invoke(own)
+        with command.make_context(words[0], words[1:], parent=ctx.parent) as context:
+            command.invoke(context)
     print_status(f"the map: {picture}; next: atlas explore, atlas systems, atlas --help")
 
 

@@ -40,12 +40,14 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
     from atlas.query.attractors import select_dominant
     from atlas.query.compare import Comparison
 
-    given = [f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)]
+    option_names = [
+        f"no-{name}" if value is False else name for name, value in look.items() if value not in (None, True)
+    ]
     if out is not None:
         check_path(out)
         PictureRequest.from_arguments(**look)
-    elif given:
-        raise InputError(f"--{given[0].replace('_', '-')} needs -o, the picture")
+    elif option_names:
+        raise InputError(f"--{option_names[0].replace('_', '-')} needs -o, the picture")
     with input_errors():
         compared = Comparison.from_atlases(
             select_dominant(open_atlas(store)), select_dominant(open_atlas(other)), window
@@ -57,10 +59,10 @@ def compare(store: str, other: str, window: Bounds, out: Path | None, as_json: b
     if as_json:
         click.echo(to_json(message | ({} if out is None else {"file": str(out)})))
         return
-    for name, (here, there) in compared.differing.items():
-        click.echo(f"{name}: {here:g} in {store}, {there:g} in {other}")
+    for name, (in_store, in_other) in compared.differing.items():
+        click.echo(f"{name}: {in_store:g} in {store}, {in_other:g} in {other}")
     names = list(message["regimes"])
-    rows = [(here, *(str(message["regimes"][here][there]) for there in names)) for here in names]
+    rows = [(in_store, *(str(message["regimes"][in_store][in_other]) for in_other in names)) for in_store in names]
     print_table(f"cells: rows by {store}, columns by {other}", ["", *names], rows)
     click.echo(f"the same regime: {100 * message['same_share']:.2f} % of the area")
     most = compared.numbers.most

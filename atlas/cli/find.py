@@ -151,8 +151,8 @@ def find_curves(
 
     if out is not None:
         check_target(out, FORMATS)
-    with resumable(ctx, options) as shown:
-        summary = curves.find_curves(store, CurveSettings(**budget), options=shown)
+    with resumable(ctx, options) as run_options:
+        summary = curves.find_curves(store, CurveSettings(**budget), options=run_options)
     if out is not None:
         export(summary.curves, out)
     emit(summary, as_json)

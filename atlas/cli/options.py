@@ -221,8 +221,8 @@ def check_cell_options(store: str | None) -> None:
         if option.name in wrong and store is None:
             raise InputError(f"{option.opts[-1]} needs a STORE; to give parameters without a store use --set")
         if option.name in wrong:
-            own = "to choose a cell of a STORE use --at"
-            raise InputError(f"{option.opts[-1]} is for a cell without a STORE; {own}")
+            advice = "to choose a cell of a STORE use --at"
+            raise InputError(f"{option.opts[-1]} is for a cell without a STORE; {advice}")
 
 
 def options_given(context: click.Context) -> Iterator[click.Parameter]:
@@ -307,8 +307,8 @@ def interruptible() -> Iterator[None]:
         raise KeyboardInterrupt
 
     # A job in the background starts with Ctrl-C ignored, which remains so.
-    wanted = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
-    before = {caught: signal.signal(caught, first) for caught in wanted}
+    signals = [caught for caught in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(caught) != signal.SIG_IGN]
+    before = {caught: signal.signal(caught, first) for caught in signals}
     try:
         yield
     finally:

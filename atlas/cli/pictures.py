@@ -91,9 +91,9 @@ def plot(
 
     check_path(out)
     single = {"overlay": overlay, "curves": curves, "no-names": not names, "against": against, "log": log}
-    given = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
-    if len(stores) > 1 and given:
-        raise InputError(f"--{given[0]} takes one STORE, found {len(stores)}")
+    option_names = [name for name, value in {**single, "variable": variable, "observe": observe}.items() if value]
+    if len(stores) > 1 and option_names:
+        raise InputError(f"--{option_names[0]} takes one STORE, found {len(stores)}")
     of_one: dict[str, Any] = {"overlay": overlay, "curves": curves, "names": names, "variable": variable, "log": log}
     PictureRequest.from_arguments(kind, window, **of_one, observe=observe, **look)  # before stores are read
     with input_errors(), count_chunk_reads() as reads:

@@ -70,8 +70,8 @@ def query(store: str, point: Numbers, window: Bounds, select: Numbers, as_json: 
             print_values(results, "coexisting")
         else:
             used = questions.laws(select_dominant(ds), bounds)
-            shown = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
-            print_table("", ["regime", f"share of {_measured(select_dominant(ds))}"], shown)
+            rows = [(name, f"{100 * share:.2f} %") for name, share in results.items()]
+            print_table("", ["regime", f"share of {_measured(select_dominant(ds))}"], rows)
         click.echo("".join(f"{line}\n" for line in (*reason_lines(why), *law_lines(used))), nl=False)
 
 

@@ -89,23 +89,23 @@ def plan(
     """Estimate the cost of SPEC: cells, tiles, bytes, probed time. With --laws check whether its segments matter."""
     read = _read(spec, points, observe)
     fine = None if laws is None else finer(read)
-    made = make_plan(read, workers)
-    place = open_backend(out)
-    check_not_packed(place)
-    if place.local is not None:
+    estimate = make_plan(read, workers)
+    backend = open_backend(out)
+    check_not_packed(backend)
+    if backend.local is not None:
         try:
-            check_free_space(made, place.local)
+            check_free_space(estimate, backend.local)
         except InputError as error:
             print_status(f"atlas run will refuse this: {error}")
     if probe:
         with progress.reporter(sys.stderr) as show:
-            made = add_probe(made, show)
+            estimate = add_probe(estimate, show)
     if fine is None or laws is None:
-        emit(made, as_json)
+        emit(estimate, as_json)
         return
     with progress.show_solving(read.system_def):
         check = check_law(read, fine, laws)
-    click.echo(to_json(made.as_dict() | {"laws": check.as_dict()}) if as_json else f"{made}\n{check}")
+    click.echo(to_json(estimate.as_dict() | {"laws": check.as_dict()}) if as_json else f"{estimate}\n{check}")
 
 
 def _read(spec: str, points: str | None, observe: str | None) -> Spec:
@@ -174,8 +174,8 @@ def run(
     read = _read(spec, points, observe)
     index = None if tile is None else tuple(read_whole("--tile", part) for part in tile.split(","))
     options = options.replace_fields(tls=_tls(**tls), tile=index, performance_report=report)
-    with _logged(log), progress.resumable(ctx, options, with_time) as shown:
-        summary = run_spec(read, out, options=shown)
+    with _logged(log), progress.resumable(ctx, options, with_time) as run_options:
+        summary = run_spec(read, out, options=run_options)
     _report(ctx, summary)
 
 
@@ -209,8 +209,8 @@ def retry(
     command resumes a retry that was stopped.
     """
     options = options.replace_fields(tls=_tls(**tls))
-    with progress.resumable(ctx, options) as shown:
-        summary = retry_store(store, out, regimes, max_periods, survival, options=shown)
+    with progress.resumable(ctx, options) as run_options:
+        summary = retry_store(store, out, regimes, max_periods, survival, options=run_options)
     _report(ctx, summary)
 
 
@@ -252,8 +252,8 @@ def extend(
         raise InputError("give either the SPEC of the new atlas or --refine")
     factors = read_factors(refine) if refine else None
     read = None if spec is None else Spec.from_toml(spec)
-    with progress.resumable(ctx, options, with_time) as shown:
-        summary = extend_store(store, out, read, factors, options=shown)
+    with progress.resumable(ctx, options, with_time) as run_options:
+        summary = extend_store(store, out, read, factors, options=run_options)
     _report(ctx, summary)
 
 

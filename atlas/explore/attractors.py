@@ -116,8 +116,8 @@ class AttractorsPanel(Panel[CellResult]):
     def _known(self, cell: CellResult, kept: AttractorListing | None) -> None:
         if kept is None:
             first = first_compile_notice(self._subject.system, ATTRACTORS)
-            sought = f"searching from {self._subject.starts.count} initial states{first}"
-            self.panel.text = f'{ALL}<span class="waiting">{sought}</span>'
+            notice = f"searching from {self._subject.starts.count} initial states{first}"
+            self.panel.text = f'{ALL}<span class="waiting">{notice}</span>'
             self.submit([attractor_computation(self._subject, cell)], partial(self._take, cell))
         else:
             self._take(cell, kept)

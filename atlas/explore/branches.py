@@ -170,9 +170,9 @@ class FollowedBranch:
             BranchMarker(k, ENDS[end], self.values[k]) for k, end in zip((0, last), ends, strict=True) if end in ENDS
         ]
         marks = sorted({mark.point_index: mark for mark in (*marks, *self.events)}.values())
-        place = here.point_index if here.value == self.values[here.point_index] else here.point_index + 0.5
-        before = [mark for mark in marks if mark.point_index < place]
-        after = [mark for mark in marks if mark.point_index > place]
+        position = here.point_index if here.value == self.values[here.point_index] else here.point_index + 0.5
+        before = [mark for mark in marks if mark.point_index < position]
+        after = [mark for mark in marks if mark.point_index > position]
         if "closed" in ends:
             before, after = before or after, after or before[:1]
         return (before[-1] if before else None), (after[0] if after else None)
@@ -226,13 +226,13 @@ def arrows(
         return []
     (_, x, y), across = cell, branch.table.along == subject.axes[0]
     low, high = view.x if across else view.y
-    made = []
+    event_arrows = []
     for mark in filter(None, branch.neighbouring_events(here)):
         begin, end = (min(max(value, low), high) for value in (here.value, mark.value))
         if begin != end:
             text = f"{mark.kind} {distance(mark, here)}"
-            made.append(EventArrow(begin, y, end, y, text) if across else EventArrow(x, begin, x, end, text))
-    return made
+            event_arrows.append(EventArrow(begin, y, end, y, text) if across else EventArrow(x, begin, x, end, text))
+    return event_arrows
 
 
 def initial_follow(subject: Subject, view: ViewState, cell: Where, along: str) -> FollowedOrbit:
@@ -289,13 +289,13 @@ def follow_orbit(asked: tuple[System, Mapping[str, float], Settings, str, tuple[
         near = np.argsort(np.abs(branch.values - value), kind="stable").tolist()
         return tree, next(k for k in near if tree.is_orbit(state, branch.run.points[k]))
 
-    tree, own = traced(windows[0])
+    tree, index = traced(windows[0])
     if windows[1] != windows[0]:
-        part, place = traced(windows[1])
-        tree.branches[0], own = _with_part(tree.branches[0], own, part.branches[0], place, windows[1])
+        part, part_index = traced(windows[1])
+        tree.branches[0], index = _with_part(tree.branches[0], index, part.branches[0], part_index, windows[1])
     if np.ptp(tree.branches[0].values) == 0.0:
         raise InputError(f"the branch of this orbit along {along} has only one point, at {value:g}")
-    return FollowedBranch(BranchTable.from_tree(tree), own)
+    return FollowedBranch(BranchTable.from_tree(tree), index)
 
 
 def _with_part(whole: "Branch", own: int, part: "Branch", place: int, window: Range) -> "tuple[Branch, int]":

@@ -45,18 +45,20 @@ class CellLookup:
 
     def visible_cells(self, plane: PlaneParameters, viewport: Viewport, names: Iterable[str]) -> VisibleCells:
         """Return the visible cells of a viewport; unknown cells are pending."""
-        wanted = list(names)
-        base = self._base(viewport, tuple(wanted), self.tiles.looked) if plane == self.subject.plane else None
-        return compose_view(self.subject, plane, viewport, self.tiles.visible_tiles(plane, viewport), wanted, base)
+        variable_names = list(names)
+        base = self._base(viewport, tuple(variable_names), self.tiles.looked) if plane == self.subject.plane else None
+        return compose_view(
+            self.subject, plane, viewport, self.tiles.visible_tiles(plane, viewport), variable_names, base
+        )
 
     def cell(self, plane: PlaneParameters, viewport: Viewport, x: float, y: float) -> CellResult | None:
         """Return the finest known cell at a point of the viewport; None if no cell there is known."""
         for stage in range(max(STAGES, viewport.x.level, viewport.y.level) + 1):
             level_x, level_y = viewport.x.level - stage, viewport.y.level - stage
             if min(level_x, level_y) < 0:
-                own = self._atlas_cell(plane, x, y)
-                if own is not None:
-                    return own
+                atlas_cell = self._atlas_cell(plane, x, y)
+                if atlas_cell is not None:
+                    return atlas_cell
             j, i = self.subject.x.nearest(level_x, x), self.subject.y.nearest(level_y, y)
             key = TileKey(level_x, level_y, j // TILE_CELLS, i // TILE_CELLS)
             arrays = self.tiles.full_tile(plane, key)
@@ -71,9 +73,9 @@ class CellLookup:
         denser.
         """
         if min(viewport.x.level, viewport.y.level) < 0:
-            own = self._atlas_cell(plane, x, y)
-            if own is not None:
-                return self.subject.point(own.parameters)[1:]
+            atlas_cell = self._atlas_cell(plane, x, y)
+            if atlas_cell is not None:
+                return self.subject.point(atlas_cell.parameters)[1:]
         j, i = self.subject.x.nearest(viewport.x.level, x), self.subject.y.nearest(viewport.y.level, y)
         return self._at(viewport.x.level, viewport.y.level, j, i)
 
@@ -94,7 +96,7 @@ class CellLookup:
         point = dict(zip(subject.axes, (x, y), strict=True))
         try:
             places = {name: nearest(subject.ds, name, value) for name, value in point.items()}
-            around = {name: slice(max(0, place - 1), place + 2) for name, place in places.items()}
+            around = {name: slice(max(0, index - 1), index + 2) for name, index in places.items()}
             results = nearest_cell(subject.part(around), point)
         except (InputError, RunError):  # outside the atlas, or a damaged chunk
             return None

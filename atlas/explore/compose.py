@@ -59,14 +59,14 @@ def compose_view(
     """
     canvas = subject.without_results(dict.fromkeys([*names, REGIME.name]), viewport.shape)
     stages = np.full(viewport.shape, STAGES + 1, np.uint8)
-    own = max(0, viewport.x.level, viewport.y.level)
+    atlas_stage = max(0, viewport.x.level, viewport.y.level)
     for key, arrays in tiles:
-        if viewport.stage(key) >= own:
+        if viewport.stage(key) >= atlas_stage:
             _lay(canvas, stages, viewport, key, arrays)
     if base is not None:
-        stages[_lay_base(canvas, subject, viewport, base)] = min(own, STAGES + 1)
+        stages[_lay_base(canvas, subject, viewport, base)] = min(atlas_stage, STAGES + 1)
     for key, arrays in tiles:
-        if viewport.stage(key) < own:
+        if viewport.stage(key) < atlas_stage:
             _lay(canvas, stages, viewport, key, arrays)
     return VisibleCells(dataset(subject, plane, *subject.points(*viewport), canvas), viewport, stages)
 
@@ -94,10 +94,10 @@ def dataset(
         "spec": json.dumps({**resolved, "axes": axes, "parameters": dict(plane.parameters), "solve": solve}),
         "digest": subject.digest(plane),
     }
-    made = xarray.Dataset(arrays, coords, attrs)
+    ds = xarray.Dataset(arrays, coords, attrs)
     if subject.store is not None and plane == subject.plane:
-        attach_store(made, subject.store)  # which holds the curves
-    return made
+        attach_store(ds, subject.store)  # which holds the curves
+    return ds
 
 
 def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "xr.Dataset | None":
@@ -117,8 +117,8 @@ def seen_atlas(subject: Subject, viewport: Viewport, names: Iterable[str]) -> "x
             return None
         part[axis.name] = slice(low, high)
         pixels.append(max(1, round((high - low) * 2.0 ** min(seen.level, 0))))
-    held = [name for name in names if name in subject.ds]
-    return read_view(subject.part(part), held, None, pixels).load()
+    stored_names = [name for name in names if name in subject.ds]
+    return read_view(subject.part(part), stored_names, None, pixels).load()
 
 
 def atlas_cells(subject: Subject, names: Iterable[str], rows: Index, columns: Index) -> Arrays:
@@ -157,9 +157,9 @@ def _lay_base(canvas: Arrays, subject: Subject, viewport: Viewport, base: "xr.Da
     dims = subject.axes[::-1]
     for name, values in zip(dims, subject.points(*viewport)[::-1], strict=True):
         edges, count = cell_edges(base, name), axis_values(base, name).size
-        place = np.searchsorted(edges, values, side="right") - 1
-        inside.append((place >= 0) & (place < count))
-        places.append(np.clip(place, 0, count - 1))
+        index = np.searchsorted(edges, values, side="right") - 1
+        inside.append((index >= 0) & (index < count))
+        places.append(np.clip(index, 0, count - 1))
     known = base[REGIME.name].transpose(*dims).values[np.ix_(*places)] != PENDING
     known &= np.outer(*inside)
     for name, values in canvas.items():

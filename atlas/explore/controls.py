@@ -30,14 +30,14 @@ class Controls:
 
     def __init__(self, subject: Subject, store: PageModel, go: Callable[..., None]) -> None:
         self.subject, self._store = subject, store
-        chosen = store.now.view
+        view = store.now.view
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         tell = call("tell")
         self.files = {suffix: Button(label=suffix.upper(), **wide) for suffix in ("png", "svg", "pdf")}
         self.cells = Spinner(title="cells across", low=2, high=100_000, step=50, value=CELLS, **wide)
         self.make = Button(label="make this an atlas", **wide)
         self.axes = self._axes(go)
-        values = dict(chosen.plane.parameters)
+        values = dict(view.plane.parameters)
         self.sliders = {name: _slider(subject, name, value) for name, value in values.items()}
         self.typed = {
             name: NumericInput(value=value, mode="float", width=TYPED, align="center", format="0[.]00000", name=name)
@@ -63,8 +63,8 @@ class Controls:
 
     def show(self, state: PageState) -> None:
         """Show the state in the widgets."""
-        chosen = state.view
-        for name, value in chosen.plane.parameters:
+        view = state.view
+        for name, value in view.plane.parameters:
             slider = self.sliders[name]
             if not slider.start <= value <= slider.end:
                 slider.update(start=min(slider.start, value), end=max(slider.end, value))
@@ -89,25 +89,25 @@ class Controls:
 
     def _axes(self, go: Callable[..., None]) -> list[Any]:
         """Return the menus of the axes, and of the layer of a stack."""
-        subject, third, made = self.subject, self.subject.stack_axis, []
+        subject, third, menus = self.subject, self.subject.stack_axis, []
         system = subject.system
         options = [(p.name, f"{symbol_of(system, p.name)} {p.meaning.split(':')[0]}") for p in system.parameters]
         for k, title in enumerate(("across", "up")):
             select = Select(title=title, options=options, value=subject.axes[k], sizing_mode="stretch_width")
             select.on_change("value", lambda _, old, new, k=k: go(axes=_with(subject.axes, k, new)))
-            made.append(select)
+            menus.append(select)
         if third is not None:
             layers = [(repr(value), f"{value:g}") for value in third.values]
             select = Select(title=f"layer of the stack, {symbol_of(subject.system, third.name)}", options=layers,
                             value=repr(subject.layer_value), sizing_mode="stretch_width")  # fmt: skip
             select.on_change("value", lambda _, old, new: go(layer=float(new)))
-            made.append(select)
-        return made
+            menus.append(select)
+        return menus
 
     def _sliders(self, states: bool) -> list[Any]:
         """Return the sliders of the initial states, or of all other parameters."""
         names = [name for name in self.sliders if (name in self.subject.system.states) == states]
-        made: list[Any] = []
+        widgets: list[Any] = []
         for name in names:
             parameter = self.subject.system.parameter(name)
             label = f"{parameter.meaning.split(':')[0]}, {mathtext_to_unicode(parameter.symbol or name)}"
@@ -117,8 +117,8 @@ class Controls:
                 sizing_mode="stretch_width",
                 html_attributes=accessible_name(label),
             )
-            made += [Div(text=html.escape(label), margin=(4, 5, -6, 5)), line]
-        return made
+            widgets += [Div(text=html.escape(label), margin=(4, 5, -6, 5)), line]
+        return widgets
 
 
 def _with(axes: tuple[str, str], place: int, name: str) -> tuple[str, str]:

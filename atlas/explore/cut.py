@@ -103,16 +103,16 @@ def cut_computation(line: CutLine, part: tuple[int, ...]) -> Computation[CutCell
     subject, index = line.subject, np.array(part)
     points = line.points(index)
     grid = subject.grid(line.plane, *points, packed(np.eye(len(part), dtype=bool)))
-    asked: dict[str, Any] = {"section_samples": SAMPLES}
+    sampling: dict[str, Any] = {"section_samples": SAMPLES}
     if line.observe is not None:
-        asked = {"observe": line.observe.name, "observe_values": SAMPLES}
-    patch = replace(grid, settings=replace(subject.settings, **asked))
+        sampling = {"observe": line.observe.name, "observe_values": SAMPLES}
+    patch = replace(grid, settings=replace(subject.settings, **sampling))
 
     def read(results: dict[str, NDArray[Any]]) -> CutCells:
         if line.observe is not None:
-            shown, number = results.pop(line.observe.variable), results.pop(line.observe.number)
+            samples, number = results.pop(line.observe.variable), results.pop(line.observe.number)
             more = (results["period"] > 0) & ((number > SAMPLES) | (number < 0))
-            return CutCells(index, results | {"shown": shown, "more": more})
+            return CutCells(index, results | {"shown": samples, "more": more})
         values: dict[str, float | Array] = dict(line.plane.parameters)
         values.update(zip(subject.axes, points, strict=True))
         rows = gap_rows(subject.system, values)
@@ -135,9 +135,9 @@ def exponents(line: CutLine, cells: CutCells) -> dict[str, Array]:
 
 def shown_points(line: CutLine, cells: CutCells) -> dict[str, NDArray[np.floating]]:
     """Return the gap coordinates or the observable of cells along a line, as columns over the parameter ``x``."""
-    x, shown = line.points(cells.index)[line.axis], cells.results["shown"]
-    known = np.isfinite(shown)
-    return {"x": np.broadcast_to(x[:, None], shown.shape)[known], "y": shown[known].astype(np.float32)}
+    x, ordinates = line.points(cells.index)[line.axis], cells.results["shown"]
+    known = np.isfinite(ordinates)
+    return {"x": np.broadcast_to(x[:, None], ordinates.shape)[known], "y": ordinates[known].astype(np.float32)}
 
 
 def to_observe(subject: Subject) -> dict[str, Observable | None]:

@@ -81,8 +81,8 @@ class CutPanel(Panel[CutLine]):
 
     def show(self, state: PageState) -> None:
         """Show the diagrams along the chosen line of the chosen plane."""
-        chosen, observe = state.view, self._possible[str(self._shows.value)]
-        self.set_topic(None if chosen.cut is None else CutLine(self._subject, chosen.plane, chosen.cut, observe))
+        view, observe = state.view, self._possible[str(self._shows.value)]
+        self.set_topic(None if view.cut is None else CutLine(self._subject, view.plane, view.cut, observe))
 
     def clear(self) -> None:
         """Show no line and no diagram."""
@@ -121,9 +121,9 @@ class CutPanel(Panel[CutLine]):
 
     def _straight(self, along: int) -> None:
         """Cut along one axis, through the clicked cell or the middle of the window."""
-        chosen = self._store.now.view
-        x, y = chosen.middle(self._subject)
-        ends: Cut = (chosen.x[0], y, chosen.x[1], y) if along == 0 else (x, chosen.y[0], x, chosen.y[1])
+        view = self._store.now.view
+        x, y = view.middle(self._subject)
+        ends: Cut = (view.x[0], y, view.x[1], y) if along == 0 else (x, view.y[0], x, view.y[1])
         self._store.choose(cut=ends)
 
     def _drew(self, attribute: str, old: Any, new: Any) -> None:

@@ -110,14 +110,14 @@ class Explorer:
         A tile that failed is requested again only if RETRY_SECONDS have passed since.
         """
         since = time.monotonic() - RETRY_SECONDS
-        wanted = [
+        jobs = [
             TileJob(self, plane, key)
             for stage in stages
             for key in viewport.tiles(stage)
             if self.failures.get((plane, key), -math.inf) <= since and not self.tiles.has(plane, key)
         ]
-        self.patches.request(consumer, wanted)
-        return len(wanted)
+        self.patches.request(consumer, jobs)
+        return len(jobs)
 
     def record_failure(self, plane: PlaneParameters, key: TileKey) -> None:
         """Record that a tile could not be solved. Beyond MAX_FAILURES the oldest records are dropped."""

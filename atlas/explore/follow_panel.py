@@ -113,11 +113,11 @@ class FollowPanel(Panel[tuple[Point, tuple[str, float, float]]]):
         self._button.label = "end following" if self._follows() else "follow"
 
     def _press(self) -> None:
-        chosen = self._store.now.view
+        view = self._store.now.view
         if self._follows():
             self._store.choose(follow=None)
-        elif chosen.cell is not None:
-            self._store.choose(follow=initial_follow(self._subject, chosen, chosen.cell, str(self._along.value)))
+        elif view.cell is not None:
+            self._store.choose(follow=initial_follow(self._subject, view, view.cell, str(self._along.value)))
 
     def _take(self, branch: FollowedBranch) -> None:
         self._say("")
@@ -168,12 +168,12 @@ def label_of(arrow: Reach, k: int, visible: Range) -> tuple[str, str, str, int, 
     """
     (low, high), across = visible, arrow.y0 == arrow.y1
     ahead = arrow.x1 + arrow.y1 > arrow.x0 + arrow.y0
-    place = (arrow.x0 - low) / (high - low)
+    position = (arrow.x0 - low) / (high - low)
     if across:
-        leftwards = ahead == ((1.0 - place if ahead else place) < ROOM)
+        leftwards = ahead == ((1.0 - position if ahead else position) < ROOM)
         text, baseline, down = (f"{arrow.text} →" if ahead else f"← {arrow.text}"), ("bottom", "top")[k], (-8, 8)[k]
     else:
-        leftwards = place > 1.0 - ROOM
+        leftwards = position > 1.0 - ROOM
         text, baseline = (f"↑ {arrow.text}", "bottom") if ahead else (f"↓ {arrow.text}", "top")
         down = (10 + 18 * k) * (-1 if ahead else 1)
     return text, "right" if leftwards else "left", baseline, -14 if leftwards else 14, down
@@ -224,15 +224,19 @@ class _FollowControls:
         if follow == self._at:
             return self._here
         self._at = follow
-        self._here = here = self.branch.position_at(self.branch.own_index + follow.step, follow.value)
-        self._slider.value, self._typed.value, self._span.location = here.point_index, here.value, here.value
+        self._here = position = self.branch.position_at(self.branch.own_index + follow.step, follow.value)
+        self._slider.value, self._typed.value, self._span.location = (
+            position.point_index,
+            position.value,
+            position.value,
+        )
         self._text.text = self._table()
-        motion = self.branch.motion(here)
+        motion = self.branch.motion(position)
         gap = motion.moving[0][:: int(motion.per_period)]
-        self._points.data = {"branch_x": [here.value] * gap.size, "branch_gap": gap}
+        self._points.data = {"branch_x": [position.value] * gap.size, "branch_gap": gap}
         self.motion.portray({0: motion})
         self.motion.show(motion)
-        return here
+        return position
 
     def _go(self, place: int, value: float) -> None:
         now = self._store.now.view.follow
@@ -248,9 +252,9 @@ class _FollowControls:
         """Go to the nearest point along the branch at which it has the typed value."""
         if new == self._here.value:
             return
-        place = None if new is None else self.branch.find_point(float(new), self._here)
-        if place is not None:
-            self._go(place, float(new))
+        index = None if new is None else self.branch.find_point(float(new), self._here)
+        if index is not None:
+            self._go(index, float(new))
             return
         if new is not None:
             low, high = number(min(self.branch.values)), number(max(self.branch.values))
@@ -260,29 +264,29 @@ class _FollowControls:
 
     def _table(self) -> str:
         """Return the table of the orbit as HTML."""
-        here, branch = self._here, self.branch
-        outside = f"unstable, {plural(here.point.unstable, 'multiplier')} outside the unit circle"
-        stability = outside if here.point.unstable else "stable"
-        largest = f"{number(here.multiplier, 5)} in modulus" if here.multiplier < BOUND else "without bound"
-        orbit = here.point.orbit.itinerary
+        position, branch = self._here, self.branch
+        outside = f"unstable, {plural(position.point.unstable, 'multiplier')} outside the unit circle"
+        stability = outside if position.point.unstable else "stable"
+        largest = f"{number(position.multiplier, 5)} in modulus" if position.multiplier < BOUND else "without bound"
+        orbit = position.point.orbit.itinerary
         period = plural(orbit.periods, "forcing period")
         if orbit.is_cycle:
-            period = f"cycle of {number(cycle_period(here.point, orbit), 8)}"
+            period = f"cycle of {number(cycle_period(position.point, orbit), 8)}"
         rows = [
-            (self._symbol, number(here.value, 8)), ("period", period),
+            (self._symbol, number(position.value, 8)), ("period", period),
             ("orbit n-p-q", orbit_name(orbit, branch.table.system)),
-            ("stability", f"changes here: {here.kind}" if here.kind else stability),
+            ("stability", f"changes here: {position.kind}" if position.kind else stability),
             ("largest multiplier", largest),
         ]  # fmt: skip
-        for mark, side, end in zip(branch.neighbouring_events(here), ("◄", "►"), (0, -1), strict=True):
+        for mark, side, end in zip(branch.neighbouring_events(position), ("◄", "►"), (0, -1), strict=True):
             text = f"none up to {number(branch.values[end])}, where the range ends"
             if mark is not None:
-                text = f"{mark.kind} at {number(mark.value)} ({distance(mark, here)})"
+                text = f"{mark.kind} at {number(mark.value)} ({distance(mark, position)})"
             rows.append((f"{side} next event", text))
         folds = [
             f"{number(mark.value)} (point {mark.point_index + 1})" for mark in branch.events if mark.kind == "fold"
         ]
         rows += [("turns back at", ", ".join(folds))] if folds else []
-        place = f"point {here.point_index + 1} of {len(branch.values)}"
+        point_text = f"point {position.point_index + 1} of {len(branch.values)}"
         body = "".join("<tr><td>{}</td><td>{}</td></tr>".format(*map(html.escape, entry)) for entry in rows)
-        return f"<table><caption>orbit followed, {place}</caption>{body}</table>"
+        return f"<table><caption>orbit followed, {point_text}</caption>{body}</table>"

@@ -150,11 +150,11 @@ class JobQueue(Iterator[ServiceJob]):
 
     def request(self, consumer: Hashable, jobs: Iterable[ServiceJob], keep_earlier: bool) -> None:
         """See ``JobService.request``."""
-        wanted = deque(jobs)
+        queue = deque(jobs)
         with self._lock:
-            wanted.extend(self._jobs.get(consumer, ()) if keep_earlier else ())
-            if wanted:
-                self._jobs[consumer] = wanted
+            queue.extend(self._jobs.get(consumer, ()) if keep_earlier else ())
+            if queue:
+                self._jobs[consumer] = queue
                 if consumer not in self._turn:
                     self._turn.append(consumer)
             else:
@@ -282,11 +282,11 @@ class JobService:
 
     def _made(self, job: ServiceJob) -> SubmittedJob | None:
         """Return a job as it is submitted; None if the job needs no submission."""
-        made = self._tried(job, job.build_task)
-        if made is None:
+        submission = self._tried(job, job.build_task)
+        if submission is None:
             self._wanted.remove(job)
             return None
-        task, take = made
+        task, take = submission
         sent = SubmittedJob((next(self._numbers),), task)
         self._sent[sent.index] = job, take
         return sent

@@ -51,16 +51,16 @@ class Lattice:
     def values(self, level: int, index: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the values of points of a level, (N,)."""
         if level > 0:
-            whole, rest = np.divmod(index, 1 << level)
+            point_index, rest = np.divmod(index, 1 << level)
             share = rest / (1 << level)  # exact: a power of two
         else:
-            whole, share = index << -level, np.zeros(index.shape)
-        cell = np.clip(whole, 0, self._points.size - 2)
-        low, high, along = self._points[cell], self._points[cell + 1], (whole - cell) + share
+            point_index, share = index << -level, np.zeros(index.shape)
+        cell = np.clip(point_index, 0, self._points.size - 2)
+        low, high, along = self._points[cell], self._points[cell + 1], (point_index - cell) + share
         with np.errstate(over="ignore", under="ignore"):
             between = low * (high / low) ** along if self.log else low + (high - low) * along
-        given = (share == 0.0) & (whole >= 0) & (whole < self._points.size)
-        return np.where(given, self._points[np.clip(whole, 0, self._points.size - 1)], between)
+        is_point = (share == 0.0) & (point_index >= 0) & (point_index < self._points.size)
+        return np.where(is_point, self._points[np.clip(point_index, 0, self._points.size - 1)], between)
 
     def positions(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions of values, in cells of the atlas from its first point on; the inverse of ``values``."""

@@ -45,9 +45,9 @@ def motion_of(orbit: CellTrajectory) -> MotionPlotData:
     step = np.rint(orbit.times / piece)
     even = np.abs(orbit.times - step * piece) < 1e-9 * orbit.period
     stride = max(1, -(-int(np.count_nonzero(even)) // POINTS))
-    kept = even & (step % stride == 0)
-    drawn = kept | ~even
-    return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], kept[drawn], samples / stride)
+    sampled = even & (step % stride == 0)
+    drawn = sampled | ~even
+    return motion_through(orbit.system.build(orbit.parameters), orbit.states[drawn], sampled[drawn], samples / stride)
 
 
 def motion_through(osc: Oscillator, states: Array, even: NDArray[np.bool_], per_period: float) -> MotionPlotData:
@@ -74,8 +74,8 @@ def motions(
     States whose motions cannot be shown are left out, as are those beyond MAX_PORTRAITS.
     """
     pictures = {}
-    for place, state in enumerate(states[:MAX_PORTRAITS]):
-        given = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))
+    for index, state in enumerate(states[:MAX_PORTRAITS]):
+        values = dict(parameters) | dict(zip(subject.system.states, map(float, state), strict=True))
         with suppress(InputError):
-            pictures[place] = motion_of(cell_orbit(given, subject.system, subject.settings))
+            pictures[index] = motion_of(cell_orbit(values, subject.system, subject.settings))
     return pictures

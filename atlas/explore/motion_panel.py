@@ -56,7 +56,7 @@ class MotionPanel:
 
     def portray(self, motions: Mapping[int, MotionPlotData]) -> None:
         """Show the portraits of attractors, in the colours of their indices."""
-        colors = [PALETTE[place % len(PALETTE)] for place in motions]
+        colors = [PALETTE[index % len(PALETTE)] for index in motions]
         paths = motions.values()
         self._paths.data = {"xs": [m.y for m in paths], "ys": [m.v for m in paths], "color": colors}
 

@@ -66,11 +66,11 @@ def build_page(document: Document, explorer: Explorer, folder: Path, pages: "set
     home, trouble = explorer, ""
     try:
         explorer = explorer_for_query(explorer, arguments)
-        chosen = from_address(explorer.subject, arguments)
+        view = from_address(explorer.subject, arguments)
     except InputError as error:
-        chosen, trouble = from_address(explorer.subject, {}), str(error)
+        view, trouble = from_address(explorer.subject, {}), str(error)
     try:
-        page = ExplorerPage(document, explorer, PageModel(PageState(chosen, trouble=trouble)), folder, home)
+        page = ExplorerPage(document, explorer, PageModel(PageState(view, trouble=trouble)), folder, home)
     except Exception:
         logging.getLogger(__name__).exception("a page could not be made")
         raise
@@ -95,10 +95,10 @@ class ExplorerPage:
 
     def __init__(self, document: Document, explorer: Explorer, store: PageModel, folder: Path, home: Explorer) -> None:
         self._explorer, self._subject, self._store = explorer, explorer.subject, store
-        self._folder, self._home, chosen = folder, home, store.now.view
+        self._folder, self._home, view = folder, home, store.now.view
         self._background = BackgroundTasks(document, lambda why: store.set(trouble=why))
         self._controls = Controls(self._subject, store, self._go)
-        self._pane = PlanePane(explorer, self._background, chosen, self._note_picture, self._note_look)
+        self._pane = PlanePane(explorer, self._background, view, self._note_picture, self._note_look)
         plot, painter = self._pane.plot, self._pane.painter
         self._details = DetailsPanel(explorer, self._background, store, lambda: painter.sight, self._pane.mark, plot)
         self._cut = CutPanel(explorer, self._background, store, plot)
@@ -161,32 +161,32 @@ class ExplorerPage:
         right = column(self._made, *self._details.panels, self._address, width=RIGHT, **panel)
         # Bokeh sends a source without a view, and its changes, only if it is a tag of a model with a view.
         self._address.tags = [self._download, self._keys, self._opened]
-        whole = row(fold, left, middle, right, sizing_mode="stretch_both")
-        whole.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
-        return whole
+        layout = row(fold, left, middle, right, sizing_mode="stretch_both")
+        layout.stylesheets = [GlobalInlineStyleSheet(css=PAGE), InlineStyleSheet(css=WHOLE)]
+        return layout
 
     def _changed(self, old: PageState, new: PageState) -> None:
         """Show the new state."""
-        chosen = new.view
+        view = new.view
         self._controls.show(new)
-        self._details.show(chosen)
+        self._details.show(view)
         self._cut.show(new)
         if min(new.size) >= MIN_PLANE_PIXELS:
-            self._address.text = place_query(self._home.subject, self._subject, chosen)
-            self._pane.show(chosen, new.size, new.at_rest)
+            self._address.text = place_query(self._home.subject, self._subject, view)
+            self._pane.show(view, new.size, new.at_rest)
 
     def _go(self, axes: tuple[str, str] | None = None, layer: float | None = None) -> None:
         """Open the page of other axes or of another layer, at the clicked cell or else the middle of the window."""
-        subject, chosen = self._subject, self._store.now.view
+        subject, view = self._subject, self._store.now.view
         turned = self._home.explorer_for_axes(
             axes or subject.axes, subject.layer_value if layer is None else layer
         ).subject
-        values = subject.values(chosen.plane, *chosen.middle(subject))
+        values = subject.values(view.plane, *view.middle(subject))
         if layer is not None and turned.stack_axis is not None:
             values[turned.stack_axis.name] = layer
-        there = carry_over(turned, chosen, values)
-        there = there if axes else replace(there, x=chosen.x, y=chosen.y)
-        query = place_query(self._home.subject, turned, there)
+        new_view = carry_over(turned, view, values)
+        new_view = new_view if axes else replace(new_view, x=view.x, y=view.y)
+        query = place_query(self._home.subject, turned, new_view)
         self._opened.data = {"place": [query], "overlays": [overlays(turned)]}
 
     def _resized(self, place: int, attribute: str, old: Any, new: Any) -> None:
@@ -228,17 +228,17 @@ class ExplorerPage:
         self._line.text = f"<span>{text}</span>"
 
     def _notes(self) -> list[str]:
-        subject, chosen = self._subject, self._store.now.view
+        subject, view = self._subject, self._store.now.view
         notes = [f"exploring tolerance {subject.settings.tolerance:g}"]
-        for lattice, (low, high) in ((subject.x, chosen.x), (subject.y, chosen.y)):
+        for lattice, (low, high) in ((subject.x, view.x), (subject.y, view.y)):
             first, last = lattice.ends
             slack = 1e-9 * (last - first)
             if low < first - slack or high > last + slack:
                 notes.append("partly outside the atlas's window")
                 break
-        if chosen.plane != subject.plane:
+        if view.plane != subject.plane:
             notes.append("not the plane of the atlas")
-        failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == chosen.plane)
+        failed = sum(1 for plane, _ in list(self._explorer.failures) if plane == view.plane)
         return notes + ([f"{failed} tiles failed"] if failed else [])
 
     def _boxed(self, event: SelectionGeometry) -> None:
@@ -250,26 +250,26 @@ class ExplorerPage:
         sight = self._pane.painter.sight
         if sight is None:
             return
-        chosen = self._store.now.view
-        ends = self._pane.painter.ends(chosen)
+        view = self._store.now.view
+        ends = self._pane.painter.ends(view)
 
         def work() -> Callable[[], None]:
-            name, href = picture_file(self._explorer, chosen, sight, suffix, ends)
+            name, href = picture_file(self._explorer, view, sight, suffix, ends)
             return lambda: self._download.update(data={"name": [name], "href": [href]})
 
         self._background.run(work)
 
     def _make(self) -> None:
-        chosen, cells = self._store.now.view, int(self._controls.cells.value or 2)
-        x, y = self._store.now.box or (chosen.x, chosen.y)
+        view, cells = self._store.now.view, int(self._controls.cells.value or 2)
+        x, y = self._store.now.box or (view.x, view.y)
         self._made.update(text="<h4>new atlas</h4>solving a few cells for its cost", visible=True)
 
         def work() -> Callable[[], None]:
-            made = new_atlas(self._subject, chosen, x, y, cells, self._folder)
-            parts = (str(made.file), made.text, made.line, made.cost)
+            new_spec = new_atlas(self._subject, view, x, y, cells, self._folder)
+            parts = (str(new_spec.file), new_spec.text, new_spec.line, new_spec.cost)
             file, text, line, cost = map(html.escape, parts)
-            shown = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
-            return lambda: self._made.update(text=shown)
+            markup = f"<h4>new atlas: {file}</h4><pre>{text}</pre><pre>{line}</pre><pre>{cost}</pre>"
+            return lambda: self._made.update(text=markup)
 
         def refuse(reason: str) -> None:
             self._made.visible = False

@@ -52,13 +52,13 @@ class PageModel:
 
         Choosing another cell ends the followed orbit.
         """
-        old, chosen = self.now, replace(self.now.view, **fields)
+        old, view = self.now, replace(self.now.view, **fields)
         before = old.view
-        if chosen.cell != before.cell and "follow" not in fields:
-            chosen = replace(chosen, follow=None)
-        if chosen != before:
-            stays = (chosen.x, chosen.y, chosen.plane) == (before.x, before.y, before.plane)
-            self.set(view=chosen, at_rest=rests, trouble="", box=old.box if stays else None)
+        if view.cell != before.cell and "follow" not in fields:
+            view = replace(view, follow=None)
+        if view != before:
+            stays = (view.x, view.y, view.plane) == (before.x, before.y, before.plane)
+            self.set(view=view, at_rest=rests, trouble="", box=old.box if stays else None)
 
     def escape(self) -> None:
         """End the followed orbit if there is one, else close the cut."""

@@ -65,10 +65,10 @@ class Panel(Generic[A]):
 
     def run_in_background(self, work: Callable[[], Show]) -> None:
         """Call ``work`` in a thread of the page, then call the function that it returns in the document's thread."""
-        turns, shown = self._turns, self._current(_do)
+        turns, show_result = self._turns, self._current(_do)
 
         def whole() -> Show:
-            return partial(shown, work()) if turns == self._turns else lambda: None
+            return partial(show_result, work()) if turns == self._turns else lambda: None
 
         self._background.run(whole, self._current(self.show_error))
 

@@ -58,10 +58,10 @@ class RenderedPicture:
 
 def warm_up(explorer: Explorer) -> None:
     """Make a picture once, so that the first page does not wait for the modules and caches that a picture loads."""
-    chosen = initial_view(explorer.subject)
-    sight = explorer.subject.viewport(chosen.x, chosen.y, LIMITS_PICTURE_PIXELS)
-    seen = explorer.known.visible_cells(chosen.plane, sight, chosen.names)
-    message(seen, explorer.subject, chosen, maps_of(seen, chosen, others=True), {}, LIMITS_PICTURE_PIXELS)
+    view = initial_view(explorer.subject)
+    sight = explorer.subject.viewport(view.x, view.y, LIMITS_PICTURE_PIXELS)
+    seen = explorer.known.visible_cells(view.plane, sight, view.names)
+    message(seen, explorer.subject, view, maps_of(seen, view, others=True), {}, LIMITS_PICTURE_PIXELS)
 
 
 class PictureRenderer:
@@ -95,10 +95,10 @@ class PictureRenderer:
 
     def show(self, view: ViewState, size: tuple[int, int], rests: bool = True) -> None:
         """Show a view at a size in pixels; unless it ``rests``, solve only its coarsest stage for a while."""
-        asked, now = (view.picture, size), time.monotonic()
+        picture, now = (view.picture, size), time.monotonic()
         with self._changed:
-            if asked != self._asked:
-                self._asked = asked
+            if picture != self._asked:
+                self._asked = picture
                 soon = now + (FIRST_REST_SECONDS if self._looked is None else REST_SECONDS)
                 self._plan = (
                     {ALL_STAGES: soon} if rests else {COARSEST_STAGE: soon, ALL_STAGES: now + FULL_SOLVE_SECONDS}
@@ -177,38 +177,38 @@ class PictureRenderer:
 
     def _find(self, stages: range) -> None:
         """Look up the known cells of a view, show them, and request the other cells at these stages."""
-        self._looked = asked = self._asked
-        if asked is None:
+        self._looked = picture = self._asked
+        if picture is None:
             return
-        (chosen, size), explorer = asked, self._explorer
+        (view, size), explorer = picture, self._explorer
         self.looked += 1
-        sight = explorer.subject.viewport(chosen.x, chosen.y, size)
-        if (chosen.plane, sight) != self._found:
-            self._view, self._found = next(self._views), (chosen.plane, sight)
+        sight = explorer.subject.viewport(view.x, view.y, size)
+        if (view.plane, sight) != self._found:
+            self._view, self._found = next(self._views), (view.plane, sight)
         self.sight = sight
         explorer.patches.request(self, ())
         self._paint()
-        explorer.request_tiles(self, chosen.plane, sight, stages)
+        explorer.request_tiles(self, view.plane, sight, stages)
 
     def _paint(self) -> None:
-        asked, sight = self._asked, self.sight
-        if asked is None or sight is None:
+        picture, sight = self._asked, self.sight
+        if picture is None or sight is None:
             return
-        (chosen, size), begin, explorer = asked, time.monotonic(), self._explorer
+        (view, size), begin, explorer = picture, time.monotonic(), self._explorer
         of = f"{id(self)}-{self._view}"
-        seen = replace(explorer.known.visible_cells(chosen.plane, sight, chosen.names), view_id=of)
+        seen = replace(explorer.known.visible_cells(view.plane, sight, view.names), view_id=of)
         stages = seen.stages
-        maps = maps_of(seen, chosen, others=not stages.any())
-        self._hold(chosen, [made.name for made in maps])
+        maps = maps_of(seen, view, others=not stages.any())
+        self._hold(view, [coded_map.name for coded_map in maps])
         if np.mean(seen.ds[REGIME.name].values == PENDING) <= MAX_PENDING_SHARE:
-            self._scales = {made.name: ends for made in maps if (ends := ends_of(made))} | self._scales
-        made, note = message(seen, explorer.subject, chosen, maps, self._scales, size)
+            self._scales = {coded_map.name: ends for coded_map in maps if (ends := ends_of(coded_map))} | self._scales
+        content, note = message(seen, explorer.subject, view, maps, self._scales, size)
         shares = tuple(float(np.mean(stages <= stage)) for stage in range(STAGES, -1, -1))
         seconds = time.monotonic() - begin
-        sent = (of, [made.name for made in maps], chosen.overlays)
-        if asked == self._asked and sent != self._sent:
+        sent = (of, [coded_map.name for coded_map in maps], view.overlays)
+        if picture == self._asked and sent != self._sent:
             self._sent = sent
-            self._deliver(RenderedPicture(made, note, shares))
+            self._deliver(RenderedPicture(content, note, shares))
         with self._changed:
             self._rested = begin + max(MIN_FRAME_SECONDS, seconds / MAX_RENDER_SHARE)
             if None in self._plan:
@@ -220,7 +220,7 @@ class PictureRenderer:
         if subject.ds is None or self._scales.keys() >= set(names):
             return
         sight = subject.viewport(subject.x.ends, subject.y.ends, LIMITS_PICTURE_PIXELS)
-        whole = self._explorer.known.visible_cells(subject.plane, sight, view.names)
-        if np.mean(whole.ds[REGIME.name].values == PENDING) <= 0.5:
-            made = [made for made in maps_of(whole, view, others=True) if made.name in names]
-            self._scales = {made.name: ends for made in made if (ends := ends_of(made))} | self._scales
+        cells = self._explorer.known.visible_cells(subject.plane, sight, view.names)
+        if np.mean(cells.ds[REGIME.name].values == PENDING) <= 0.5:
+            maps = [coded_map for coded_map in maps_of(cells, view, others=True) if coded_map.name in names]
+            self._scales = {coded_map.name: ends for coded_map in maps if (ends := ends_of(coded_map))} | self._scales

@@ -41,7 +41,7 @@ def maps_of(visible: VisibleCells, view: ViewState, others: bool) -> list[CodedM
     """
     first = coded_map(visible.ds, visible.ds, view.map)
     rest = _others(visible.ds) if others else ()
-    return [first, *(made for made in rest if made.name != view.map)]
+    return [first, *(further_map for further_map in rest if further_map.name != view.map)]
 
 
 def _others(ds: "xr.Dataset") -> Iterator[CodedMap]:
@@ -80,15 +80,15 @@ def message(
     plane, (lines, arrays, lacking) = _plane(visible, subject), _lines(visible, subject, view, size)
     packed = {name: pack(values) for name, values in arrays.items()} | {"stages": pack(visible.stages)}
     described, names = [], dict[str, Any]()
-    for made in maps:
-        place = add_codes(packed, made)
-        for name in made.needs:
+    for plane_map in maps:
+        codes = add_codes(packed, plane_map)
+        for name in plane_map.needs:
             if name not in packed:
                 packed[name] = pack(visible.ds[name].values, BITS)
-        bar = made.described["bar"]
-        own = bar and bar | {"fit": bar["ends"], "ends": list(scales.get(made.name) or bar["ends"])}
-        described.append(made.described | {"codes": place, "bar": own})
-        names[made.name] = names_on(made.layers, plane, size)
+        bar = plane_map.described["bar"]
+        colorbar = bar and bar | {"fit": bar["ends"], "ends": list(scales.get(plane_map.name) or bar["ends"])}
+        described.append(plane_map.described | {"codes": codes, "bar": colorbar})
+        names[plane_map.name] = names_on(plane_map.layers, plane, size)
     packed.setdefault(REGIME.name, pack(visible.ds[REGIME.name].values))
     about = {
         "of": visible.view_id,
@@ -136,8 +136,8 @@ def _axis(lattice: Lattice, cells: CellRange) -> dict[str, Any]:
     edges = lattice.values(cells.level + 1, halves)
     drawn = np.log(edges) if lattice.log else edges
     even = np.allclose(np.diff(drawn), (drawn[-1] - drawn[0]) / cells.count, rtol=1e-3)
-    shown = edges[[0, -1]] if even else edges
-    return {"edges": shown.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
+    sent_edges = edges[[0, -1]] if even else edges
+    return {"edges": sent_edges.tolist(), "count": cells.count, "first": cells.first, "level": cells.level}
 
 
 def _joined(about: Mapping[str, Any], packed: Mapping[str, PackedArray]) -> NDArray[np.uint8]:

@@ -159,12 +159,12 @@ def refusal(request: "HTTPServerRequest", hosts: list[str] | None, token: str) -
         request.host.lower() not in hosts or (origin is not None and urlsplit(origin).netloc.lower() not in hosts)
     ):
         return 403
-    given = request.query_arguments.get("token", [b""])[-1]
+    request_token = request.query_arguments.get("token", [b""])[-1]
     for_all = request.path.startswith("/static/") or request.path in ("/ws", "/favicon.ico")
-    if not for_all and not hmac.compare_digest(given, token.encode()):
+    if not for_all and not hmac.compare_digest(request_token, token.encode()):
         return 403
     try:
-        for value in (given for values in request.query_arguments.values() for given in values):
+        for value in (argument for values in request.query_arguments.values() for argument in values):
             value.decode()
     except UnicodeDecodeError:
         return 400

@@ -130,8 +130,8 @@ def explore(
         prepare()
     connect = _connection(client, scheduler, workers, timing)
     explorer = Explorer(subject, connect, timing)
-    shown = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
-    query = urlencode(shown, safe=":")
+    arguments = [(name, f"{low!r}:{high!r}") for name, (low, high) in (window or {}).items()]
+    query = urlencode(arguments, safe=":")
     try:
         return ExplorerSession(explorer, folder or Path.cwd(), port, query, host)
     except BaseException:
@@ -162,8 +162,8 @@ def _connection(
 ) -> "Callable[[], AbstractContextManager[Client]]":
     if client is not None:
         check_kind(client)
-        given = client
-        return lambda: nullcontext(given)
+        dask_client = client
+        return lambda: nullcontext(dask_client)
     if scheduler is not None:
         return partial(connect_to_scheduler, scheduler, timing=timing)
     active = active_client() if workers is None else None

@@ -75,7 +75,9 @@ class PlaneParameters:
 
     def with_value(self, name: str, value: float) -> "PlaneParameters":
         """Return the plane with another value of one parameter."""
-        return PlaneParameters(tuple((own, value if own == name else old) for own, old in self.parameters))
+        return PlaneParameters(
+            tuple((parameter, value if parameter == name else old) for parameter, old in self.parameters)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +173,12 @@ class Subject:
         check_names("axis", axes, [parameter.name for parameter in self.system.parameters])
         if axes[0] == axes[1]:
             raise InputError(f"axes: found {axes[0]} twice, must be two parameters")
-        own = {axis.name: axis for axis in self.spec.axes}
-        middle = {name: axis.values[len(axis) // 2] for name, axis in own.items()}
+        spec_axes = {axis.name: axis for axis in self.spec.axes}
+        middle = {name: axis.values[len(axis) // 2] for name, axis in spec_axes.items()}
         values = middle | self.spec.parameters
-        made = {name: own.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
+        new_axes = {name: spec_axes.get(name) or own_axis(self.system.parameter(name), values[name]) for name in axes}
         fixed = {name: value for name, value in values.items() if name not in axes}
-        spec = Spec(self.system, made, fixed, self.spec.settings)
+        spec = Spec(self.system, new_axes, fixed, self.spec.settings)
         return replace(self, spec=spec, store=None, ds=None)
 
     @cached_property
@@ -192,9 +194,9 @@ class Subject:
     @property
     def has_same_settings(self) -> bool:
         """True if cells of the atlas equal explored cells, since both have the same settings."""
-        asked = replace(self.spec.settings, section_samples=0, observe="")
+        settings = replace(self.spec.settings, section_samples=0, observe="")
         same_solver = self.store is not None and self.store.solver_version == SOLVER_VERSION
-        return same_solver and self.all_attractors is None and asked == self.settings
+        return same_solver and self.all_attractors is None and settings == self.settings
 
     def digest(self, plane: PlaneParameters) -> str:
         """Return the digest of a plane and its exploration: system, axes, fixed parameters, settings and solver
@@ -287,9 +289,9 @@ def subject_of(
     """
     if isinstance(given, AtlasStore):
         return _subject(given.spec, given, open_atlas(given), view or {}, tolerance)
-    place = None if given.endswith(".toml") else open_backend(given)
-    if place is not None and (place.exists("zarr.json") or is_url(given) or place.local is None):
-        return subject_of(open_store(place), view, tolerance)
+    backend = None if given.endswith(".toml") else open_backend(given)
+    if backend is not None and (backend.exists("zarr.json") or is_url(given) or backend.local is None):
+        return subject_of(open_store(backend), view, tolerance)
     return _subject(Spec.from_toml(given), None, None, view or {}, tolerance)
 
 
@@ -304,10 +306,10 @@ def _subject(
     if spec.basins:
         raise InputError("explore cannot show basins; remove [attractors] from the spec")
     layer, settings, attractors = 0, exploration_settings(spec.settings, tolerance), spec.attractors
-    third, whole = None, (spec, handle, ds)
+    third, original = None, (spec, handle, ds)
 
     def of_layer(value: float) -> Subject:
-        return _subject(*whole, {whole[0].axes[-1].name: value}, tolerance)
+        return _subject(*original, {original[0].axes[-1].name: value}, tolerance)
 
     if len(spec.axes) == MAX_AXES:
         third = spec.axes[-1]

@@ -37,12 +37,12 @@ def symbol_of(system: System, name: str) -> str:
 def title(subject: Subject, plane: PlaneParameters) -> str:
     """Return the system and its fixed parameters as HTML, without initial states of zero."""
     states, values = subject.system.states, dict(plane.parameters)
-    shown = [
+    equations = [
         _equation(symbol_of(subject.system, name), number(values[name]))
         for name in (parameter.name for parameter in subject.system.parameters)
         if name in values and (values[name] or name not in states)
     ]
-    return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(shown)}"
+    return f"<b>{html.escape(subject.name)}</b> &ensp; {', &ensp;'.join(equations)}"
 
 
 def _equation(symbol: str, value: str) -> str:
@@ -108,13 +108,13 @@ def cell_line(cell: CellResult, subject: Subject) -> str:
 
 def cell_given(cell: CellResult, subject: Subject) -> dict[str, Any]:
     """Return the numbers of a cell with their meanings as plain JSON; the page shows those of the cell's regime."""
-    own = {variable.name: variable for variable in subject.system.variables(subject.settings)}
+    variables = {variable.name: variable for variable in subject.system.variables(subject.settings)}
     numbers = {name: value for name, value in cell.results.items() if isinstance(value, bool | int | float)}
     values = {name: value for name, value in numbers.items() if name not in subject.axes}
     reasons = [reason.text for reason in REASONS]
     values[REGIME.name] = REGIME.code_of(cell.results[REGIME.name])
     values[REASON.name] = reasons.index(cell.results[REASON.name]) if REASON.name in cell.results else 0
-    meant = {name: own.get(name) or result_named(name) for name in (REGIME.name, REASON.name, *values)}
+    meant = {name: variables.get(name) or result_named(name) for name in (REGIME.name, REASON.name, *values)}
     return {
         "caption": "cell of the atlas" if cell.of_atlas else f"explored cell, tolerance {subject.settings.tolerance:g}",
         "places": [(symbol_of(subject.system, name), cell.results[name]) for name in subject.axes],
@@ -163,10 +163,10 @@ def refinement(shares: Sequence[float]) -> str:
         return "no picture yet"
     if min(shares) == 1.0:
         return "all visible cells are solved"
-    whole = next(k for k, share in enumerate(shares) if share < 1.0)
+    stage = next(k for k, share in enumerate(shares) if share < 1.0)
     names = [*(f"1/{1 << k} of full resolution" for k in range(len(shares) - 1, 0, -1)), "full resolution"]
-    begun = f"{math.floor(100.0 * shares[whole])} % at {names[whole]}"
-    return f"drawn at {names[whole - 1]}, {begun}" if whole else f"drawn: {begun}"
+    begun = f"{math.floor(100.0 * shares[stage])} % at {names[stage]}"
+    return f"drawn at {names[stage - 1]}, {begun}" if stage else f"drawn: {begun}"
 
 
 def progress(state: ServiceState, left: int, notes: Iterable[str], shares: Sequence[float] = ()) -> str:

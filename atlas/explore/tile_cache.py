@@ -58,7 +58,7 @@ class MemoryTileCache:
     def drop(self, owner: object) -> None:
         """Remove the tiles of an owner."""
         with self._lock:
-            for at in [held for held in self._tiles if held[0] is owner]:
+            for at in [key for key in self._tiles if key[0] is owner]:
                 self.bytes -= _size(self._tiles.pop(at))
 
 
@@ -100,11 +100,11 @@ class TileCache:
         """Return the visible tiles that are not denser than the viewport, the coarsest first, and mark them as viewed;
         tiles out of range come last.
         """
-        shown = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
-        shown.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
-        for key, _ in shown:
+        tiles = [(key, arrays) for key, arrays in self.tiles_of_plane(plane) if viewport.contains(key)]
+        tiles.sort(key=lambda pair: (pair[0].level_x + pair[0].level_y, min(pair[0][:2])))
+        for key, _ in tiles:
             self.memory.get(self, plane, key)
-        return shown + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
+        return tiles + [(key, self._invalid) for key in viewport.tiles(0) if self.is_out_of_range(key)]
 
     def full_tile(self, plane: PlaneParameters, key: TileKey) -> Arrays | None:
         """Return all variables of a tile; None if the tile is not known."""
@@ -115,9 +115,9 @@ class TileCache:
         unknown.
         """
         above = key.parent
-        whole = self.full_tile(plane, above)
-        if whole is not None:
-            return {name: array[key.quarter] for name, array in whole.items()}
+        parent_tile = self.full_tile(plane, above)
+        if parent_tile is not None:
+            return {name: array[key.quarter] for name, array in parent_tile.items()}
         subject, names = self.subject, self.subject.variables.keys()
         if subject.ds is None or not subject.has_same_settings:
             return None
@@ -152,13 +152,13 @@ class TileCache:
         if time.monotonic() - self._looked > RELIST_SECONDS and not self._complete:
             self._looked = time.monotonic()
             tiling = subject.store.tiling
-            done = np.zeros(tiling.shape, dtype=bool)
+            solved = np.zeros(tiling.shape, dtype=bool)
             for index in done_tiles(subject.store):
-                done[tiling.at(index).slices] = True
-            done = done[subject.layer] if done.ndim > 2 else done
-            self._complete = bool(done.all())
+                solved[tiling.at(index).slices] = True
+            solved = solved[subject.layer] if solved.ndim > 2 else solved
+            self._complete = bool(solved.all())
             self._done = (
-                done if subject.all_attractors is None else done & (subject.part({})[REGIME.name].values != PENDING)
+                solved if subject.all_attractors is None else solved & (subject.part({})[REGIME.name].values != PENDING)
             )
         return self._done
 

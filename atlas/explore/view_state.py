@@ -105,8 +105,8 @@ class ViewState:
     @property
     def names(self) -> list[str]:
         """The names of the variables that the map and its overlays need."""
-        own = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
-        return list(dict.fromkeys([*own, REGIME.name]))
+        variables = [self.variable] if self.kind == SCALAR else required_variables(self.kind)
+        return list(dict.fromkeys([*variables, REGIME.name]))
 
     def visible_overlays(self, subject: Subject) -> tuple[str, ...]:
         """Return the overlays that the view's plane has."""
@@ -124,10 +124,12 @@ class ViewState:
         """
         if self.plane == subject.plane or CURVES not in self.overlays:
             return ""
-        own = dict(subject.plane.parameters)
-        changes = [(name, own[name], value) for name, value in self.plane.parameters if value != own[name]]
-        there, here = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
-        return f"no curves at {here}: a store has curves only of its own plane, {there}"
+        atlas_values = dict(subject.plane.parameters)
+        changes = [
+            (name, atlas_values[name], value) for name, value in self.plane.parameters if value != atlas_values[name]
+        ]
+        atlas_text, view_text = (", ".join(f"{change[0]} = {change[i]:.6g}" for change in changes) for i in (1, 2))
+        return f"no curves at {view_text}: a store has curves only of its own plane, {atlas_text}"
 
     def figure_options(self, limits: Ends = (None, None)) -> AtlasFigureOptions:
         """Return the options of ``render.figure`` for a picture of the view with these colour limits."""
@@ -180,8 +182,8 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
         begun,
         plane=PlaneParameters(
             tuple(
-                (name, values[name] if parameter(name).admits(values[name]) else own)
-                for name, own in begun.plane.parameters
+                (name, values[name] if parameter(name).admits(values[name]) else plane_value)
+                for name, plane_value in begun.plane.parameters
             )
         ),
         kind=view.kind if view.kind in kinds(subject) else begun.kind,
@@ -194,22 +196,22 @@ def carry_over(subject: Subject, view: ViewState, values: Mapping[str, float]) -
 
 def from_address(subject: Subject, arguments: Mapping[str, list[bytes]]) -> ViewState:
     """Return the view state of an address. Raise InputError, naming the argument, if the subject does not have it."""
-    chosen, given = initial_view(subject), {name: values[-1].decode() for name, values in arguments.items()}
-    for name in sorted(given, key=lambda name: name == "cell"):  # last, since others choose its plane
-        chosen = replace(chosen, **_fields(subject, chosen, name, given[name]))
-    if chosen.follow is not None and chosen.cell is None:
+    view, texts = initial_view(subject), {name: values[-1].decode() for name, values in arguments.items()}
+    for name in sorted(texts, key=lambda name: name == "cell"):  # last, since others choose its plane
+        view = replace(view, **_fields(subject, view, name, texts[name]))
+    if view.follow is not None and view.cell is None:
         raise InputError("follow: needs a cell whose orbit is followed")
-    return chosen
+    return view
 
 
 def explorer_for_query(explorer: Explorer, arguments: Mapping[str, list[bytes]]) -> Explorer:
     """Return the explorer of the axes and the layer in an address. Raise InputError if there is none."""
-    given = {name: values[-1].decode() for name, values in arguments.items()}
-    axes = tuple(given["axes"].split(",")) if "axes" in given else explorer.subject.axes
+    texts = {name: values[-1].decode() for name, values in arguments.items()}
+    axes = tuple(texts["axes"].split(",")) if "axes" in texts else explorer.subject.axes
     if len(axes) != 2:
-        raise InputError(f"axes: found {given['axes']!r}, must be two parameters, ACROSS,UP")
+        raise InputError(f"axes: found {texts['axes']!r}, must be two parameters, ACROSS,UP")
     return explorer.explorer_for_axes(
-        (axes[0], axes[1]), _number("layer", given["layer"]) if "layer" in given else None
+        (axes[0], axes[1]), _number("layer", texts["layer"]) if "layer" in texts else None
     )
 
 
@@ -222,8 +224,8 @@ def place_query(home: Subject, subject: Subject, view: ViewState) -> str:
     pairs = [("axes", f"{x},{y}")] if subject.axes != home.axes else []
     pairs += [("layer", repr(subject.layer_value))] if subject.layer_value != home.layer_value else []
     pairs += [(x, "{!r}:{!r}".format(*view.x)), (y, "{!r}:{!r}".format(*view.y))]
-    own = dict(subject.plane.parameters)
-    pairs += [(name, repr(value)) for name, value in view.plane.parameters if value != own[name]]
+    plane_values = dict(subject.plane.parameters)
+    pairs += [(name, repr(value)) for name, value in view.plane.parameters if value != plane_values[name]]
     points: dict[str, tuple[float, ...] | None] = {"cut": view.cut}
     if view.cell and view.cell[0] == view.plane:
         points["cell"] = view.cell[1:]
@@ -296,12 +298,12 @@ def _possible(name: str, given: Sequence[str], possible: Sequence[str]) -> tuple
 
 def _number(name: str, value: str) -> float:
     try:
-        given = float(value)
+        number = float(value)
     except ValueError:
         raise InputError(f"{name}: found {value!r}, must be a number") from None
-    if not math.isfinite(given):
+    if not math.isfinite(number):
         raise InputError(f"{name}: found {value!r}, must be a finite number")
-    return given
+    return number
 
 
 def _numbers(name: str, value: str, count: int) -> tuple[float, ...]:

@@ -112,5 +112,5 @@ def attractors(
     >>> [(one["regime"], one["period"], one["share"]) for one in found["coexisting"]]
     [('periodic', 1, 0.625), ('periodic', 3, 0.375)]
     """
-    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
-    return asked.described | asked.results
+    search = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
+    return search.described | search.results

@@ -88,11 +88,11 @@ def saddles_of(table: AttractorTable, weights: Array) -> TrackingResult:
     if len(table.attractors) < 2:
         count = len(table.attractors)
         troubles.append(f"between basins: number of attractors: found {count}, must be 2 or more")
-    for own, other in permutations(range(len(table.attractors)), 2):
-        tracker = _Tracker(table, own, weights)
-        saddle = tracker.track(points[own, 0], points[other, 0])
+    for index, other in permutations(range(len(table.attractors)), 2):
+        tracker = _Tracker(table, index, weights)
+        saddle = tracker.track(points[index, 0], points[other, 0])
         if isinstance(saddle, str):
-            troubles.append(f"from {own} towards {other}: {saddle}")
+            troubles.append(f"from {index} towards {other}: {saddle}")
         elif not any(_same(saddle, known) for known in saddles):
             saddles.append(saddle)
     return TrackingResult(saddles, troubles)
@@ -121,18 +121,18 @@ class _Tracker:
         """Return the saddle to which the boundary between a state inside and one outside leads, or the reason why there
         is none.
         """
-        whole = self.size(last - first)
-        pair = self.bisected(first, last, whole)
+        distance = self.size(last - first)
+        pair = self.bisected(first, last, distance)
         history: list[Array] = []
         tried = 0
         for step in range(MAX_STEPS):
-            if self.size(pair[1] - pair[0]) > RESTART_DISTANCE * whole:
-                pair = self.bisected(pair[0], pair[1], whole)
+            if self.size(pair[1] - pair[0]) > RESTART_DISTANCE * distance:
+                pair = self.bisected(pair[0], pair[1], distance)
             history.append(0.5 * (pair[0] + pair[1]))
-            period = self._recurs(history, whole) if step >= BURN else 0
+            period = self._recurs(history, distance) if step >= BURN else 0
             if period and tried < MAX_ATTEMPTS:
                 tried += 1
-                orbit = self.orbit(history[-1], period, whole)
+                orbit = self.orbit(history[-1], period, distance)
                 if orbit is not None:
                     return orbit
             pair = self.map.images(pair, 1)
@@ -153,8 +153,8 @@ class _Tracker:
             if not np.all(np.diff(shares) > 0.0):
                 break
             inside = self.inside(first + shares[1:-1, None] * (last - first))
-            place = int(np.argmin(np.append(inside, False)))  # the first state outside
-            low, high = float(shares[place]), float(shares[place + 1])
+            first_outside = int(np.argmin(np.append(inside, False)))  # the first state outside
+            low, high = float(shares[first_outside]), float(shares[first_outside + 1])
         return np.stack([first + low * (last - first), first + high * (last - first)])
 
     def _recurs(self, history: list[Array], whole: float) -> int:

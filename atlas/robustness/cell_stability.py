@@ -68,21 +68,21 @@ def stability(
     [(1, 4.245), (3, 4.276)]
     """
     validate_flag("shocks", shocks)
-    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
-    must_have_force(asked.record, "stability measures")
-    if asked.settings.exponents == "none":
+    search = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
+    must_have_force(search.record, "stability measures")
+    if search.settings.exponents == "none":
         raise InputError("exponents: found 'none'; stability measures need the largest one")
-    w = asked.weights(validate_weights(norm, asked.record))
-    results = {"norm": dict(zip(asked.record.states, w.tolist(), strict=True))}
-    results |= {name: asked.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in asked.results}
+    w = search.weights(validate_weights(norm, search.record))
+    results = {"norm": dict(zip(search.record.states, w.tolist(), strict=True))}
+    results |= {name: search.results[name] for name in (*COUNTS, REGIME.name, REASON.name) if name in search.results}
     entries = [
         {name: entry[name] for name in SHOWN}
-        | _measured(asked.table, place, w)
+        | _measured(search.table, index, w)
         | {"state": entry["state"]}
-        | (_shocked(asked.table, place, w) if shocks else {})
-        for place, entry in enumerate(asked.results["coexisting"])
+        | (_shocked(search.table, index, w) if shocks else {})
+        for index, entry in enumerate(search.results["coexisting"])
     ]
-    return asked.described | results | {"coexisting": entries}
+    return search.described | results | {"coexisting": entries}
 
 
 def _measured(table: "AttractorTable", index: int, weights: "Array") -> dict[str, Any]:

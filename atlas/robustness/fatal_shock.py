@@ -128,8 +128,8 @@ def reached_labels(table: AttractorTable, states: Array) -> Labels:
     labels, regime = search.label.copy(), search.regime
     for r in np.flatnonzero((labels < 0) & np.isin(regime, SHOWN)).tolist():  # these are proved again
         new = attractor_of(table.oscillators, search, r)
-        place = table.label(table.cell.find_same(new)[0]) if new else UNKNOWN_LABEL
-        labels[r] = BEYOND_TABLE if new and place == UNKNOWN_LABEL else place
+        label = table.label(table.cell.find_same(new)[0]) if new else UNKNOWN_LABEL
+        labels[r] = BEYOND_TABLE if new and label == UNKNOWN_LABEL else label
     labels[(labels < 0) & (regime == INVALID)] = NO_MOTION
     return np.asarray(labels, dtype=np.int64)
 
@@ -194,10 +194,10 @@ class _ShockSearch:
             sizes = (size[:, None] * (1.0 - cuts))[:, None] * np.ones((1, near.shape[1], 1))
             fatal = self.fatal(self.at(phase[:, None, None], near[:, :, None], sizes))
             best = np.where(fatal, sizes, np.inf).reshape(len(rows), -1)
-            place, row = best.argmin(axis=1), np.arange(len(rows))
-            better = np.isfinite(best[row, place])
-            shocks.direction[rows[better]] = near[row, place // sizes.shape[2]][better]
-            shocks.size[rows[better]] = best[row, place][better]
+            column, row = best.argmin(axis=1), np.arange(len(rows))
+            better = np.isfinite(best[row, column])
+            shocks.direction[rows[better]] = near[row, column // sizes.shape[2]][better]
+            shocks.size[rows[better]] = best[row, column][better]
             angle[rows[~better]] *= 0.5
         return shocks.at_rows(np.array([np.argmin(shocks.size)]))
 

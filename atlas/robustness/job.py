@@ -94,8 +94,8 @@ def check_store(handle: AtlasStore) -> None:
         )
     must_have_force(spec.system_def, "stability measures")
     check_names(handle)
-    held = {variable.name for variable in handle.variables}
-    if lacking := [name for name in NEEDED if name not in held]:
+    stored_names = {variable.name for variable in handle.variables}
+    if lacking := [name for name in NEEDED if name not in stored_names]:
         raise InputError(f"{handle.backend}: found no {lacking[0]!r}; measures need a spec with exponents")
     check_table_size(handle, of_family(LINEAR))  # the largest measures
     must_be_finished(handle)

@@ -166,14 +166,14 @@ def slips_at_a_push(oscillator: Oscillator, states: Array) -> bool:
     """
     if not oscillator.has_modes:
         return False
-    table, own = take_one(oscillator, 0).table, oscillator.table.machines
-    _, C, F = own.sizes
+    table, machines = take_one(oscillator, 0).table, oscillator.table.machines
+    _, C, F = machines.sizes
     for state in states:
         number = int(mode_number_of_state(table.elements, state))
         k, turn = int(slot_of(table.codes, number)), harmonics_at(table.tau, table.pieces.waves.shape[2])
-        for e, sign in enumerate(code_of(number, C, F, *own.segments).slips if k >= 0 else ()):
+        for e, sign in enumerate(code_of(number, C, F, *machines.segments).slips if k >= 0 else ()):
             force, _ = guard_value(table.pieces, k, SIGNALS * C + e, state, turn)
-            if sign == 0 and abs(force) > (1.0 + EVEN) * own.friction_constants[0, 0, e, 0]:
+            if sign == 0 and abs(force) > (1.0 + EVEN) * machines.friction_constants[0, 0, e, 0]:
                 return True
     return False
 

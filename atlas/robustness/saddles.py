@@ -54,8 +54,8 @@ def saddles(
     >>> [(one["period"], one["between"]) for one in found["saddles"]]
     [(1, [0, 1])]
     """
-    asked = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
-    return saddles_between(asked, validate_weights(norm, asked.record))
+    search = AttractorSearch.from_arguments(given_values(parameters, named), system, settings, starts)
+    return saddles_between(search, validate_weights(norm, search.record))
 
 
 def saddles_between(requested: AttractorSearch, norm: Mapping[str, float] | None = None) -> dict[str, Any]:

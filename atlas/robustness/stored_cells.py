@@ -36,9 +36,9 @@ def linear_measures(
     measures["unmeasured"][np.isin(regime, ON_ATTRACTOR) & ~np.isin(regime, STABLE)] = UNMEASURED[NO_ORBIT]
     oscillators, reasons = system.build_many(params)
     stable = np.isin(regime, STABLE) & (reasons == NO_REASON)[:, None] & np.isfinite(cells["state"]).all(axis=-1)
-    cell, place = np.nonzero(stable)
+    cell, column = np.nonzero(stable)
     motions, _ = begin(at_rows(oscillators, cell), reasons[cell], cells["state"][stable])
-    for k, at in enumerate(zip(cell.tolist(), place.tolist(), strict=True)):
+    for k, at in enumerate(zip(cell.tolist(), column.tolist(), strict=True)):
         one = at_rows(oscillators, cell[k : k + 1])
         orbit = Attractor(
             int(regime[at]),
@@ -77,13 +77,13 @@ def shock_measures(
         places = [
             _place(attractor, {name: values[n] for name, values in cells.items()}) for attractor in table.attractors
         ]
-        for label, place in enumerate(places):
-            shock = shock_of(table, label, weights) if place >= 0 else None
+        for label, column in enumerate(places):
+            shock = shock_of(table, label, weights) if column >= 0 else None
             if shock is not None:
-                measures["fatal_shock"][n, place] = shock.size
+                measures["fatal_shock"][n, column] = shock.size
                 reached = places[shock.reached] if shock.reached >= 0 else BEYOND_TABLE
-                measures["shock_reaches"][n, place] = BEYOND_TABLE if reached == UNKNOWN_LABEL else reached
-                measures["shock_tried"][n, place] = shock.tried
+                measures["shock_reaches"][n, column] = BEYOND_TABLE if reached == UNKNOWN_LABEL else reached
+                measures["shock_tried"][n, column] = shock.tried
     return measures
 
 
@@ -93,5 +93,5 @@ def _place(attractor: Attractor, cell: Mapping[str, NDArray[Any]]) -> int:
     """
     state = np.asarray(attractor.result["state"])
     same = (cell["regime"] == attractor.regime) & (cell["period"] == int(attractor.result["period"]))
-    here = np.flatnonzero(same & are_on_orbit(cell["state"][:, None], state))
-    return int(here[0]) if len(here) else UNKNOWN_LABEL
+    matches = np.flatnonzero(same & are_on_orbit(cell["state"][:, None], state))
+    return int(matches[0]) if len(matches) else UNKNOWN_LABEL

@@ -92,8 +92,8 @@ def write_measures(handle: AtlasStore, stored: StoredMeasures) -> None:
     columns = {
         name: StoredArray(values, dims, variable_attributes(MEASURES[name])) for name, values in stored.arrays.items()
     }
-    own = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(handle, STABILITY, columns, own | stored.requests)
+    attributes = {"title": "stability measures", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(handle, STABILITY, columns, attributes | stored.requests)
 
 
 def check_names(handle: AtlasStore) -> None:

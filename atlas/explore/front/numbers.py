@@ -55,12 +55,12 @@ def pack(values: NDArray[np.generic], bits: int = MANTISSA) -> PackedArray:
     modulo the range of its type: neighbouring cells are alike, so the differences have few digits. Bytes of equal
     significance are stored together.
     """
-    kept = round_mantissa(values, bits) if values.dtype.kind == "f" else values
-    kept = kept.astype(np.uint8) if kept.dtype.kind == "b" else kept
-    whole = np.ascontiguousarray(kept).view(f"u{kept.itemsize}")
-    steps = np.concatenate([whole[:1], whole[1:] - whole[:-1]]).astype(f"<u{kept.itemsize}")
-    planes = steps.view(np.uint8).reshape(-1, kept.itemsize).T
-    return PackedArray(kept.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
+    stored_values = round_mantissa(values, bits) if values.dtype.kind == "f" else values
+    stored_values = stored_values.astype(np.uint8) if stored_values.dtype.kind == "b" else stored_values
+    integers = np.ascontiguousarray(stored_values).view(f"u{stored_values.itemsize}")
+    steps = np.concatenate([integers[:1], integers[1:] - integers[:-1]]).astype(f"<u{stored_values.itemsize}")
+    planes = steps.view(np.uint8).reshape(-1, stored_values.itemsize).T
+    return PackedArray(stored_values.dtype.name, zlib.compress(planes.tobytes(), 6), bits)
 
 
 def add_codes(packed: dict[str, PackedArray], made: CodedMap) -> str:
@@ -85,9 +85,9 @@ def round_mantissa(values: NDArray[np.generic], bits: int) -> NDArray[np.float64
     if bits >= MANTISSA:
         return exact
     dropped = MANTISSA - bits
-    whole = exact.view(np.int64)
-    last = (whole >> dropped) & 1
-    near = ((whole + ((1 << (dropped - 1)) - 1) + last) >> dropped << dropped).view(np.float64)
+    integers = exact.view(np.int64)
+    last = (integers >> dropped) & 1
+    near = ((integers + ((1 << (dropped - 1)) - 1) + last) >> dropped << dropped).view(np.float64)
     return np.where(np.isfinite(exact) & np.isfinite(near), near, exact)
 
 

@@ -23,8 +23,8 @@ def program(package: str, *own: str) -> str:
 
 def page_script() -> str:
     """Return the script of the explorer's page. Its object ``atlasPage`` has the exports of the page's own modules."""
-    own = "".join(_texts(__package__, LIVE))
-    names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", own, re.MULTILINE))
+    source = "".join(_texts(__package__, LIVE))
+    names = ", ".join(re.findall(r"^export (?:function|const) (\w+)", source, re.MULTILINE))
     return (
         f"const atlasPage = (() => {{\n{program(__package__, *LIVE)}\nreturn {{ {names} }};\n}})();\n"
         'customElements.define("atlas-part", atlasPage.Part);'

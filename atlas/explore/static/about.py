@@ -25,7 +25,7 @@ _PROVENANCE = {
 
 def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, PlaneAxis]) -> dict[str, Any]:
     """Return an atlas as plain JSON for the page's program."""
-    record, place = handle.spec.system_def, ds.attrs.get(ATTRACTOR)
+    record, attractor = handle.spec.system_def, ds.attrs.get(ATTRACTOR)
     names = {meant.code: meant.text for meant in record.regime.codes}
     fixed = [p for p in record.parameters if p.name in ds.coords and ds[p.name].ndim == 0]
     return {
@@ -35,10 +35,10 @@ def described(ds: "xr.Dataset", handle: AtlasStore, axes: tuple[PlaneAxis, Plane
             for p in fixed
             if float(ds[p.name]) or p.name not in record.states
         ],
-        "attractor": place,
+        "attractor": attractor,
         "allowances": {meant.name: f"--{meant.setting.replace('_', '-')}" for meant in ALLOWANCES},
         **meanings(),
-        "regimes": names | ({PENDING: f"not more than {place}"} if place else {}),
+        "regimes": names | ({PENDING: f"not more than {attractor}"} if attractor else {}),
     }
 
 

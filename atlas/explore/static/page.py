@@ -89,7 +89,7 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
         "block": list(block),
         "command": about.command(ds, handle) if max(block) == 1 else "",
         "lines": lines,
-        "names": {made.name: names_on(made.layers, plane, SIZE) for made in maps},
+        "names": {coded_map.name: names_on(coded_map.layers, plane, SIZE) for coded_map in maps},
         "leftOut": [],
         "variables": {name: about.variable(seen, name) for name in names},
     }
@@ -103,14 +103,16 @@ def page_of(every: "xr.Dataset", limit: int = LIMIT, most_cells: int = MAX_CELLS
     described["others"] = {name: _label_of_other(name, described["variables"]) for name in others}
     arrays = {name: partial(_values, seen, name) for name in names} | others
     codes = {name: pack(values) for name, values in regions.items()}
-    for made in maps:
-        made.described["codes"] = add_codes(codes, made)
+    for coded_map in maps:
+        coded_map.described["codes"] = add_codes(codes, coded_map)
     bare = _filled(described, words, maps, codes)
     room = limit - len(bare.encode()) - _EACH * len(arrays)
     packed, left_out = pack_within(arrays, room, last=LARGEST.name, first=ERROR.name)
-    kept = [made for made in maps if packed.keys() >= {*made.needs}]
-    arrays_kept = {name: codes[name] for name in (*(made.described["codes"] for made in kept), *regions)} | packed
-    text = _filled(described | {"leftOut": left_out}, words, kept, arrays_kept)
+    packed_maps = [coded_map for coded_map in maps if packed.keys() >= {*coded_map.needs}]
+    arrays_kept = {
+        name: codes[name] for name in (*(coded_map.described["codes"] for coded_map in packed_maps), *regions)
+    } | packed
+    text = _filled(described | {"leftOut": left_out}, words, packed_maps, arrays_kept)
     if len(text.encode()) > limit:
         size = f"{byte_size(len(text.encode()))}, at most {byte_size(limit)}"
         raise InputError(f"the page of this atlas would take {size}; select a part of it")
@@ -170,15 +172,15 @@ def _others(every: "xr.Dataset") -> dict[str, Any]:
     """Return arrays that describe the attractors after the first in an atlas of all attractors, as ``largest-1``."""
     names = [name for name in COEXISTING if name in every]
     arrays: dict[str, Any] = {}
-    for place in range(1, every.sizes[ATTRACTOR]):
-        ds, _ = sort_axes(select_attractor(every, place)[names])
-        arrays |= {f"{name}-{place}": partial(_values, ds.load(), name) for name in names}
+    for index in range(1, every.sizes[ATTRACTOR]):
+        ds, _ = sort_axes(select_attractor(every, index)[names])
+        arrays |= {f"{name}-{index}": partial(_values, ds.load(), name) for name in names}
     return arrays
 
 
 def _label_of_other(name: str, variables: Mapping[str, Any]) -> str:
-    variable, _, place = name.rpartition("-")
-    return f"{variables[variable]['label']} of attractor number {int(place) + 1}"
+    variable, _, index = name.rpartition("-")
+    return f"{variables[variable]['label']} of attractor number {int(index) + 1}"
 
 
 def _values(visible: "xr.Dataset", name: str) -> Any:
@@ -189,16 +191,16 @@ def _filled(
     described: Mapping[str, Any], words: Mapping[str, Any], maps: list[CodedMap], arrays: Mapping[str, PackedArray]
 ) -> str:
     """Return the whole page."""
-    whole = {
+    content = {
         **described,
-        "maps": [made.described for made in maps],
-        "arrays": {name: {"type": made.type, "digits": made.digits} for name, made in arrays.items()},
+        "maps": [coded_map.described for coded_map in maps],
+        "arrays": {name: {"type": array.type, "digits": array.digits} for name, array in arrays.items()},
     }
     parts = {name: files(__package__).joinpath(name).read_text("utf-8") for name in ("page.html", "page.css")}
     listed = "".join(
         f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in words["provenance"].items()
     )
-    blobs = [f'<script type="text/plain" id="{name}">{made.text}</script>' for name, made in arrays.items()]
+    blobs = [f'<script type="text/plain" id="{name}">{array.text}</script>' for name, array in arrays.items()]
     return Template(parts["page.html"]).substitute(
         title=html.escape(words["title"]),
         spec=html.escape(words["spec"]),
@@ -206,6 +208,8 @@ def _filled(
         provenance=listed,
         style=legend_css() + parts["page.css"],
         program=program(__package__, *PROGRAM),
-        described=json.dumps(whole, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c"),
+        described=json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        ),
         arrays="\n".join(blobs),
     )
