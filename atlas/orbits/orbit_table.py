@@ -99,7 +99,7 @@ def current_group(
     except ChunkError:
         return None
     wrote = ("version", version), ("solver_version", SOLVER_VERSION)
-    return stored if stored and all(stored[1].get(name) == own for name, own in wrote) else None
+    return stored if stored and all(stored[1].get(name) == expected for name, expected in wrote) else None
 
 
 def columns_of(
@@ -128,8 +128,8 @@ def columns_of(
 def params_of(spec: Spec, slices: tuple[slice, ...] | None = None) -> dict[str, NDArray[np.float64]]:
     """Return the value (cells,) of every parameter in a block of cells, by default in all, in C order."""
     block = tuple(slice(0, n) for n in spec.shape) if slices is None else slices
-    given, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
+    cell_values, shape = spec.cell_params(block), tuple(part.stop - part.start for part in block)
     return {
-        p.name: np.broadcast_to(np.asarray(given.get(p.name, p.default), dtype=np.float64), shape).ravel()
+        p.name: np.broadcast_to(np.asarray(cell_values.get(p.name, p.default), dtype=np.float64), shape).ravel()
         for p in spec.system_def.parameters
     }

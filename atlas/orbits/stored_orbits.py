@@ -32,9 +32,11 @@ class StoredOrbits:
 
     def family_along(self, axis: int, values: Array) -> Family:
         """Return the family of orbits along one axis, by its index, through a point (axes,)."""
-        own = self.rows
-        others = {name: float(value) for name, value in zip(own.axes, values, strict=True) if name != own.axes[axis]}
-        return family_of(own.system, {**own.fixed, **others}, (own.axes[axis],))
+        table = self.rows
+        others = {
+            name: float(value) for name, value in zip(table.axes, values, strict=True) if name != table.axes[axis]
+        }
+        return family_of(table.system, {**table.fixed, **others}, (table.axes[axis],))
 
     def orbit_of_row(self, row: int) -> Orbit | None:
         """Return the orbit of a row; None without a proven one, or if Newton's method finds none, for example for R =
@@ -46,17 +48,19 @@ class StoredOrbits:
 
     def find(self, rows: Iterable[int]) -> None:
         """Solve for the orbits of rows; many rows at once are faster."""
-        own, known = self.rows, self._known
-        wanted = np.array([row for row in dict.fromkeys(map(int, rows)) if row not in known], dtype=np.int64)
-        known.update(dict.fromkeys(wanted.tolist()))
-        wanted, names = wanted[own.proven[wanted]], [*NEEDED]
-        if own.system.definition.unforced:
+        table, known = self.rows, self._known
+        unsolved = np.array([row for row in dict.fromkeys(map(int, rows)) if row not in known], dtype=np.int64)
+        known.update(dict.fromkeys(unsolved.tolist()))
+        unsolved, names = unsolved[table.proven[unsolved]], [*NEEDED]
+        if table.system.definition.unforced:
             names.append(CYCLE_PERIOD.name)
-            still = self.are_still(wanted)
-            known.update((row, self._equilibrium(row)) for row in wanted[still].tolist())
-            wanted = wanted[~still]
-        orbits = orbits_of(self.family, own.values(wanted), {name: getattr(own, name)[wanted] for name in names})
-        pairs = zip(wanted.tolist(), orbits, strict=True)
+            still = self.are_still(unsolved)
+            known.update((row, self._equilibrium(row)) for row in unsolved[still].tolist())
+            unsolved = unsolved[~still]
+        orbits = orbits_of(
+            self.family, table.values(unsolved), {name: getattr(table, name)[unsolved] for name in names}
+        )
+        pairs = zip(unsolved.tolist(), orbits, strict=True)
         known.update((row, orbit) for row, orbit in pairs if isinstance(orbit, Orbit))
 
     def are_still(self, rows: Rows) -> Mask:
@@ -65,10 +69,10 @@ class StoredOrbits:
 
     def _equilibrium(self, row: int) -> Orbit | None:
         """Return the equilibrium of a row; None if friction makes it stick."""
-        own, (values,) = self.rows, self.rows.values(np.array([row]))
-        given = {**own.fixed, **dict(zip(own.axes, values.tolist(), strict=True))}
+        table, (values,) = self.rows, self.rows.values(np.array([row]))
+        parameters = {**table.fixed, **dict(zip(table.axes, values.tolist(), strict=True))}
         try:
-            return equilibrium_of(own.system, given, own.state[row])
+            return equilibrium_of(table.system, parameters, table.state[row])
         except ValueError:
             return None
 
@@ -79,7 +83,7 @@ class StoredOrbits:
         self.find(rows)
         orbits = [self.orbit_of_row(int(row)) for row in rows]
         for places in group_indices(None if orbit is None else orbit.itinerary for orbit in orbits):
-            yield places, [orbit for place in places if (orbit := orbits[place]) is not None]
+            yield places, [orbit for index in places if (orbit := orbits[index]) is not None]
 
     def continue_orbits(
         self, orbits: list[Orbit], here: Array, there: Array, steps: int = 1, attracting: bool = False

@@ -36,12 +36,12 @@ def select_attractor(ds: "xr.Dataset", index: float) -> "xr.Dataset":
     """
     if not has_all_attractors(ds):
         raise InputError("attractor: this atlas has one attractor per cell; for all, its spec needs [attractors]")
-    kept = ds.sizes[ATTRACTOR]
-    if index not in range(kept):  # False for infinities and NaN
-        raise InputError(f"attractor: found {index:g}, must be a whole number, 0 to {kept - 1}")
-    made = ds.isel({ATTRACTOR: int(index)})
-    made.encoding = dict(ds.encoding)
-    return made.assign_attrs({ATTRACTOR: int(index)})
+    n_ranks = ds.sizes[ATTRACTOR]
+    if index not in range(n_ranks):  # False for infinities and NaN
+        raise InputError(f"attractor: found {index:g}, must be a whole number, 0 to {n_ranks - 1}")
+    selection = ds.isel({ATTRACTOR: int(index)})
+    selection.encoding = dict(ds.encoding)
+    return selection.assign_attrs({ATTRACTOR: int(index)})
 
 
 def select_own(ds: "xr.Dataset") -> "xr.Dataset":
@@ -49,11 +49,11 @@ def select_own(ds: "xr.Dataset") -> "xr.Dataset":
 
     Cells whose own attractor was not stored have the regime of a cell without a result.
     """
-    place = ds["own_attractor"][...].load()  # a copy: ``ds`` must not cache it during a run
-    made = ds.drop_vars("own_attractor").isel({ATTRACTOR: place.clip(0)})
-    made[REGIME.name] = made[REGIME.name].where(place >= 0, PENDING).astype(REGIME.dtype)
-    made.encoding = dict(ds.encoding)
-    return made
+    rank = ds["own_attractor"][...].load()  # a copy: ``ds`` must not cache it during a run
+    selection = ds.drop_vars("own_attractor").isel({ATTRACTOR: rank.clip(0)})
+    selection[REGIME.name] = selection[REGIME.name].where(rank >= 0, PENDING).astype(REGIME.dtype)
+    selection.encoding = dict(ds.encoding)
+    return selection
 
 
 def branches(ds: "xr.Dataset") -> "xr.Dataset":
@@ -83,8 +83,8 @@ def attractors_listed(cell: Mapping[str, Any], many: Iterable[str]) -> list[dict
     many  names of the results that are arrays (keep, ...) over the attractors, such as states, spectra and sections
     """
     names = list(many)
-    kept = min(int(cell["attractors"]), len(cell[REGIME.name]))
-    return [attractor_in_words({name: cell[name][k].tolist() for name in names}) for k in range(kept)]
+    n_stored = min(int(cell["attractors"]), len(cell[REGIME.name]))
+    return [attractor_in_words({name: cell[name][k].tolist() for name in names}) for k in range(n_stored)]
 
 
 def attractors_solved(cell: Mapping[str, Any], variables: Iterable[Variable]) -> dict[str, Any]:

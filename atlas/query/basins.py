@@ -82,8 +82,8 @@ def basins(ds: "xr.Dataset", window: Window | None = None) -> dict[str, Any]:
     Entropies, ``uncertainty`` and ``boundary_dimension`` have errors, under their keys with ``_error`` appended. Values
     are NaN if there are too few data. The header of this module defines all measures.
     """
-    known, shown = table(ds), select_window(ds, window)
-    labels, regime = shown[LABEL.name].values.astype(np.int64), shown[REGIME.name].values
+    known, window_cells = table(ds), select_window(ds, window)
+    labels, regime = window_cells[LABEL.name].values.astype(np.int64), window_cells[REGIME.name].values
     solved = ~np.isin(regime, (INVALID, PENDING))
     count = int(solved.sum())
     entries: list[dict[str, Any]] = []
@@ -134,8 +134,8 @@ def basin_entropy(
     split = [part for n in sides for part in (n, box)]
     order = [*range(0, 2 * labels.ndim, 2), *range(1, 2 * labels.ndim, 2)]
     boxes = labels[cut].reshape(split).transpose(order).reshape(int(np.prod(sides)), -1)
-    whole = solved[cut].reshape(split).transpose(order).reshape(len(boxes), -1).all(axis=1)
-    boxes = boxes[whole]
+    all_solved = solved[cut].reshape(split).transpose(order).reshape(len(boxes), -1).all(axis=1)
+    boxes = boxes[all_solved]
     entropy = np.zeros(len(boxes))
     for label in np.unique(boxes):
         share = (boxes == label).mean(axis=1)
@@ -175,11 +175,11 @@ def _uncertain(labels: Labels, solved: NDArray[np.bool_], e: int) -> tuple[float
     """Return the share of initial states that are uncertain at distance ``e``, and the number of states compared."""
     uncertain, counted = np.zeros(labels.shape, dtype=bool), np.zeros(labels.shape, dtype=bool)
     for dim in range(labels.ndim):
-        here = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
-        there = tuple(slice(e, None) if k == dim else slice(None) for k in range(labels.ndim))
-        both = solved[here] & solved[there]
-        other = both & (labels[here] != labels[there])
-        for part in (here, there):
+        lower_slices = tuple(slice(None, -e) if k == dim else slice(None) for k in range(labels.ndim))
+        upper_slices = tuple(slice(e, None) if k == dim else slice(None) for k in range(labels.ndim))
+        both = solved[lower_slices] & solved[upper_slices]
+        other = both & (labels[lower_slices] != labels[upper_slices])
+        for part in (lower_slices, upper_slices):
             uncertain[part] |= other
             counted[part] |= both
     count = int(np.count_nonzero(counted))

@@ -75,5 +75,5 @@ def read_cell_spec(ds: "xr.Dataset", point: Mapping[str, float]) -> CellSpec:
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{who}: the table [solve] of its spec is missing or unknown to this version") from None
     state = cell.row["state"].values if "attractors" in cell.row and "state" in cell.row else np.full(1, np.nan)
-    own = dict(zip(cell.system.states, state.tolist(), strict=True)) if np.isfinite(state).all() else {}
-    return CellSpec(cell.system, cell.parameters | own, settings)
+    initial_state = dict(zip(cell.system.states, state.tolist(), strict=True)) if np.isfinite(state).all() else {}
+    return CellSpec(cell.system, cell.parameters | initial_state, settings)

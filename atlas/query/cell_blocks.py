@@ -43,16 +43,16 @@ def iter_cell_blocks(ds: "xr.Dataset", names: Iterable[str], codes: Collection[i
     Tiles without a requested cell, by their tile records, are not read. Of a tile with a single regime the regimes are
     not read, and of a pending tile nothing is. A dataset that does not show a store is one block.
     """
-    wanted = list(dict.fromkeys(names))
-    part = find_part(ds, [REGIME.name, *wanted])
+    requested = list(dict.fromkeys(names))
+    part = find_part(ds, [REGIME.name, *requested])
     if part is None:
         dims = ds[REGIME.name].dims
-        arrays = {name: ds[name].transpose(*dims).values for name in (REGIME.name, *wanted)}
+        arrays = {name: ds[name].transpose(*dims).values for name in (REGIME.name, *requested)}
         codes_of_cells = arrays.pop(REGIME.name)
         yield CellBlock(tuple(slice(0, n) for n in codes_of_cells.shape), codes_of_cells, arrays)
         return
     try:
-        yield from _walk_part(part, wanted, codes)
+        yield from _walk_part(part, requested, codes)
     finally:
         count_reads(part.chunks_read)
 

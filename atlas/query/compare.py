@@ -112,11 +112,11 @@ class Comparison:
         import xarray
 
         cells = self.numbers.cells
-        kept = np.flatnonzero(cells.sum(axis=0) + cells.sum(axis=1))
-        names = [REGIMES[k].name for k in kept]
+        present = np.flatnonzero(cells.sum(axis=0) + cells.sum(axis=1))
+        names = [REGIMES[k].name for k in present]
         attrs = {"long_name": "cells by their regimes in both atlases", "units": "1"}
         coords = {"first": names, "second": names}
-        return xarray.DataArray(cells[np.ix_(kept, kept)], coords, ("first", "second"), "regimes", attrs)
+        return xarray.DataArray(cells[np.ix_(present, present)], coords, ("first", "second"), "regimes", attrs)
 
     @cached_property
     def numbers(self) -> ComparisonStats:
@@ -126,11 +126,11 @@ class Comparison:
         area = np.zeros((count, count))
         compared, total, size, most = 0, 0.0, 0.0, None
         rest = reduce(np.multiply.outer, self.weights[1:], np.ones(()))
-        for first, here, there, difference in self._strips():
-            pairs = (count * (here - _FIRST) + (there - _FIRST)).astype(np.intp)
+        for first, regimes, other_regimes, difference in self._strips():
+            pairs = (count * (regimes - _FIRST) + (other_regimes - _FIRST)).astype(np.intp)
             cells += np.bincount(pairs.ravel(), minlength=count**2).reshape(count, count)
-            rows = self.weights[0][first : first + here.shape[0]]
-            weight = np.multiply.outer(rows, rest).reshape(here.shape)
+            rows = self.weights[0][first : first + regimes.shape[0]]
+            weight = np.multiply.outer(rows, rest).reshape(regimes.shape)
             area += np.bincount(pairs.ravel(), weight.ravel(), count**2).reshape(count, count)
             known = ~np.isnan(difference)
             if known.any():
@@ -160,7 +160,7 @@ class Comparison:
         numbers = self.numbers
         return {
             "parameters": {name: list(pair) for name, pair in self.differing.items()},
-            "regimes": {here: dict(zip(names, row, strict=True)) for here, row in zip(names, cells, strict=True)},
+            "regimes": {regime: dict(zip(names, row, strict=True)) for regime, row in zip(names, cells, strict=True)},
             "same_share": numbers.same,
             "compared": numbers.compared,
             "mean": numbers.mean,
@@ -169,7 +169,9 @@ class Comparison:
         }
 
     def __repr__(self) -> str:
-        changed = ", ".join(f"{name} {here:g} and {there:g}" for name, (here, there) in self.differing.items())
+        changed = ", ".join(
+            f"{name} {value:g} and {other_value:g}" for name, (value, other_value) in self.differing.items()
+        )
         cells = " x ".join(str(weight.size) for weight in reversed(self.weights))
         return f"<Comparison of two atlases of {cells} cells{f', {changed}' if changed else ''}>"
 
@@ -181,20 +183,20 @@ class Comparison:
         names = [LARGEST.name] if self.has_exponents else []
         for first in range(0, regime.shape[0], rows):
             part = {regime.dims[0]: slice(first, first + rows)}
-            here, there = (
+            block, other_block = (
                 read_view(ds.isel(part), names).transpose(*regime.dims, ...) for ds in (self.first, self.second)
             )  # fmt: skip
-            codes = here[REGIME.name].values, there[REGIME.name].values
+            codes = block[REGIME.name].values, other_block[REGIME.name].values
             if names:
-                difference = differences(*codes, here[LARGEST.name].values, there[LARGEST.name].values)
+                difference = differences(*codes, block[LARGEST.name].values, other_block[LARGEST.name].values)
             else:
                 difference = np.full(codes[0].shape, np.nan)
             yield first, *codes, difference
 
     def _place(self, first: int, at: list[int]) -> dict[str, float]:
         index = dict(zip(self.first[REGIME.name].dims, [at[0] + first, *at[1:]], strict=True))
-        place = {name: float(axis_values(self.first, name)[index[name]]) for name in axis_names(self.first)}
-        return place | {name: float(axis_values(self.first, name)[index[POINT]]) for name in columns(self.first)}
+        coordinates = {name: float(axis_values(self.first, name)[index[name]]) for name in axis_names(self.first)}
+        return coordinates | {name: float(axis_values(self.first, name)[index[POINT]]) for name in columns(self.first)}
 
 
 def differing_parameters(atlases: Sequence["xr.Dataset"]) -> list[str]:
@@ -224,22 +226,22 @@ def _check_cells(one: "xr.Dataset", other: "xr.Dataset") -> None:
     systems = [stored_name(ds.attrs) for ds in (one, other)]
     if systems[0] != systems[1]:
         raise InputError(f"the systems differ: {systems[0]} here, {systems[1]} there")
-    here_and_there = [stored_system(ds.attrs) for ds in (one, other)]
-    definitions = [identity(system.to_resolved()) for system in here_and_there if system]
+    both_systems = [stored_system(ds.attrs) for ds in (one, other)]
+    definitions = [identity(system.to_resolved()) for system in both_systems if system]
     if len(definitions) == 2 and definitions[0] != definitions[1]:
         raise InputError(f"the systems differ: both are called {systems[0]}, but their definitions differ")
     if columns(one) != columns(other):
         raise InputError(f"the columns differ: {', '.join(columns(one))} here, {', '.join(columns(other))} there")
     for name in (*names, *columns(one)):
-        here, there = axis_values(one, name), axis_values(other, name)
-        if here.size != there.size or here[0] != there[0] or here[-1] != there[-1]:
-            ends = [f"{v.size} values from {v[0]:g} to {v[-1]:g}" for v in (here, there)]
+        values, other_values = axis_values(one, name), axis_values(other, name)
+        if values.size != other_values.size or values[0] != other_values[0] or values[-1] != other_values[-1]:
+            ends = [f"{v.size} values from {v[0]:g} to {v[-1]:g}" for v in (values, other_values)]
             what = "column" if name in columns(one) else "axis"
             raise InputError(f"{what} {name} differs: {ends[0]} here, {ends[1]} there")
-        if not np.array_equal(here, there):
-            k = int(np.flatnonzero(here != there)[0])
+        if not np.array_equal(values, other_values):
+            k = int(np.flatnonzero(values != other_values)[0])
             what = "column" if name in columns(one) else "axis"
-            raise InputError(f"{what} {name} differs: value {k + 1} is {here[k]!s} here, {there[k]!s} there")
+            raise InputError(f"{what} {name} differs: value {k + 1} is {values[k]!s} here, {other_values[k]!s} there")
     if LARGEST.name in one and LARGEST.name in other:
         rates = [rate_of(ds[LARGEST.name]) for ds in (one, other)]
         if rates[0] != rates[1]:

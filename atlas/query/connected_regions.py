@@ -118,9 +118,9 @@ class _Regions:
 
     def as_given(self) -> NDArray[np.int32]:
         """Return the labels in the order of the dataset's own axes."""
-        made = np.empty_like(self.labels)
-        made[np.ix_(*(side.order for side in self.sides))] = self.labels
-        return made
+        region_labels = np.empty_like(self.labels)
+        region_labels[np.ix_(*(side.order for side in self.sides))] = self.labels
+        return region_labels
 
     def listed(self) -> list[dict[str, Any]]:
         """Return the regions as the dicts that ``regions`` describes."""
@@ -168,8 +168,8 @@ def _find(ds: "xr.Dataset", by: str, value: object, window: Window | None, min_c
     label, values = label_components(numbers, classes.list_classes())
     cells = np.bincount(label.ravel(), minlength=len(values) + 1)[1:]
     areas = _sums(label, sides, len(values))[0]
-    kept = np.flatnonzero(cells >= min_cells)
-    order = kept[np.argsort(-areas[kept], kind="stable")]
+    large_regions = np.flatnonzero(cells >= min_cells)
+    order = large_regions[np.argsort(-areas[large_regions], kind="stable")]
     renamed = np.zeros(len(values) + 1, np.int32)
     renamed[order + 1] = np.arange(1, order.size + 1)
     label = renamed[label]
@@ -180,8 +180,8 @@ def _side(ds: "xr.Dataset", part: "xr.Dataset", name: str) -> _RegionAxis:
     """Return a dimension of the selected cells ``part``; the edges are those of the cells in the whole atlas."""
     points, edges = axis_values(part, name), cell_edges(ds, name)
     order = np.argsort(points)
-    place = np.searchsorted(np.sort(axis_values(ds, name)), points[order])
-    return _RegionAxis(name, order, points[order], edges[:-1][place], edges[1:][place])
+    index = np.searchsorted(np.sort(axis_values(ds, name)), points[order])
+    return _RegionAxis(name, order, points[order], edges[:-1][index], edges[1:][index])
 
 
 def label_components(
@@ -250,9 +250,9 @@ def _centres(
 
 def _beside(label: NDArray[np.int32], pending: NDArray[np.bool_]) -> set[int]:
     """Return the labels of regions that have a pending neighbour cell."""
-    beside: set[int] = set()
+    neighbours: set[int] = set()
     for axis in range(label.ndim):
         for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
             cut = (slice(None),) * axis
-            beside |= set(np.unique(label[(*cut, one)][pending[(*cut, other)]]).tolist())
-    return beside - {0}
+            neighbours |= set(np.unique(label[(*cut, one)][pending[(*cut, other)]]).tolist())
+    return neighbours - {0}

@@ -51,13 +51,13 @@ def export(
     """
     target = validate_path(path)
     suffix = check_target(target, FORMATS)
-    shown = select_window(ds, window)
-    count = int(np.prod([shown.sizes[name] for name in axis_names(shown)]))
+    selection = select_window(ds, window)
+    count = int(np.prod([selection.sizes[name] for name in axis_names(selection)]))
     with replace_on_success(target) as unfinished:
         if suffix == ".csv":
-            _write_csv(shown, unfinished, csv_cells)
+            _write_csv(selection, unfinished, csv_cells)
         else:
-            _write_netcdf(shown, unfinished, netcdf_bytes)
+            _write_netcdf(selection, unfinished, netcdf_bytes)
     return count
 
 
@@ -79,8 +79,8 @@ def check_target(path: Path, formats: Sequence[str]) -> str:
     """
     suffix, folder = path.suffix.lower(), path.absolute().parent
     if suffix not in formats:
-        given = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
-        raise InputError(f"{path.name}: the suffix chooses the format, {given}; possible: {', '.join(formats)}")
+        suffix_text = f"found {path.suffix!r}" if len(suffix) > 1 else "found none"
+        raise InputError(f"{path.name}: the suffix chooses the format, {suffix_text}; possible: {', '.join(formats)}")
     if path.is_dir():
         raise InputError(f"{path}: cannot be written: is a folder")
     if not folder.is_dir():

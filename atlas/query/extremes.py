@@ -86,14 +86,14 @@ class _ExtremeTracker:
         inside = values[cells]
         for low, k in ((True, int(inside.argmin())), (False, int(inside.argmax()))):
             value = inside[k].item()
-            place = tuple(int(i) + s.start for i, s in zip(at[k], block.cells, strict=True))
+            index = tuple(int(i) + s.start for i, s in zip(at[k], block.cells, strict=True))
             before = self.low if low else self.high
             better = before is None or (value < before[0] if low else value > before[0])
-            if better or (before is not None and value == before[0] and place < before[1]):
+            if better or (before is not None and value == before[0] and index < before[1]):
                 if low:
-                    self.low = value, place
+                    self.low = value, index
                 else:
-                    self.high = value, place
+                    self.high = value, index
 
     def ends(self) -> list[tuple[str, tuple[tuple[int, ...], Any]]]:
         """Return both extremes by name, each with the indices of its cell and its value."""
@@ -104,8 +104,8 @@ class _ExtremeTracker:
 def variable_of(ds: "xr.Dataset", name: str) -> Variable:
     """Return the variable with that name: one of the atlas's own system, or one that all atlases have."""
     system = stored_system(ds.attrs)
-    own = system.own_variables if system else ()
-    return next((variable for variable in own if variable.name == name), result_named(name))
+    system_variables = system.own_variables if system else ()
+    return next((variable for variable in system_variables if variable.name == name), result_named(name))
 
 
 def check_number(ds: "xr.Dataset", name: str) -> None:

@@ -44,7 +44,7 @@ def grazing_lines(ds: "xr.Dataset", x: PlaneAxis, y: PlaneAxis) -> list[Array]:
     system = system_of(ds.attrs, "overlay 'grazing'")
     alone = with_one_stop(system)[0]
     same, ends = machine.fixed(ds, system), machine.corners({x.name: x.values, y.name: y.values})
-    if all(np.all(drifts(osc) | ~there) for _, osc, there in machine.oscillators(alone, same, ends)):
+    if all(np.all(drifts(osc) | ~exists) for _, osc, exists in machine.oscillators(alone, same, ends)):
         raise InputError(
             f"overlay 'grazing': no line exists, because a mode of {system.name} has no stiffness and its "
             "impact-free motion may drift anywhere"
@@ -80,29 +80,37 @@ def with_one_stop(system: System) -> tuple[System, ...]:
     The law of a contact changes no motion that does not reach the contact. Raise InputError if friction, phases or
     springs with a law make the impact-free motion nonlinear.
     """
-    own = system.definition
-    if own.friction or own.phases or own.springs:
-        what = "friction" if own.friction else "phases of the forcing period" if own.phases else "springs with a law"
+    definition = system.definition
+    if definition.friction or definition.phases or definition.springs:
+        what = (
+            "friction"
+            if definition.friction
+            else "phases of the forcing period"
+            if definition.phases
+            else "springs with a law"
+        )
         raise InputError(
             f"overlay 'grazing': {system.name} has {what}, so its motion without impacts is not a linear response; "
             "atlas find curves finds the grazes of its orbits"
         )
     if not system.has_modes:
         return (system,)
-    rigid = [Contact(STOP, contact.gap, Expression("1.0"), contact.upper, contact.lower) for contact in own.contacts]
-    return tuple(replace(system, definition=replace(own, contacts=(contact,), measures=())) for contact in rigid)
+    rigid = [
+        Contact(STOP, contact.gap, Expression("1.0"), contact.upper, contact.lower) for contact in definition.contacts
+    ]
+    return tuple(replace(system, definition=replace(definition, contacts=(contact,), measures=())) for contact in rigid)
 
 
 def _ratios_of_one(system: System, fixed: dict[str, float], points: dict[str, Array]) -> Array:
     """Return the ratio of ``grazing_ratio`` at points (N,), for a machine with one rigid contact."""
     ratios = np.full(len(next(iter(points.values()))), np.nan)
-    for part, osc, there in machine.oscillators(system, fixed, points):
+    for part, osc, exists in machine.oscillators(system, fixed, points):
         highest, lowest = extremes(osc.gap)
-        there = there & (osc.gap.amplitude > 0.0) & ~drifts(osc)
+        exists = exists & (osc.gap.amplitude > 0.0) & ~drifts(osc)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.maximum(highest / osc.b_upper, -lowest / osc.b_lower)
-            ratios[part] = np.where(there, np.log(ratio), np.nan)
-        ratios[part][there & (np.minimum(osc.b_upper, osc.b_lower) <= 0.0)] = np.inf
+            ratios[part] = np.where(exists, np.log(ratio), np.nan)
+        ratios[part][exists & (np.minimum(osc.b_upper, osc.b_lower) <= 0.0)] = np.inf
     return ratios
 
 
@@ -199,10 +207,10 @@ def _near_zero(ratio: Array) -> NDArray[np.bool_]:
     """
     crosses = np.zeros(ratio.shape, dtype=bool)
     for axis in (0, 1):
-        here, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
+        before, after = (np.moveaxis(ratio, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
         changes = np.moveaxis(crosses, axis, 0)
-        changes[:-1] |= here * after <= 0.0
-        low, middle, high = np.moveaxis(ratio, axis, 0)[:-2], here[1:], after[1:]
+        changes[:-1] |= before * after <= 0.0
+        low, middle, high = np.moveaxis(ratio, axis, 0)[:-2], before[1:], after[1:]
         crest = (middle >= low) & (middle >= high) & (middle < 0.0) & (middle > -_REACH)
         trough = (middle <= low) & (middle <= high) & (middle > 0.0) & (middle < _REACH)
         changes[1:-1] |= crest | trough

@@ -115,11 +115,11 @@ def crowded_parts(
     line = np.repeat(np.arange(len(lines)), [len(points) for points in dense_lines])
     near = np.zeros(len(everywhere), dtype=bool)
     one, two = KDTree(everywhere).query_pairs(distance, output_type="ndarray").T
-    beside = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * distance)
-    near[one[beside]] = near[two[beside]] = True
-    for k, (piece, place) in enumerate(zip(lines, places, strict=True)):
+    is_beside = (line[one] != line[two]) | (np.abs(length[one] - length[two]) > 3.0 * distance)
+    near[one[is_beside]] = near[two[is_beside]] = True
+    for k, (piece, page_points) in enumerate(zip(lines, places, strict=True)):
         smooth = ndimage.median_filter(near[line == k], _SHORTEST, mode="nearest")
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(place, axis=0).T)))
+        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(page_points, axis=0).T)))
         crowded = smooth[np.searchsorted(lengths[k], along[:-1]).clip(max=len(smooth) - 1)]  # each step of the line
         for first, last in pairwise([0, *(np.flatnonzero(np.diff(crowded)) + 1), len(crowded)]):
             yield k, piece[first : last + 1], bool(crowded[first])

@@ -40,16 +40,16 @@ def oscillators(
     count = len(next(iter(points.values())))
     for low in range(0, count, POINTS_PER_BLOCK):
         part = slice(low, min(low + POINTS_PER_BLOCK, count))
-        given = {name: np.full(part.stop - low, value) for name, value in same.items()}
-        osc, reasons = system.build_many(given | {name: values[part] for name, values in points.items()})
+        parameters = {name: np.full(part.stop - low, value) for name, value in same.items()}
+        osc, reasons = system.build_many(parameters | {name: values[part] for name, values in points.items()})
         yield part, osc, reasons == NO_REASON
 
 
 def has_twins(system: System, same: Mapping[str, float], points: Mapping[str, Array]) -> NDArray[np.bool_]:
     """Return the mask of points (N,) at which x(t) -> -x(t + T/2) maps motions to motions."""
     twins = np.zeros(len(next(iter(points.values()))), dtype=bool)
-    for part, osc, there in oscillators(system, same, points):
-        twins[part] = there & is_symmetric(osc)
+    for part, osc, exists in oscillators(system, same, points):
+        twins[part] = exists & is_symmetric(osc)
     return twins
 
 
@@ -86,5 +86,7 @@ def gap_values(ds: "xr.Dataset", x: str, states: "xr.DataArray") -> Array:
 def gap_rows(system: System, values: Mapping[str, float | Array]) -> Array:
     """Return the rows g (N, n) of the gap coordinate y = g . x, for parameters that are numbers or have N values."""
     count = max(np.size(value) for value in values.values())
-    given = {name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()}
-    return system.definition.picture_rows(given)
+    parameters = {
+        name: np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)) for name, value in values.items()
+    }
+    return system.definition.picture_rows(parameters)

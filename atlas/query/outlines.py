@@ -91,8 +91,8 @@ def interleave_exponents(spectrum: Array, width: float) -> NDArray[np.bool_]:
     stretch = np.arange(n) // max(1, n // 60)
     apart = np.abs(np.diff(spectrum, axis=1)) > width
     group = np.concatenate([np.zeros((n, 1), int), np.cumsum(apart, axis=1)], axis=1)
-    shown = np.empty((n, m), dtype=bool)
+    on_top = np.empty((n, m), dtype=bool)
     for i in range(m):
         mine = group == group[:, i : i + 1]
-        shown[:, i] = stretch % mine.sum(axis=1) == mine[:, :i].sum(axis=1)
-    return shown
+        on_top[:, i] = stretch % mine.sum(axis=1) == mine[:, :i].sum(axis=1)
+    return on_top

@@ -32,10 +32,10 @@ class CoordinateInfo(NamedTuple):
     @classmethod
     def from_dataset(cls, ds: "xr.Dataset", name: str) -> "CoordinateInfo":
         """Return the meaning from the coordinate's attributes; missing attributes are taken from the atlas's system."""
-        system, own = stored_system(ds.attrs), ds[name].attrs
+        system, metadata = stored_system(ds.attrs), ds[name].attrs
         known = next((p for p in system.parameters if p.name == name), None) if system else None
         names = (("long_name", "meaning"), ("symbol", "symbol"), ("units", "unit"))
-        return cls(*(str(own.get(stored) or getattr(known, attribute, "")) for stored, attribute in names))
+        return cls(*(str(metadata.get(stored) or getattr(known, attribute, "")) for stored, attribute in names))
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ class PlaneAxis:
         By default the steps are the cells if they are uniform, and otherwise at least _STEPS.
         """
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
-        cuts, own = scale(self.edges), self.values.size
-        every = np.linspace(cuts[0], cuts[-1], 2 * (count or own) + 1)
-        cells = np.clip(np.searchsorted(cuts, every[1::2], side="right") - 1, 0, own - 1)
-        if count is None and not np.array_equal(cells, np.arange(own)):
-            return self.even(max(own, _STEPS))
+        cuts, n_cells = scale(self.edges), self.values.size
+        every = np.linspace(cuts[0], cuts[-1], 2 * (count or n_cells) + 1)
+        cells = np.clip(np.searchsorted(cuts, every[1::2], side="right") - 1, 0, n_cells - 1)
+        if count is None and not np.array_equal(cells, np.arange(n_cells)):
+            return self.even(max(n_cells, _STEPS))
         at = back(every)
         return replace(self, values=at[1::2], edges=at[::2]), cells
 

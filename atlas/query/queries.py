@@ -85,12 +85,14 @@ def nearest_cell(ds: "xr.Dataset", point: Mapping[str, float]) -> dict[str, Any]
     names = axis_names(ds)
     _check_axes(ds, point)
     index = {name: nearest(ds, name, number(name, point[name])) for name in names}
-    whole = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
-    cell = ds[whole].isel(index).load()
+    variable_names = [name for name in ds.data_vars if set(ds[name].dims) == set(names)]
+    cell = ds[variable_names].isel(index).load()
     results: dict[str, Any] = {name: float(cell[name]) for name in (*names, *columns(ds))}
     results["distance"] = {name: abs(results[name] - float(point[name])) for name in names}
-    results |= in_words({variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in whole})
-    results |= {str(name): cell[name].item() for name in whole if name not in (REGIME.name, REASON.name)}
+    results |= in_words(
+        {variable.name: cell[variable.name] for variable in (REGIME, REASON) if variable.name in variable_names}
+    )
+    results |= {str(name): cell[name].item() for name in variable_names if name not in (REGIME.name, REASON.name)}
     return results | ({"coexisting": list_attractors(every.isel(index).load())} if has_all_attractors(every) else {})
 
 
@@ -107,14 +109,14 @@ def nearest_cells(ds: "xr.Dataset", points: "Mapping[str, ArrayLike]") -> "xr.Da
 
     names = axis_names(ds)
     _check_axes(ds, points)
-    given = {name: np.asarray(points[name], dtype=object) for name in names}
-    shapes = {values.shape for values in given.values() if values.ndim}
+    coordinates = {name: np.asarray(points[name], dtype=object) for name in names}
+    shapes = {values.shape for values in coordinates.values() if values.ndim}
     if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
-        listed = ", ".join(f"{name} {list(values.shape)}" for name, values in given.items())
+        listed = ", ".join(f"{name} {list(values.shape)}" for name, values in coordinates.items())
         raise InputError(f"points: found the shapes {listed}, must be numbers, or lists of one length")
     dims, shape = (POINT,) if shapes else (), next(iter(shapes), ())
     index, distances = {}, {}
-    for name, values in given.items():
+    for name, values in coordinates.items():
         at = np.array([number(name, value) for value in np.broadcast_to(values, shape).ravel()]).reshape(shape)
         places = np.array([nearest(ds, name, value) for value in at.ravel()], dtype=np.intp).reshape(shape)
         index[name] = xarray.DataArray(places, dims=dims)
@@ -151,10 +153,10 @@ def fractions(ds: "xr.Dataset", window: Window | None = None) -> dict[str, float
     Only regimes in the window are read. In a large window they are read from overviews, tile records, and cells along
     its border. Raise InputError for an unknown axis, and for a window without a cell.
     """
-    shown = select_window(ds, window)
-    part = find_part(shown, [REGIME.name])
+    selection = select_window(ds, window)
+    part = find_part(selection, [REGIME.name])
     if part is None:
-        areas = _areas_of_cells(shown, ds, window_indices(ds, window))
+        areas = _areas_of_cells(selection, ds, window_indices(ds, window))
     else:
         areas = StoreTotals(part).areas()
         count_reads(part.chunks_read)
@@ -207,10 +209,10 @@ def where_regime(ds: "xr.Dataset", regimes: Iterable[str]) -> "xr.Dataset":
     Integers and flags become floats, since they have no missing value. The masked variables are loaded: select
     variables and a window first if the atlas is large.
     """
-    kept = is_regime(ds, regimes)
+    mask = is_regime(ds, regimes)
     numbers = {name: ds[name].astype(np.float64) if ds[name].dtype == bool else ds[name] for name in ds.data_vars}
     cells = set(ds[REGIME.name].dims)
-    masked = {name: array.where(kept) for name, array in numbers.items() if cells <= set(array.dims)}
+    masked = {name: array.where(mask) for name, array in numbers.items() if cells <= set(array.dims)}
     return ds.assign({name: array for name, array in masked.items() if name != REGIME.name})
 
 
@@ -252,9 +254,9 @@ def boundary(ds: "xr.Dataset", regime: str, other: str | None = None, window: Wi
     along = [(edge, np.arange(edge.size) - 0.5) for edge in edges]
     parts = [pd.DataFrame(columns=columns)] if not lines else []
     for k, line in enumerate(map(np.asarray, lines)):
-        place = {name: np.interp(line[:, i], *along[i][::-1]) for i, name in enumerate(names)}
+        positions = {name: np.interp(line[:, i], *along[i][::-1]) for i, name in enumerate(names)}
         beyond = _beyond(np.where(hidden, PENDING, codes), code, line)
-        parts.append(pd.DataFrame({"line": k, **place, "regime": regime, "other": beyond}, columns=columns))
+        parts.append(pd.DataFrame({"line": k, **positions, "regime": regime, "other": beyond}, columns=columns))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -283,12 +285,12 @@ def per_unit_time(ds: "xr.Dataset") -> "xr.Dataset":
         raise InputError(f"the exponents are {PER_TIME} already, not {PER_PERIOD}; nothing to convert")
     system = stored_system(ds.attrs)
     rate = ds[_frequency(ds)] / (2.0 * np.pi * (system.definition.turns if system else 1))
-    made = {}
+    converted = {}
     for name in present:
-        made[name] = (ds[name] * rate).transpose(*ds[name].dims)
+        converted[name] = (ds[name] * rate).transpose(*ds[name].dims)
         meaning = str(ds[name].attrs.get("long_name", f"{name} {PER_PERIOD}")).replace(PER_PERIOD, PER_TIME)
-        made[name].attrs = {**ds[name].attrs, "long_name": meaning}
-    return ds.assign(made)
+        converted[name].attrs = {**ds[name].attrs, "long_name": meaning}
+    return ds.assign(converted)
 
 
 def rate_of(exponents: "xr.DataArray") -> str:

@@ -66,17 +66,19 @@ def read_view(
     read cell by cell. Raise InputError for an unknown axis, and for a window without a cell.
     """
     ds = select_window(ds, window)
-    wanted = list(dict.fromkeys([*names, REGIME.name]))
-    part = find_part(ds, wanted)
+    requested = list(dict.fromkeys([*names, REGIME.name]))
+    part = find_part(ds, requested)
     if part is None:
-        return ds[wanted]
+        return ds[requested]
     known = {variable.name for variable in part.pyramid.variables}
-    kept = part.pyramid.levels.n_uncoarsened
-    free = len(part.cells) - kept
-    steps = [0] * kept + (_steps(ds, pixels)[-free:] if pixels and free and known.issuperset(wanted) else [0] * free)
-    seen = _coarse(ds, part, wanted, steps, marks) if max(steps) else _fine(ds, part, wanted)
-    block = tuple(2**count for count in reversed(steps[kept:]))
-    count_reads(part.chunks_read, min(steps[kept:], default=0), block or (1,))
+    n_uncoarsened = part.pyramid.levels.n_uncoarsened
+    free = len(part.cells) - n_uncoarsened
+    steps = [0] * n_uncoarsened + (
+        _steps(ds, pixels)[-free:] if pixels and free and known.issuperset(requested) else [0] * free
+    )
+    seen = _coarse(ds, part, requested, steps, marks) if max(steps) else _fine(ds, part, requested)
+    block = tuple(2**count for count in reversed(steps[n_uncoarsened:]))
+    count_reads(part.chunks_read, min(steps[n_uncoarsened:], default=0), block or (1,))
     return seen
 
 
@@ -107,8 +109,8 @@ def _fine(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str]) -> "xr.Datas
 
 
 def _coarse(ds: "xr.Dataset", part: StoreBlock, names: Sequence[str], steps: list[int], marks: bool) -> "xr.Dataset":
-    shown = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
-    cells, cuts = _coarsened(part, shown, steps)
+    stored_names = [REGIME_SHOWN.name if marks and name == REGIME.name else name for name in names]
+    cells, cuts = _coarsened(part, stored_names, steps)
     cells[REGIME.name] = cells[REGIME_SHOWN.name if marks else REGIME.name]
     if marks:
         _blank(cells)
@@ -133,49 +135,49 @@ def _coarsened(part: StoreBlock, names: Sequence[str], steps: Sequence[int]) -> 
     Halvings common to all dimensions are read as a level. A plane that is long and narrow in pixels is halved further
     along one dimension, a block of rows at a time. So is a plane with fewer pixels than the last level has cells.
     """
-    kept = part.pyramid.levels.n_uncoarsened
-    level = min(*steps[kept:], part.pyramid.levels.count)
-    more = [*steps[:kept], *(count - level for count in steps[kept:])]
-    whole = part.pyramid.levels.shape_of(level)
-    ends = zip(part.cells, steps, more, whole, strict=True)
+    coarse_start = part.pyramid.levels.n_uncoarsened
+    level = min(*steps[coarse_start:], part.pyramid.levels.count)
+    more = [*steps[:coarse_start], *(count - level for count in steps[coarse_start:])]
+    level_shape = part.pyramid.levels.shape_of(level)
+    ends = zip(part.cells, steps, more, level_shape, strict=True)
     piece = tuple(slice(s.start >> k << n, min(-(-s.stop >> k) << n, size)) for s, k, n, size in ends)
     cuts = [
         np.append(np.arange(p.start, p.stop, 2**n), p.stop) << k - n for p, k, n in zip(piece, steps, more, strict=True)
     ]
     if not any(more):
         return part.read(level, piece, names), cuts
-    rows = math.lcm(part.pyramid.levels.chunk[kept], 2 ** more[kept])
-    made, whole_rows = [], piece[kept]
+    rows = math.lcm(part.pyramid.levels.chunk[coarse_start], 2 ** more[coarse_start])
+    strips, whole_rows = [], piece[coarse_start]
     for first in range(whole_rows.start // rows * rows, whole_rows.stop, rows):
         strip = slice(max(first, whole_rows.start), min(first + rows, whole_rows.stop))
-        block = (*piece[:kept], strip, *piece[kept + 1 :])
+        block = (*piece[:coarse_start], strip, *piece[coarse_start + 1 :])
         cells = part.read(level, block, part.required_variables(names))
         widths = [w[b] for w, b in zip(part.pyramid.widths[level], block, strict=True)]
         for dim, count in enumerate(more):
             for _ in range(count):
                 cells = coarsen(cells, tuple(widths), [dim])
                 widths[dim] = halve_widths(widths[dim])
-        made.append({name: cells[name] for name in names})
-    return {name: np.concatenate([cells[name] for cells in made], axis=kept) for name in names}, cuts
+        strips.append({name: cells[name] for name in names})
+    return {name: np.concatenate([cells[name] for cells in strips], axis=coarse_start) for name in names}, cuts
 
 
 def _blank(cells: Cells) -> None:
     """Remove from coarse cells the values that the regime they show does not have."""
-    shown = cells[REGIME.name]
+    regime = cells[REGIME.name]
     for name in cells.keys() - {REGIME.name, REGIME_SHOWN.name, SHARE.name}:
         if name in CLASSES:
-            cells[name] = np.where(shown == PERIODIC, cells[name], 0)
+            cells[name] = np.where(regime == PERIODIC, cells[name], 0)
         elif cells[name].dtype == np.float64:
             without = _WITHOUT if name in _EXPONENTS else (PENDING, FAILED)
-            cells[name] = np.where(np.isin(shown, without), np.nan, cells[name])
+            cells[name] = np.where(np.isin(regime, without), np.nan, cells[name])
     if "period" in cells:
-        cells["period"] = np.where(shown == NO_IMPACT, 1, cells["period"])  # by definition
+        cells["period"] = np.where(regime == NO_IMPACT, 1, cells["period"])  # by definition
 
 
 def _dataset(ds: "xr.Dataset", arrays: dict[str, Any], axes: dict[str, Any], level: int) -> "xr.Dataset":
     import xarray
 
     fixed = {name: ds[name] for name in ds.coords if ds[name].ndim == 0}
-    made = xarray.Dataset(arrays, {**axes, **fixed}, ds.attrs)
-    made.encoding["level"] = level
-    return made
+    dataset = xarray.Dataset(arrays, {**axes, **fixed}, ds.attrs)
+    dataset.encoding["level"] = level
+    return dataset

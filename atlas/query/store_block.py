@@ -73,9 +73,9 @@ def _is_untouched(ds: "xr.Dataset", name: str, handle: AtlasStore) -> bool:
     if variable.chunks is not None:
         untouched = _is_selected(variable.data, ds.encoding.get(LAYERS, {}).get(name))
     else:
-        with skip_chunk_reads() as asked:
+        with skip_chunk_reads() as requested:
             _ = variable[(0,) * variable.ndim].values
-        untouched = asked == {(handle.backend, name)}
+        untouched = requested == {(handle.backend, name)}
     inner = list(variable.shape[ds[REGIME.name].ndim :])
     return untouched and inner == list(stored["shape"][len(handle.spec.shape) :])
 
@@ -150,15 +150,15 @@ class StoreBlock:
         down to the cells. Cells of unfinished tiles are pending. Raise ChunkError if a chunk of the cells themselves is
         missing or damaged.
         """
-        wanted = list(names)
+        requested = list(names)
         if level == 0:
-            return self._read_cells(piece, wanted)
-        arrays, missing = self.read_stored(level, piece, wanted)
+            return self._read_cells(piece, requested)
+        arrays, missing = self.read_stored(level, piece, requested)
         for block in missing:
             at = relative_slices(piece, block)
             if self.done[self.pyramid.levels.tiles_below(level, block)].any():
-                computed = self._compute(level, block, wanted)
-                for name in wanted:
+                computed = self._compute(level, block, requested)
+                for name in requested:
                     arrays[name][at] = computed[name]
             elif SHARE.name in arrays:
                 arrays[SHARE.name][(*at, PENDING_SHARE)] = 1.0
@@ -208,12 +208,12 @@ class StoreBlock:
 
     def _pending(self, piece: Slices, names: Iterable[str]) -> Cells:
         """Return variables of a piece of a level whose cells are all pending."""
-        wanted, made = set(names), {}
+        requested, arrays = set(names), {}
         for variable in self.pyramid.variables:
-            if variable.name in wanted:
+            if variable.name in requested:
                 shape = tuple(p.stop - p.start for p in piece) + tuple(CODES.size for _ in variable.extra_dims)
-                made[variable.name] = np.full(shape, variable.fill, dtype=variable.dtype)
-        return made
+                arrays[variable.name] = np.full(shape, variable.fill, dtype=variable.dtype)
+        return arrays
 
     def _is_current(self, level: int, block: Slices, marks: NDArray[Any]) -> bool:
         """Return True if the overview has all of a block, and every tile below the block is still finished."""

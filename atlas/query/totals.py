@@ -39,13 +39,13 @@ class StoreTotals:
         """
         known = self._recorded[1]
         levels, cells = self.part.pyramid.levels, self.part.cells
-        whole, met = np.zeros_like(known), np.zeros_like(known)
+        complete, met = np.zeros_like(known), np.zeros_like(known)
         within, below = levels.tiles_within(0, cells), levels.tiles_below(0, cells)
-        whole[within], met[below] = known[within], self.part.done[below]
+        complete[within], met[below] = known[within], self.part.done[below]
         by_reason = self.part.records.columns(BY_REASON)
         none = known & (by_reason[..., NO_REASON] == by_reason.sum(axis=-1))
-        total = by_reason[whole].sum(axis=0).astype(np.int64)
-        for index in np.argwhere(met & ~whole & ~none).tolist():
+        total = by_reason[complete].sum(axis=0).astype(np.int64)
+        for index in np.argwhere(met & ~complete & ~none).tolist():
             ends = zip(levels.cells_of(_one(index)), cells, strict=True)
             piece = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in ends)
             codes = self.part.pyramid.read(0, REASON.name, piece)
@@ -84,8 +84,8 @@ class StoreTotals:
         total = self._weighed(level, piece, arrays[SHARE.name])
         for block in missing:
             tiles = levels.tiles_below(level, block)
-            whole = tiles == levels.tiles_within(level, block) and self._recorded[1][tiles].all()
-            total = total + (self._added(tiles) if whole else self._areas(level - 1, levels.finer(level, block)))
+            is_complete = tiles == levels.tiles_within(level, block) and self._recorded[1][tiles].all()
+            total = total + (self._added(tiles) if is_complete else self._areas(level - 1, levels.finer(level, block)))
         return total
 
     def _areas_of_cells(self, piece: Slices) -> NDArray[np.float64]:

@@ -168,15 +168,19 @@ class BranchTable:
         from workers.cell.observables import observe_orbits
 
         parameters: dict[str, Any] = {**self.parameters, self.along: branch.values}
-        periods = np.array([own.periods for own in branch.itineraries])
+        periods = np.array([itinerary.periods for itinerary in branch.itineraries])
         if self.system.definition.unforced:
-            cycles = [cycle_period(p, own) for p, own in zip(branch.run.points, branch.itineraries, strict=True)]
+            cycles = [
+                cycle_period(p, itinerary) for p, itinerary in zip(branch.run.points, branch.itineraries, strict=True)
+            ]
             periods, parameters[OMEGA] = np.ones_like(periods), 2.0 * np.pi / np.array(cycles)
-        given = {name: np.broadcast_to(value, periods.shape).astype(float) for name, value in parameters.items()}
+        parameter_values = {
+            name: np.broadcast_to(value, periods.shape).astype(float) for name, value in parameters.items()
+        }
         for states in (branch.sections, branch.mirrored):
             if states is not None:
                 first, name = np.ascontiguousarray(states[:, 0]), self.observable.name
-                observed = observe_orbits(self.system.definition, given, first, periods, name, MAX_VALUES)
+                observed = observe_orbits(self.system.definition, parameter_values, first, periods, name, MAX_VALUES)
                 yield align_rows(observed[self.observable.variable], self.observable.modulus)
 
     def lines(self) -> Iterator[tuple[bool, NDArray[np.float64]]]:
@@ -213,9 +217,9 @@ class BranchTable:
     def _points(self) -> Iterator[tuple[Any, ...]]:
         for number, branch in enumerate(self.traced):
             kinds = {id(event.point): event.kind for event in branch.run.events}
-            for point, states, own in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
-                size, event = modulus(point, own), kinds.get(id(point), "")
-                values = self._pattern_values(point, own)
+            for point, states, itinerary in zip(branch.run.points, branch.sections, branch.itineraries, strict=True):
+                size, event = modulus(point, itinerary), kinds.get(id(point), "")
+                values = self._pattern_values(point, itinerary)
                 yield (number, float(point.values[0]), *states[0].tolist(), size, point.unstable, *values, event)
 
     @property
@@ -233,12 +237,13 @@ class BranchTable:
         for number, branch in enumerate(self.traced):
             for k, event in zip(branch.event_indices, branch.run.events, strict=True):
                 point, state = event.point, branch.sections[k, 0].tolist()
-                own = self._pattern_values(point, point.orbit.itinerary)
+                pattern_values = self._pattern_values(point, point.orbit.itinerary)
                 left, alone = leaving.get(id(event), -1), list[float]()
                 if self.system.definition.unforced:
-                    alone = [2.0 * math.pi / own[-1] if event.kind == HOPF else math.nan]
+                    alone = [2.0 * math.pi / pattern_values[-1] if event.kind == HOPF else math.nan]
                 yield (
-                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *alone, *own, left,
+                    number, event.kind, float(point.values[0]), *state, point.unstable, event.kappa, *alone,
+                    *pattern_values, left,
                 )  # fmt: skip
 
 
@@ -253,11 +258,13 @@ def align_rows(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
     """
     rolled = values.copy()
     for k in range(1, len(rolled)):
-        before, here = (row[np.isfinite(row)] for row in rolled[k - 1 : k + 1])
-        if len(here) == len(before) > 1:
-            away = [np.roll(here, -r) - before for r in range(len(here))]
+        before, current_row = (row[np.isfinite(row)] for row in rolled[k - 1 : k + 1])
+        if len(current_row) == len(before) > 1:
+            away = [np.roll(current_row, -r) - before for r in range(len(current_row))]
             away = away if math.isinf(turn) else [np.remainder(shift + 0.5 * turn, turn) - 0.5 * turn for shift in away]
-            rolled[k, : len(here)] = np.roll(here, -int(np.argmin([np.sum(np.abs(shift)) for shift in away])))
+            rolled[k, : len(current_row)] = np.roll(
+                current_row, -int(np.argmin([np.sum(np.abs(shift)) for shift in away]))
+            )
     return rolled
 
 

@@ -84,11 +84,11 @@ class Branch:
     @property
     def itineraries(self) -> list[Itinerary]:
         """The itinerary of the orbit at each point; at an end with a shorter orbit, that of the orbit before."""
-        own = [point.orbit.itinerary for point in self.run.points]
-        for end, beside in ((0, 1), (-1, -2)) if len(own) > 1 else ():
+        itineraries = [point.orbit.itinerary for point in self.run.points]
+        for end, neighbour in ((0, 1), (-1, -2)) if len(itineraries) > 1 else ():
             if self.run.ends[end] in LEAVES:
-                own[end] = own[beside]
-        return own
+                itineraries[end] = itineraries[neighbour]
+        return itineraries
 
     def ends_at(self, event: Event) -> bool:
         """Return True if the branch ends at an event."""
@@ -119,7 +119,10 @@ class Branch:
         one, other = self.run.points[k].orbit, self.run.points[k + 1].orbit
         if one.itinerary != other.itinerary:
             raise ValueError("the orbit changes between these points")
-        fields = (here + share * (there - here) for here, there in zip(one[1:], other[1:], strict=True))
+        fields = (
+            orbit_field + share * (other_field - orbit_field)
+            for orbit_field, other_field in zip(one[1:], other[1:], strict=True)
+        )
         return refine_orbit(family, Orbit(one.itinerary, *fields), np.array([value]))
 
     def orbits_at(self, family: Family, value: float) -> Iterator[Orbit]:
@@ -198,18 +201,18 @@ class BranchTree:
 
     def states(self, point: SolutionPoint, shift: float = 0.0) -> Array:
         """Return the section states (n, 2d) of a point; for a cycle, the states after all its events."""
-        given = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
-        return section_states(self.system, given, [point.orbit], shift, known=True)[0]
+        parameters = {name: np.array([value]) for name, value in self.values.items()} | {self.along: point.values}
+        return section_states(self.system, parameters, [point.orbit], shift, known=True)[0]
 
     def _meetings(self, number: int) -> list[tuple[int, Event]]:
         """Return the events of a branch at which another branch leaves it, it leaves another, or it continues as
         another.
         """
-        own = self.branches[number]
+        traced_branch = self.branches[number]
         return [
             (number, event)
-            for event in own.run.events
-            if event.kind in LEAVES or (event.kind in GOES_ON and own.ends_at(event))
+            for event in traced_branch.run.events
+            if event.kind in LEAVES or (event.kind in GOES_ON and traced_branch.ends_at(event))
         ]
 
     def _is_met(self, event: Event) -> bool:
@@ -221,21 +224,21 @@ class BranchTree:
 
         Return True if it is found.
         """
-        (low, high), here, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
-        own, cycle = event.point.orbit.itinerary, None
-        if own.is_cycle:
-            cycle = float(event.point.orbit.length) / own.turn
-        for beside in (
-            here + share * sign * (high - low)
+        (low, high), event_value, state = self.window, float(event.point.values[0]), self.states(event.point)[0]
+        itinerary, cycle = event.point.orbit.itinerary, None
+        if itinerary.is_cycle:
+            cycle = float(event.point.orbit.length) / itinerary.turn
+        for start_value in (
+            event_value + share * sign * (high - low)
             for share in (CONTINUATION_OFFSET, 0.1 * CONTINUATION_OFFSET)
             for sign in (1.0, -1.0)
         ):
-            if not low < beside < high:
+            if not low < start_value < high:
                 continue
             try:
-                given = {**self.values, self.along: beside}
-                start = orbit_from_state(self.system, given, state, own.periods or 1, cycle=cycle)
-                run = branch(self.family, start, beside, self.window)
+                parameters = {**self.values, self.along: start_value}
+                start = orbit_from_state(self.system, parameters, state, itinerary.periods or 1, cycle=cycle)
+                run = branch(self.family, start, start_value, self.window)
             except ValueError:
                 continue
             other = start.itinerary not in self.branches[number].itineraries
@@ -268,16 +271,18 @@ class BranchTree:
 
         It starts near the event, not at it: at the event the function that changes sign is zero.
         """
-        (low, high), here = self.window, float(event.point.values[0])
-        beside = here + CONTINUATION_OFFSET * (high - low) * (1.0 if 2.0 * here < low + high else -1.0)
+        (low, high), event_value = self.window, float(event.point.values[0])
+        start_value = event_value + CONTINUATION_OFFSET * (high - low) * (
+            1.0 if 2.0 * event_value < low + high else -1.0
+        )
         try:
-            start = refine_orbit(self.family, event.point.orbit, np.array([beside]))
-            run = branch(self.family, start, beside, self.window)
+            start = refine_orbit(self.family, event.point.orbit, np.array([start_value]))
+            run = branch(self.family, start, start_value, self.window)
         except ValueError:
             return False
         origin = next((met for met in run.events if self._same(met, event)), None)
-        own = self.branches[number]
-        self.branches[number] = replace(own, origins=(*own.origins, (len(self.branches), origin)))
+        ending_branch = self.branches[number]
+        self.branches[number] = replace(ending_branch, origins=(*ending_branch.origins, (len(self.branches), origin)))
         self._add(run, event.point.orbit.itinerary)
         return True
 
@@ -310,9 +315,9 @@ class BranchTree:
         """Return the states (N, n, 2d) of all points of a run; at an end with a shorter orbit they are repeated."""
         states_of = dict[int, Array]()
         for rows in group_indices(point.orbit.itinerary for point in run.points):
-            given = {name: np.full(len(rows), value) for name, value in self.values.items()}
-            given[self.along] = np.array([run.points[k].values[0] for k in rows])
-            states = section_states(self.system, given, [run.points[k].orbit for k in rows], shift)
+            parameters = {name: np.full(len(rows), value) for name, value in self.values.items()}
+            parameters[self.along] = np.array([run.points[k].values[0] for k in rows])
+            states = section_states(self.system, parameters, [run.points[k].orbit for k in rows], shift)
             states_of |= dict(zip(rows.tolist(), states, strict=True))
         n = max(map(len, states_of.values()))
         return np.stack([np.resize(states_of[k], (n, states_of[k].shape[1])) for k in range(len(run.points))])

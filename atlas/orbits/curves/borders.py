@@ -43,9 +43,9 @@ class BorderSchedule:
         keys, which = np.unique(np.sort(numbers[plane.edges], axis=1), axis=0, return_inverse=True)
         self.which: Cells = which.ravel()
         self.edges = [np.flatnonzero(self.which == k) for k in range(len(keys)) if keys[k, 1] > 0]
-        kept = keys[:, 1] > 0
-        self.number = np.cumsum(kept) - 1
-        self.rank: NDArray[np.int64] = np.where(keys[kept][:, 0] > 0, BETWEEN, BESIDE)
+        has_region = keys[:, 1] > 0
+        self.number = np.cumsum(has_region) - 1
+        self.rank: NDArray[np.int64] = np.where(keys[has_region][:, 0] > 0, BETWEEN, BESIDE)
         self.fruitless = np.zeros(len(self.edges), dtype=np.int64)
         self.looked = np.zeros(len(self.edges), dtype=np.int64)
 
@@ -56,18 +56,18 @@ class BorderSchedule:
         """
         choices = []
         for k, edges in enumerate(self.edges):
-            rank, wanted = int(self.rank[k]), edges[verdicts[edges] == OPEN]
-            if not len(wanted) and not self.looked[k]:
-                rank, wanted = BASINS, edges[verdicts[edges] == BASIN]
-            if len(wanted) and (rank == BETWEEN or self._promising(k)):
-                choices.append((rank, -len(wanted), k, wanted))
+            rank, candidates = int(self.rank[k]), edges[verdicts[edges] == OPEN]
+            if not len(candidates) and not self.looked[k]:
+                rank, candidates = BASINS, edges[verdicts[edges] == BASIN]
+            if len(candidates) and (rank == BETWEEN or self._promising(k)):
+                choices.append((rank, -len(candidates), k, candidates))
         first = min((rank for rank, *_ in choices), default=0)
-        chosen: list[int] = []
-        for rank, _, k, wanted in sorted(choices, key=lambda entry: entry[:3]):
+        selected_edges: list[int] = []
+        for rank, _, k, candidates in sorted(choices, key=lambda entry: entry[:3]):
             if rank == first:
-                count = min(len(wanted), EDGES_PER_BORDER if self.looked[k] else 1)
-                chosen += wanted[(2 * np.arange(count) + 1) * len(wanted) // (2 * count)].tolist()
-        return chosen[: max(0, min(EDGES_PER_STAGE, room))]
+                count = min(len(candidates), EDGES_PER_BORDER if self.looked[k] else 1)
+                selected_edges += candidates[(2 * np.arange(count) + 1) * len(candidates) // (2 * count)].tolist()
+        return selected_edges[: max(0, min(EDGES_PER_STAGE, room))]
 
     def record_attempt(self, edge: int, fruitful: bool) -> None:
         """Record that an edge was searched; ``fruitful`` is True if events were found."""
@@ -83,11 +83,11 @@ class BorderSchedule:
         impacts first.
         """
         plane = self.plane
-        ways = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]
+        directions = [(int(a), int(b)) for a, b in (edge, edge[::-1]) if self.inside[a]]
 
         def length(way: tuple[int, int]) -> tuple[int, int, bool]:
             cell = way[0]
             impacts = int(plane.impacts_upper[cell] + plane.impacts_lower[cell])
             return int(plane.period[cell]), impacts, not plane.symmetric[cell]
 
-        return tuple(sorted(ways, key=length))
+        return tuple(sorted(directions, key=length))

@@ -50,8 +50,8 @@ class CellOrbits(StoredOrbits):
                     self._stands(orbit, int(pairs[row, 1])) for row, orbit in zip(rows, orbits, strict=True)
                 ]
                 continue
-            here, there = (self.plane.values(pairs[rows, k]) for k in (0, 1))
-            reached = self.continue_orbits(orbits, here, there, steps=2, attracting=True)
+            start_values, end_values = (self.plane.values(pairs[rows, k]) for k in (0, 1))
+            reached = self.continue_orbits(orbits, start_values, end_values, steps=2, attracting=True)
             verdicts[rows[reached.converged]] = PERSISTS
             for k, row in enumerate(rows):
                 if (
@@ -75,8 +75,8 @@ class CellOrbits(StoredOrbits):
         return IS if self._is_of(cell, reached.orbit(0)) else PERSISTS
 
     def _is_of(self, cell: int, orbit: Orbit) -> bool:
-        own, values = self.orbit_of_row(int(cell)), self.plane.values(np.array([cell]))
-        return own is not None and is_same_orbit(own, orbit, float(self.omega(values)[0]))
+        cell_orbit, values = self.orbit_of_row(int(cell)), self.plane.values(np.array([cell]))
+        return cell_orbit is not None and is_same_orbit(cell_orbit, orbit, float(self.omega(values)[0]))
 
     def belong_to_cells(self, cells: Cells, points: Sequence[Orbit], values: Array) -> Mask:
         """Return the mask of orbits (N,), at parameters (N, 2), that become the orbits of their cells (N,) when
@@ -88,8 +88,8 @@ class CellOrbits(StoredOrbits):
             if is_equilibrium(points[rows[0]], self.plane.system):
                 belongs[rows] = self.are_still(cells[rows])
                 continue
-            own = [points[row] for row in rows]
-            reached = self.continue_orbits(own, values[rows], self.plane.values(cells[rows]))
+            orbits = [points[row] for row in rows]
+            reached = self.continue_orbits(orbits, values[rows], self.plane.values(cells[rows]))
             self.find(cells[rows[reached.converged]])
             for k, row in enumerate(rows):
                 of_cell = self.orbit_of_row(int(cells[row])) if reached.converged[k] else None

@@ -22,8 +22,8 @@ def find_passages(points: Array, at: Array, near: float) -> list[tuple[int, floa
 
     Each is the nearest chord of the passage: its index, and the share of it. Chords of length 0 do not count.
     """
-    shares, way = project_onto_chords(at, points[:-1], points[1:])
-    off = np.hypot(*way.T)
+    shares, offsets = project_onto_chords(at, points[:-1], points[1:])
+    off = np.hypot(*offsets.T)
     close = np.flatnonzero((off < near) & np.any(points[1:] != points[:-1], axis=1))
     if not len(close):
         return []

@@ -44,13 +44,13 @@ def distance_to(ds: "xr.Dataset", kind: str | None, point: Mapping[str, float]) 
         kind = GRAZING if kind in LOST else kind
     plane = plane_of(handle_of(ds))
     results = nearest_cell(ds, point)
-    orbits, here = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
-    orbit = _orbit_at(orbits, plane, results, here)
+    orbits, coordinates = CellOrbits(plane), np.array([float(point[name]) for name in plane.axes])
+    orbit = _orbit_at(orbits, plane, results, coordinates)
     entries = [
-        _entry(plane, axis, here, event)
+        _entry(plane, axis, coordinates, event)
         for axis in (0, 1)
         for end in plane.window[plane.axes[axis]]
-        for event in _first(orbits, orbit, here, axis, end, kind)
+        for event in _first(orbits, orbit, coordinates, axis, end, kind)
     ]
     return sorted(entries, key=lambda entry: float(entry["share"]))
 
@@ -60,10 +60,10 @@ def _orbit_at(orbits: CellOrbits, plane: CurvePlane, cell: Mapping[str, Any], he
     x, y = (int(np.argmin(np.abs(v - cell[name]))) for v, name in zip((plane.x, plane.y), plane.axes, strict=True))
     number = y * len(plane.x) + x
     where = ", ".join(f"{name} = {cell[name]:g}" for name in plane.axes)
-    own = orbits.orbit_of_row(number)
-    if own is None:
+    cell_orbit = orbits.orbit_of_row(number)
+    if cell_orbit is None:
         raise InputError(f"the cell at {where} is {cell['regime']}: events need a proven periodic orbit")
-    reached = orbits.continue_orbits([own], plane.values(np.array([number])), here[None], attracting=True)
+    reached = orbits.continue_orbits([cell_orbit], plane.values(np.array([number])), here[None], attracting=True)
     if not reached.converged[0]:
         raise InputError(f"the orbit of the cell at {where} does not attract at the point; use the cell's point")
     return reached.orbit(0)

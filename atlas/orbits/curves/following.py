@@ -110,22 +110,26 @@ def events_between(orbits: CellOrbits, start: int, beyond: int, cells: float) ->
     plane, orbit = orbits.plane, orbits.orbit_of_row(start)
     if orbit is None:
         return EdgeSearchResult([], "found no orbit from the state of a cell")
-    here, there = plane.values(np.array([start, beyond]))
-    axis = 0 if here[0] != there[0] else 1
+    start_values, target_values = plane.values(np.array([start, beyond]))
+    axis = 0 if start_values[0] != target_values[0] else 1
     low, high = plane.window[plane.axes[axis]]
-    end = float(np.clip(here[axis] + cells * (there[axis] - here[axis]), low, high))
+    end = float(np.clip(start_values[axis] + cells * (target_values[axis] - start_values[axis]), low, high))
     try:
-        run, events = _towards(orbits, orbit, here, axis, end, min(STEP, 2.0 * STEP / cells))
+        run, events = _towards(orbits, orbit, start_values, axis, end, min(STEP, 2.0 * STEP / cells))
     except (ValueError, np.linalg.LinAlgError) as error:
         return EdgeSearchResult([], f"the orbit of a cell cannot be followed: {error}")
-    why = run.ends[1 if end > here[axis] else 0]
+    why = run.ends[1 if end > start_values[axis] else 0]
     if events or why != EDGE:
         return EdgeSearchResult(
             events, "" if events else f"the branch of a cell's orbit ends at no event of its own: {why}"
         )
-    points = [point for point in run.points if abs(point.values[0] - here[axis]) <= abs(there[axis] - here[axis])]
-    nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(there[axis])))
-    values = here.copy()
+    points = [
+        point
+        for point in run.points
+        if abs(point.values[0] - start_values[axis]) <= abs(target_values[axis] - start_values[axis])
+    ]
+    nearest = min(points, key=lambda point: abs(float(point.values[0]) - float(target_values[axis])))
+    values = start_values.copy()
     values[axis] = nearest.values[0]
     return EdgeSearchResult([], "the orbit of a cell continues beyond", orbits.fate_at(nearest.orbit, values, beyond))
 
@@ -199,16 +203,16 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
         return str(error)
     if len(run.points) < 2:
         return f"the {name} is alone: no step along its curve converges"
-    own = run.points if still else with_own_ends(run.points)
-    grazes = min(len(point.contacts) for point in own)  # other grazes add their time
-    conditions = [event.condition] * len(own) if still else _conditions(orbits, event, own)
+    curve_points = run.points if still else with_own_ends(run.points)
+    grazes = min(len(point.contacts) for point in curve_points)  # other grazes add their time
+    conditions = [event.condition] * len(curve_points) if still else _conditions(orbits, event, curve_points)
     if conditions is None:
         return f"the {name} is lost on its way: its own event is not that of a neighbour"
     return FollowedCurve(
         event=event,
         values=np.array([point.values for point in run.points]),
-        orbits=[point.orbit for point in own],
-        contact_times=np.array([point.contacts[:grazes] for point in own]),
+        orbits=[point.orbit for point in curve_points],
+        contact_times=np.array([point.contacts[:grazes] for point in curve_points]),
         conditions=conditions,
         unstable=np.array([point.unstable for point in run.points], dtype=np.int64),
         corners=[(met.kind, met.point.values) for met in run.events if len(met.conditions) == 2],
@@ -218,11 +222,11 @@ def follow_event(orbits: CellOrbits, event: PlaneEvent, resolution: float, budge
 
 def with_own_ends(points: list[SolutionPoint]) -> list[SolutionPoint]:
     """Return the points, with an end at which the orbit becomes another one replaced by its neighbour."""
-    own = list(points)
-    for end, beside in ((0, 1), (-1, -2)):
-        if own[end].orbit.itinerary != own[beside].orbit.itinerary:
-            own[end] = own[beside]
-    return own
+    curve_points = list(points)
+    for end, neighbour in ((0, 1), (-1, -2)):
+        if curve_points[end].orbit.itinerary != curve_points[neighbour].orbit.itinerary:
+            curve_points[end] = curve_points[neighbour]
+    return curve_points
 
 
 def _length(itinerary: Itinerary) -> tuple[int, bool]:
@@ -235,13 +239,13 @@ def _conditions(orbits: CellOrbits, event: PlaneEvent, points: list[SolutionPoin
     """
     start = next((k for k, point in enumerate(points) if point.orbit.itinerary == event.orbit.itinerary), 0)
     conditions = {start: event.condition}
-    for way, last in ((1, len(points)), (-1, -1)):
-        for k in range(start + way, last, way):
-            here, former = points[k], points[k - way]
-            conditions[k] = conditions[k - way]
-            if here.orbit.itinerary != former.orbit.itinerary:
+    for step, last in ((1, len(points)), (-1, -1)):
+        for k in range(start + step, last, step):
+            next_point, former = points[k], points[k - step]
+            conditions[k] = conditions[k - step]
+            if next_point.orbit.itinerary != former.orbit.itinerary:
                 span = former.orbit.span(orbits.family.model(former.values[None]))
-                carried = conditions_on(here.orbit, (conditions[k - way],), former.orbit, span)
+                carried = conditions_on(next_point.orbit, (conditions[k - step],), former.orbit, span)
                 if carried is None:
                     return None
                 (conditions[k],) = carried
@@ -256,10 +260,10 @@ def lies_on(orbits: CellOrbits, event: PlaneEvent, known: FollowedCurve) -> bool
     if event.kind != known.event.kind or _length(event.orbit.itinerary) != _length(known.event.orbit.itinerary):
         return False
     width = orbits.plane.width
-    for place, share in find_passages(known.values / width, event.values / width, NEAR_CURVE):
+    for chord, share in find_passages(known.values / width, event.values / width, NEAR_CURVE):
         if event.condition.kind in OF_EQUILIBRIA:
             return True  # a machine has one equilibrium that continues this one
-        solution = _solved_at(orbits.family, event, known, place, share, width)
+        solution = _solved_at(orbits.family, event, known, chord, share, width)
         if solution is None:
             continue
         values, orbit = solution

@@ -49,8 +49,8 @@ def find_passed_edges(
     rows, which, shares = [], [], []
     near = np.flatnonzero(np.all((at > points.min(0) - ONE_CELL) & (at < points.max(0) + ONE_CELL), axis=1))
     for part in np.array_split(near, max(1, len(near) * len(points) // DISTANCES_PER_BLOCK + 1)) if len(near) else []:
-        share, way = project_onto_chords(at[part][:, None], points[:-1], points[1:])
-        distance = np.max(np.abs(way), axis=2)
+        share, offsets = project_onto_chords(at[part][:, None], points[:-1], points[1:])
+        distance = np.max(np.abs(offsets), axis=2)
         chord = np.argmin(distance, axis=1)
         row = np.arange(len(part))
         close = distance[row, chord] <= ONE_CELL

@@ -96,12 +96,16 @@ class CurvePlane(OrbitTable):
         """Return points (N, 2) of the plane in units of cells: the point of cell (i, j) is (i, j), x first."""
         places = np.empty_like(values)
         for k, (points, log) in enumerate(zip((self.x, self.y), self.log, strict=True)):
-            given = np.log(values[:, k]) if log else values[:, k]
-            own = np.log(points) if log else points
-            steps = np.diff(own)
-            inner = np.interp(given, own, np.arange(len(own), dtype=float))
-            inner = np.where(given < own[0], (given - own[0]) / steps[0], inner)
-            places[:, k] = np.where(given > own[-1], len(own) - 1 + (given - own[-1]) / steps[-1], inner)
+            scaled_values = np.log(values[:, k]) if log else values[:, k]
+            scaled_points = np.log(points) if log else points
+            steps = np.diff(scaled_points)
+            inner = np.interp(scaled_values, scaled_points, np.arange(len(scaled_points), dtype=float))
+            inner = np.where(scaled_values < scaled_points[0], (scaled_values - scaled_points[0]) / steps[0], inner)
+            places[:, k] = np.where(
+                scaled_values > scaled_points[-1],
+                len(scaled_points) - 1 + (scaled_values - scaled_points[-1]) / steps[-1],
+                inner,
+            )
         return places
 
     @cached_property
@@ -115,8 +119,8 @@ class CurvePlane(OrbitTable):
         )
 
         changes = np.zeros((len(self.kind), 0), dtype=np.int64) if self.changes is None else self.changes
-        own = np.column_stack([self.kind, changes])
-        kind = np.unique(own, axis=0, return_inverse=True)[1].ravel()
+        features = np.column_stack([self.kind, changes])
+        kind = np.unique(features, axis=0, return_inverse=True)[1].ravel()
         kinds = np.where(self.proven, kind + 1, 0).reshape(self.shape)
         return (
             label_components(kinds, [(kind, kind) for kind in np.unique(kinds[kinds > 0]).tolist()])[0]
@@ -214,7 +218,9 @@ def changes_of(system: System) -> tuple[list[str], list[str]]:
 
     They are flags and counts of its contacts, and shares of time that are 0 if its friction does not stick.
     """
-    own, definition = {variable.name for variable in system.own_variables}, system.definition
+    variable_names, definition = {variable.name for variable in system.own_variables}, system.definition
     counts = [f"{contact.name}_{side}" for contact in definition.contacts for side in ("upper", "lower")]
     shares = [f"{friction.name}_stuck" for friction in definition.friction]
-    return ["sticks", *(name for name in counts if name in own)], [name for name in shares if name in own]
+    return ["sticks", *(name for name in counts if name in variable_names)], [
+        name for name in shares if name in variable_names
+    ]

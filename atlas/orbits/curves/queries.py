@@ -57,9 +57,9 @@ def to_frames(curves: Curves, kind: str | None = None) -> CurveFrames:
                 kinds, x, y, after = zip(*curve.corners, strict=True)
                 at = np.minimum(after, len(curve.points) - 1)
                 corners.append(rows(number, curve, kinds, at, list(zip(x, y, strict=True))).assign(point=at))
-    made = CurveFrames(
+    frames = CurveFrames(
         pd.concat(points, ignore_index=True) if points else pd.DataFrame(columns=columns),
         pd.concat(corners, ignore_index=True) if corners else pd.DataFrame(columns=[*columns, "point"]),
     )
-    made.points.attrs["report"] = dict(curves.report)
-    return made
+    frames.points.attrs["report"] = dict(curves.report)
+    return frames

@@ -102,10 +102,10 @@ class CurveSearch:
         """Return the tasks of the next stage by the names of their parts; empty at the end."""
         for tasks in self._stages:
             if tasks:
-                made = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(tasks)}
+                named_tasks = {f"{self.stage:05d}-{k:05d}": task for k, task in enumerate(tasks)}
                 self.stage += 1
-                self._names = list(made)
-                return made
+                self._names = list(named_tasks)
+                return named_tasks
             self._results = []
         return {}
 
@@ -130,18 +130,18 @@ class CurveSearch:
 
     def _find_basins(self) -> Iterator[list[Any]]:
         self.doing = "searching for orbits beyond their regions"
-        ways = np.concatenate([self.edges, self.edges[:, ::-1]])
+        directions = np.concatenate([self.edges, self.edges[:, ::-1]])
         which = np.tile(np.arange(len(self.edges)), 2)
-        inside = self.groups.inside[ways[:, 0]]
-        ways, which = ways[inside], which[inside]
-        order = np.argsort(ways[:, 0], kind="stable")
-        ways, which = ways[order], which[order]
-        parts = [slice(k, k + CHUNK) for k in range(0, len(ways), CHUNK)]
-        yield [PersistTask(tuple((int(a), int(b)) for a, b in ways[part])) for part in parts]
+        inside = self.groups.inside[directions[:, 0]]
+        directions, which = directions[inside], which[inside]
+        order = np.argsort(directions[:, 0], kind="stable")
+        directions, which = directions[order], which[order]
+        parts = [slice(k, k + CHUNK) for k in range(0, len(directions), CHUNK)]
+        yield [PersistTask(tuple((int(a), int(b)) for a, b in directions[part])) for part in parts]
         for part, result in zip(parts, self._results, strict=True):
-            there = np.array(result.get("persist", [CEASES] * len(ways[part])))
-            self.verdicts[which[part][there == PERSISTS]] = BASIN
-            self.verdicts[which[part][there == IS]] = NONE
+            fates = np.array(result.get("persist", [CEASES] * len(directions[part])))
+            self.verdicts[which[part][fates == PERSISTS]] = BASIN
+            self.verdicts[which[part][fates == IS]] = NONE
             self._note(result)
 
     def _look_beside(self, edges: list[int]) -> Iterator[list[Any]]:
@@ -158,16 +158,16 @@ class CurveSearch:
             self.why[edge] = result.get("why") or result.get("trouble") or FAR
             self.groups.record_attempt(edge, bool(result.get("events")))
             self._note(result)
-            for number, given in enumerate(result.get("events", [])):
-                event = event_from_json(given)
+            for number, event_data in enumerate(result.get("events", [])):
+                event = event_from_json(event_data)
                 off = np.abs(self.plane.places(event.values[None])[0] - self.middles[edge])
-                beside = edge if np.max(off) <= ONE_CELL and self.verdicts[edge] == TRIED else -1
-                self._pending.append(_Event(name, number, event, beside))
+                event_edge = edge if np.max(off) <= ONE_CELL and self.verdicts[edge] == TRIED else -1
+                self._pending.append(_Event(name, number, event, event_edge))
 
     def _follow(self) -> Iterator[list[Any]]:
         """Drop the events that lie on known curves, and follow the first event of each signature."""
         self.doing = "following curves"
-        left, chosen, signatures = [], list[_Event](), set[Any]()
+        left, followed_events, signatures = [], list[_Event](), set[Any]()
         for met in self._pending:
             if any(lies_on(self.orbits, met.event, curve) for curve in self.curves):
                 self._explained(met)
@@ -175,20 +175,20 @@ class CurveSearch:
                 left.append(met)
             else:
                 signatures.add(met.event.signature)
-                chosen.append(met)
+                followed_events.append(met)
         self._pending = left
         room = max(0, self.settings.curves - len(self.curves))
-        chosen, over = chosen[:room], chosen[room:]
+        followed_events, over = followed_events[:room], followed_events[room:]
         points = max(0, self.settings.points - self.points)
-        if not chosen or points < len(chosen):
-            self.dropped += len(chosen) + len(over) + len(left)
-            self.why |= {met.edge: SPENT for met in self._pending + chosen + over if met.edge >= 0}
+        if not followed_events or points < len(followed_events):
+            self.dropped += len(followed_events) + len(over) + len(left)
+            self.why |= {met.edge: SPENT for met in self._pending + followed_events + over if met.edge >= 0}
             self._pending = []
             return
-        budget = min(WAY, points // (2 * len(chosen)) or 1)
+        budget = min(WAY, points // (2 * len(followed_events)) or 1)
         self._pending = over + left
-        yield [FollowTask(met.part, met.number, budget) for met in chosen]
-        for met, name, result in zip(chosen, self._names, self._results, strict=True):
+        yield [FollowTask(met.part, met.number, budget) for met in followed_events]
+        for met, name, result in zip(followed_events, self._names, self._results, strict=True):
             self._note(result)
             if "curve" in result:
                 new_curve = curve_from_json(result["curve"])
@@ -204,11 +204,11 @@ class CurveSearch:
         are of.
         """
         self.doing = "searching for the edges that curves explain"
-        wanted = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
+        unexplained = np.flatnonzero((self.verdicts == OPEN) | (self.verdicts == TRIED))
         passings, which = [], []
         for name, curve in list(zip(self.curve_names, self.curves, strict=True))[known:]:
-            rows, chords, shares = find_passed_edges(self.plane, curve.values, self.middles[wanted])
-            for edge, chord, share in zip(wanted[rows].tolist(), chords.tolist(), shares.tolist(), strict=True):
+            rows, chords, shares = find_passed_edges(self.plane, curve.values, self.middles[unexplained])
+            for edge, chord, share in zip(unexplained[rows].tolist(), chords.tolist(), shares.tolist(), strict=True):
                 for cell in self.edges[edge].tolist():
                     if any(self._may_be(curve.orbits[k].itinerary, cell) for k in (chord, chord + 1)):
                         passings.append((name, chord, share, cell))
@@ -226,9 +226,13 @@ class CurveSearch:
         """
         plane = self.plane
         counts = {itinerary.impacts(1), itinerary.impacts(-1)}
-        own = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
-        uncounted = min(own) < 0
-        return bool(plane.proven[cell]) and plane.period[cell] == itinerary.sections and (counts == own or uncounted)
+        cell_counts = {int(plane.impacts_upper[cell]), int(plane.impacts_lower[cell])}
+        uncounted = min(cell_counts) < 0
+        return (
+            bool(plane.proven[cell])
+            and plane.period[cell] == itinerary.sections
+            and (counts == cell_counts or uncounted)
+        )
 
     def _explained(self, met: _Event) -> None:
         if met.edge >= 0:

@@ -16,10 +16,12 @@ from atlas.orbits.curves.table import KINDS, CodimTwoPoint, Curve, Curves
 
 def finish_search(search: CurveSearch) -> Curves:
     """Return the curves of a search that has ended, with its report."""
-    kept = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
+    retained_curves = [curve for k, curve in enumerate(search.curves) if not _goes_on(search, k)]
     model = search.orbits.family.model
-    curves = sorted((as_curve(curve, bool(model(curve.values).mirrored.all())) for curve in kept), key=_order)
-    return Curves(search.plane.axes, tuple(curves), report_of(search, len(search.curves) - len(kept)))
+    curves = sorted(
+        (as_curve(curve, bool(model(curve.values).mirrored.all())) for curve in retained_curves), key=_order
+    )
+    return Curves(search.plane.axes, tuple(curves), report_of(search, len(search.curves) - len(retained_curves)))
 
 
 def report_of(search: CurveSearch, duplicates: int) -> dict[str, Any]:
@@ -95,10 +97,10 @@ def _unexplained(search: CurveSearch) -> list[dict[str, Any]]:
         reasons = dict[str, list[int]]()
         for edge in edges[search.verdicts[edges] == TRIED].tolist():
             reasons.setdefault(search.why[edge], []).append(edge)
-        for why, own in reasons.items():
-            middle = plane.values(search.edges[own[0]]).mean(axis=0)
+        for why, reason_edges in reasons.items():
+            middle = plane.values(search.edges[reason_edges[0]]).mean(axis=0)
             at = dict(zip(plane.axes, middle.tolist(), strict=True))
-            entries.append({"edges": len(own), "at": at, "why": why})
+            entries.append({"edges": len(reason_edges), "at": at, "why": why})
     return entries
 
 
@@ -125,8 +127,8 @@ def _after(points: NDArray[np.float64], at: NDArray[np.float64]) -> int:
         return 0
     width = np.ptp(points, axis=0)
     scale = np.where(width > 0.0, width, 1.0)
-    share, way = project_onto_chords(at / scale, points[:-1] / scale, points[1:] / scale)
-    nearest = int(np.argmin(np.hypot(*way.T)))
+    share, offsets = project_onto_chords(at / scale, points[:-1] / scale, points[1:] / scale)
+    nearest = int(np.argmin(np.hypot(*offsets.T)))
     return nearest + int(share[nearest] == 1.0)
 
 

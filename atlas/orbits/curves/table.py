@@ -135,8 +135,8 @@ class Curves:
 
 def write_curves(handle: AtlasStore, curves: Curves) -> None:
     """Write the curves to the store's group, completely or not at all, replacing any earlier ones."""
-    own = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
-    write_group(handle, CURVES, as_arrays(curves), own)
+    attributes = {"version": VERSION, "axes": list(curves.axes), "report": dict(curves.report)}
+    write_group(handle, CURVES, as_arrays(curves), attributes)
 
 
 def read_curves(handle: AtlasStore) -> Curves | None:

@@ -78,11 +78,11 @@ def run_task(task: Task, orbits: CellOrbits, known: Known, curve_of: Callable[[s
 
 def _looked(task: FindEventsTask, orbits: CellOrbits) -> dict[str, Any]:
     """Return the events in the first direction that has any; otherwise the reason for each direction."""
-    why, there = list[str](), list[int]()
+    why, fates = list[str](), list[int]()
     for start, beyond in task.directions:
-        looked = events_between(orbits, start, beyond, task.cells)
-        if looked.events:
-            return {"events": [event_as_json(event) for event in looked.events]}
-        why.append(looked.why)
-        there.append(looked.fate)
-    return {"events": [], "why": "; ".join(dict.fromkeys(why)), "there": max(there, default=CEASES)}
+        result = events_between(orbits, start, beyond, task.cells)
+        if result.events:
+            return {"events": [event_as_json(event) for event in result.events]}
+        why.append(result.why)
+        fates.append(result.fate)
+    return {"events": [], "why": "; ".join(dict.fromkeys(why)), "there": max(fates, default=CEASES)}

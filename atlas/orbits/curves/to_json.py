@@ -36,19 +36,21 @@ def event_from_json(data: dict[str, Any]) -> PlaneEvent:
 
 def curve_as_json(followed: FollowedCurve) -> dict[str, Any]:
     """Return a curve as plain values; orbits share their itineraries, each with the condition on them."""
-    own = [(orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)]
-    shared = list(dict.fromkeys(own))
+    pairs = [
+        (orbit.itinerary, condition) for orbit, condition in zip(followed.orbits, followed.conditions, strict=True)
+    ]
+    shared = list(dict.fromkeys(pairs))
     return {
         "of": event_as_json(followed.event),
         "itineraries": [[list(itinerary), list(condition)] for itinerary, condition in shared],
-        "which": [shared.index(pair) for pair in own],
+        "which": [shared.index(pair) for pair in pairs],
         "values": followed.values.tolist(),
         "times": [orbit.times.tolist() for orbit in followed.orbits],
         "speeds": [orbit.speeds.tolist() for orbit in followed.orbits],
         "lengths": [_as_length(orbit) for orbit in followed.orbits],
         "contacts": followed.contact_times.tolist(),
         "unstable": followed.unstable.tolist(),
-        "corners": [[kind, place.tolist()] for kind, place in followed.corners],
+        "corners": [[kind, point.tolist()] for kind, point in followed.corners],
         "ends": list(followed.ends),
     }
 
@@ -68,7 +70,7 @@ def curve_from_json(data: dict[str, Any]) -> FollowedCurve:
         contact_times=np.array(data["contacts"], dtype=np.float64).reshape(len(orbits), -1),
         conditions=[shared[k][1] for k in data["which"]],
         unstable=np.array(data["unstable"], dtype=np.int64),
-        corners=[(kind, np.array(place)) for kind, place in data["corners"]],
+        corners=[(kind, np.array(point)) for kind, point in data["corners"]],
         ends=(first, last),
     )
 

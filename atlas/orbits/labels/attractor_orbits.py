@@ -80,14 +80,14 @@ def with_images(attractors: AttractorOrbitTable) -> tuple[Rows, Rows]:
     No initial state has reached an unseen mirror image. The row of a mirror image is the orbit's own if it is
     symmetric, and -1 if the machine is not.
     """
-    own, count = attractors, len(attractors)
-    image = np.where(own.symmetric, np.arange(count), own.twin)
+    table, count = attractors, len(attractors)
+    image = np.where(table.symmetric, np.arange(count), table.twin)
     alone = np.flatnonzero(image < 0)
-    values = {p.name: np.full(len(alone), own.fixed.get(p.name, p.default)) for p in own.system.parameters}
-    values |= {name: np.ascontiguousarray(own.values(alone)[:, k]) for k, name in enumerate(own.axes)}
-    unseen = alone[own.system.build_many(values)[0].symmetric > 0.0]
+    values = {p.name: np.full(len(alone), table.fixed.get(p.name, p.default)) for p in table.system.parameters}
+    values |= {name: np.ascontiguousarray(table.values(alone)[:, k]) for k, name in enumerate(table.axes)}
+    unseen = alone[table.system.build_many(values)[0].symmetric > 0.0]
     image[unseen] = count + np.arange(len(unseen))
-    return np.append(own.cell, own.cell[unseen]), np.append(image, unseen)
+    return np.append(table.cell, table.cell[unseen]), np.append(image, unseen)
 
 
 def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
@@ -107,9 +107,9 @@ def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
     columns, points = columns_of(handle, NEEDED), params_of(spec)
     regime, period = columns[REGIME.name], columns["period"]
     known = np.isin(regime, (NO_IMPACT, PERIODIC)) & (period > 0)
-    cell, place = np.nonzero(known)
+    cell, rank = np.nonzero(known)
     row = np.full(known.shape, -1)
-    row[cell, place] = np.arange(len(cell))
+    row[cell, rank] = np.arange(len(cell))
     image = columns.pop("mirror")[known]
     axes = tuple(axis.name for axis in reversed(spec.axes))
     attractors = AttractorOrbitTable(
@@ -120,7 +120,7 @@ def attractors_of(handle: AtlasStore) -> tuple[AttractorOrbitTable, int]:
         keep=known.shape[1],
         points=np.stack([points[name] for name in axes], axis=1),
         cell=cell,
-        place=place,
+        place=rank,
         **{name: values[known] for name, values in columns.items()},
         twin=np.where(image >= 0, row[cell, np.maximum(image, 0)], -1),
     )

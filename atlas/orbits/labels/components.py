@@ -47,11 +47,11 @@ def branches(count: int, pairs: Rows, change: NDArray[np.float64], cell: Rows, i
         mirrored = image[link]
         one = {root(k) for k in link.tolist()}
         other = {root(k) for k in mirrored.tolist()} if (mirrored >= 0).all() else set()
-        joined = [one | other] if one & other else [one, other]
-        if any(cells[a] & cells[b] for roots in joined for a, b in combinations(roots, 2)):
+        root_sets = [one | other] if one & other else [one, other]
+        if any(cells[a] & cells[b] for roots in root_sets for a, b in combinations(roots, 2)):
             cut += 1
             continue
-        for roots in joined:
+        for roots in root_sets:
             if len(roots) > 1:
                 join(roots)
     _, first, part = np.unique([root(k) for k in range(count)], return_index=True, return_inverse=True)

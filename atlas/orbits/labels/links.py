@@ -72,19 +72,19 @@ def find_links(attractors: AttractorOrbitTable) -> OrbitLinks:
     pairs, change = np.stack([free[:-1], free[1:]], axis=1), np.zeros(max(0, len(free) - 1))
     one_way = np.zeros((0, 2), dtype=np.int64)
     for away in range(1, MAX_GAP_CELLS + 1):
-        wanted = attractors.same_kind_pairs(away)
-        wanted = wanted[~still[wanted[:, 0]] & known[wanted].all(axis=1)]
+        candidates = attractors.same_kind_pairs(away)
+        candidates = candidates[~still[candidates[:, 0]] & known[candidates].all(axis=1)]
         if away > 1:
-            wanted = wanted[_apart(wanted, pairs, len(cell))]
-        there, size = follower.follow_pairs(wanted, away)
-        back, _ = follower.follow_pairs(wanted[:, ::-1], away)
-        both_ways = there & back
-        pairs, change = np.concatenate([pairs, wanted[both_ways]]), np.concatenate([change, size[both_ways]])
+            candidates = candidates[_apart(candidates, pairs, len(cell))]
+        forward, size = follower.follow_pairs(candidates, away)
+        back, _ = follower.follow_pairs(candidates[:, ::-1], away)
+        both_ways = forward & back
+        pairs, change = np.concatenate([pairs, candidates[both_ways]]), np.concatenate([change, size[both_ways]])
         pairs, change = _mirrored(pairs, change, image)
-        one_way = np.concatenate([one_way, np.sort(wanted[there != back], axis=1)])
-    wanted = _left_over(attractors, pairs)
-    wanted = wanted[known[wanted].all(axis=1) & ~still[wanted].any(axis=1)]
-    reached, size = follower.follow_along_branches(wanted)
+        one_way = np.concatenate([one_way, np.sort(candidates[forward != back], axis=1)])
+    candidates = _left_over(attractors, pairs)
+    candidates = candidates[known[candidates].all(axis=1) & ~still[candidates].any(axis=1)]
+    reached, size = follower.follow_along_branches(candidates)
     pairs, change = _mirrored(np.concatenate([pairs, reached]), np.concatenate([change, size]), image)
     left = {*map(tuple, one_way.tolist())} - {*map(tuple, pairs.tolist())}
     return OrbitLinks(pairs, change, cell, image, known, len(left))
@@ -93,11 +93,11 @@ def find_links(attractors: AttractorOrbitTable) -> OrbitLinks:
 def _mirrored(pairs: Rows, change: Array, image: Rows) -> tuple[Rows, Array]:
     """Return links with their mirror images, each once and in order, with the least known change of both."""
     images = image[pairs]
-    there = (images >= 0).all(axis=1)
-    every = np.sort(np.concatenate([pairs, images[there]]), axis=1)
-    pairs_once, place = np.unique(every, axis=0, return_inverse=True)
+    has_image = (images >= 0).all(axis=1)
+    every = np.sort(np.concatenate([pairs, images[has_image]]), axis=1)
+    pairs_once, index = np.unique(every, axis=0, return_inverse=True)
     least = np.full(len(pairs_once), np.inf)
-    np.minimum.at(least, place.ravel(), np.concatenate([change, change[there]]))
+    np.minimum.at(least, index.ravel(), np.concatenate([change, change[has_image]]))
     return pairs_once, least
 
 
@@ -112,14 +112,14 @@ def _left_over(attractors: AttractorOrbitTable, pairs: Rows) -> Rows:
     """Return pairs (N, 2) of orbits of one period in neighbouring cells, of which one has no link to the cell of the
     other.
     """
-    own = attractors
+    table = attractors
     orbits, others = np.concatenate([pairs, pairs[:, ::-1]]).T
-    seen = others < len(own)  # unseen mirror images have no row
-    linked = {*zip(orbits[seen].tolist(), own.cell[others[seen]].tolist(), strict=True)}
-    wanted = own.neighbour_pairs()
-    wanted = wanted[own.period[wanted[:, 0]] == own.period[wanted[:, 1]]]
-    free = [(a, own.cell[b]) not in linked and (b, own.cell[a]) not in linked for a, b in wanted.tolist()]
-    return np.asarray(wanted[np.array(free, dtype=np.bool_)])
+    seen = others < len(table)  # unseen mirror images have no row
+    linked = {*zip(orbits[seen].tolist(), table.cell[others[seen]].tolist(), strict=True)}
+    candidates = table.neighbour_pairs()
+    candidates = candidates[table.period[candidates[:, 0]] == table.period[candidates[:, 1]]]
+    free = [(a, table.cell[b]) not in linked and (b, table.cell[a]) not in linked for a, b in candidates.tolist()]
+    return np.asarray(candidates[np.array(free, dtype=np.bool_)])
 
 
 class AttractorOrbits(StoredOrbits):
@@ -142,55 +142,61 @@ class AttractorOrbits(StoredOrbits):
 
     def _reach_alike(self, pairs: Rows, orbits: list[Orbit], away: int) -> tuple[NDArray[np.bool_], Array]:
         """Do the work of ``follow_pairs`` for orbits of one itinerary."""
-        own = self.attractors
-        here, there = (own.values(pairs[:, k]) for k in (0, 1))
-        arrived = self.continue_orbits(orbits, here, there, STEPS[0] * away)
+        attractors = self.attractors
+        start_values, end_values = (attractors.values(pairs[:, k]) for k in (0, 1))
+        arrived = self.continue_orbits(orbits, start_values, end_values, STEPS[0] * away)
         arrived = arrived._replace(orbits=arrived.orbits.at_rows(np.arange(len(orbits))))  # a copy, to be changed
         for steps in STEPS[1:]:
             again = np.flatnonzero(~arrived.converged)
             if len(again):
-                more = self.continue_orbits([orbits[r] for r in again], here[again], there[again], steps * away)
+                more = self.continue_orbits(
+                    [orbits[r] for r in again], start_values[again], end_values[again], steps * away
+                )
                 for field, better in zip(arrived.orbits[1:], more.orbits[1:], strict=True):
                     field[again] = better
                 arrived.converged[again] = more.converged
         reached = arrived.converged.copy()
         rows = np.flatnonzero(reached)
         if len(rows):
-            values = dict(zip(own.axes, there[rows].T, strict=True))
-            fixed = {name: np.full(len(rows), value) for name, value in own.fixed.items()}
-            states = section_states(own.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
-            reached[rows] = are_on_orbit(states, own.state[pairs[rows, 1]])
-        return reached, _change(many_of(orbits, here), arrived, self.family.model(there).omega)
+            values = dict(zip(attractors.axes, end_values[rows].T, strict=True))
+            fixed = {name: np.full(len(rows), value) for name, value in attractors.fixed.items()}
+            states = section_states(attractors.system, fixed | values, [arrived.orbit(int(r)) for r in rows])
+            reached[rows] = are_on_orbit(states, attractors.state[pairs[rows, 1]])
+        return reached, _change(many_of(orbits, start_values), arrived, self.family.model(end_values).omega)
 
     def follow_along_branches(self, pairs: Rows) -> tuple[Rows, Array]:
         """Return those pairs (N, 2) that are one orbit on a branch from cell to cell, and the change of its state.
 
         A branch that turns back on the way connects no pair.
         """
-        own, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
+        attractors, pairs_on_branches, change = self.attractors, list[list[int]](), list[float]()
         reached = dict[tuple[int, int], Array | None]()
         for one, other in pairs.tolist():
-            cell = int(own.cell[other])
+            cell = int(attractors.cell[other])
             if (one, cell) not in reached:
                 reached[one, cell] = self._along_branch(one, cell)
             states = reached[one, cell]
             if states is None:
                 continue
-            if are_on_orbit(states, own.state[other]):
+            if are_on_orbit(states, attractors.state[other]):
                 pairs_on_branches.append([one, other])
-                change.append(float(np.abs(own.state[other] - own.state[one]).max() / np.abs(states).max()))
+                change.append(
+                    float(np.abs(attractors.state[other] - attractors.state[one]).max() / np.abs(states).max())
+                )
         return np.array(pairs_on_branches, dtype=np.int64).reshape(-1, 2), np.array(change)
 
     def _along_branch(self, row: int, cell: int) -> Array | None:
         """Return the section states (n, 2d) of an orbit at a neighbouring cell; None if its branch ends before."""
-        own, orbit = self.attractors, self.orbit_of_row(row)
-        here, there = own.points[own.cell[row]], own.points[cell]
-        axis = int(np.flatnonzero(here != there)[0])
-        begin, end = float(here[axis]), float(there[axis])
+        attractors, orbit = self.attractors, self.orbit_of_row(row)
+        start_point, end_point = attractors.points[attractors.cell[row]], attractors.points[cell]
+        axis = int(np.flatnonzero(start_point != end_point)[0])
+        begin, end = float(start_point[axis]), float(end_point[axis])
         window = (min(begin, end), max(begin, end))
         try:
             run = (
-                None if orbit is None else branch(self.family_along(axis, here), orbit, begin, window, resolution=STEP)
+                None
+                if orbit is None
+                else branch(self.family_along(axis, start_point), orbit, begin, window, resolution=STEP)
             )
         except (ValueError, np.linalg.LinAlgError):
             return None
@@ -200,9 +206,9 @@ class AttractorOrbits(StoredOrbits):
         last = run.points[-1 if end > begin else 0]
         if not len(steps) or np.any(steps < 0.0) or float(last.values[0]) != end:
             return None
-        given = {**own.fixed, **dict(zip(own.axes, there.tolist(), strict=True))}
-        values = {name: np.array([value]) for name, value in given.items()}
-        return section_states(own.system, values, [last.orbit])[0]
+        parameters = {**attractors.fixed, **dict(zip(attractors.axes, end_point.tolist(), strict=True))}
+        values = {name: np.array([value]) for name, value in parameters.items()}
+        return section_states(attractors.system, values, [last.orbit])[0]
 
 
 def _change(before: OrbitBatch, after: OrbitBatch, omega: Array) -> Array:

@@ -84,17 +84,17 @@ class AttractorLabels:
 
 def labels_of(handle: AtlasStore) -> AttractorLabels:
     """Return the labels of a finished atlas of all attractors. Errors are those of ``attractors_of``."""
-    every, kept = attractors_of(handle)
+    every, n_attractors = attractors_of(handle)
     links = find_links(every)
     branch, cut = branches(len(links.cell), links.pairs, links.change, links.cell, links.image)
     number, total = _numbered(np.where(links.known, branch[: len(every)], -1), every.share)
     cells = np.bincount(number[number >= 0], minlength=len(total))
     values = np.full((len(every.points), every.keep), UNKNOWN_LABEL, dtype=np.int64)
     values[every.cell, every.place] = number
-    there = np.flatnonzero(number >= 0)
-    first = there[np.unique(number[there], return_index=True)[1]]
+    labelled_rows = np.flatnonzero(number >= 0)
+    first = labelled_rows[np.unique(number[labelled_rows], return_index=True)[1]]
     count = LabelCounts(
-        attractors=kept,
+        attractors=n_attractors,
         orbits=len(every),
         followed=int(links.known.sum()),
         branches=len(total),
@@ -134,10 +134,10 @@ def mirror_labels(number: Rows, branch: Rows, image: Rows) -> Rows:
     The mirror image of a branch is a branch, so the image of any of its orbits determines it. The relation is mutual:
     ``mirror_labels(...)[m] == k`` wherever ``mirror_labels(...)[k] == m >= 0``.
     """
-    there = np.flatnonzero(number >= 0)
+    labelled_rows = np.flatnonzero(number >= 0)
     label = np.full(branch.max(initial=-1) + 1, -1)
-    label[branch[there]] = number[there]
-    first = there[np.unique(number[there], return_index=True)[1]]
+    label[branch[labelled_rows]] = number[labelled_rows]
+    first = labelled_rows[np.unique(number[labelled_rows], return_index=True)[1]]
     return np.where(image[first] >= 0, label[branch[image[first]]], -1)
 
 
@@ -149,8 +149,8 @@ def write_labels(handle: AtlasStore, labels: AttractorLabels) -> None:
         variable.name: StoredArray(rows[variable.name].astype(variable.dtype), (BRANCH,), variable_attributes(variable))
         for variable in OF_BRANCHES
     }
-    own = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
-    write_table(handle, LABELS, {LABEL.name: label} | about, own | {"count": asdict(labels.count)})
+    attributes = {"title": "labels of attractors", "version": VERSION, "solver_version": SOLVER_VERSION}
+    write_table(handle, LABELS, {LABEL.name: label} | about, attributes | {"count": asdict(labels.count)})
 
 
 def stored_count(handle: AtlasStore) -> LabelCounts | None:
