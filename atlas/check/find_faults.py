@@ -66,26 +66,26 @@ def find_faults(place: StoreBackend, sample: int, seed: int, notify: Callable[[P
 
 def _empty_report(handle: AtlasStore, seed: int) -> VerifyReport:
     """Return the report on a store before anything is read."""
-    done = len(done_tiles(handle))
+    n_finished = len(done_tiles(handle))
     return VerifyReport(
-        str(handle.backend), handle.tiling.count, done, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
+        str(handle.backend), handle.tiling.count, n_finished, 0, 0, 0, "no cell is done", seed, faults=(), doubts=()
     )
 
 
 def _read(handle: AtlasStore, sample: int, seed: int, notify: Callable[[Progress], None]) -> VerifyFindings:
     """Return the findings in a store; metadata and coordinates are not needed to read its cells."""
     notify(Progress("listing the tiles"))
-    done, right = sorted(done_tiles(handle)), RightObjects(handle)
-    records = TileRecords(handle, done)
+    finished_tiles, right = sorted(done_tiles(handle)), RightObjects(handle)
+    records = TileRecords(handle, finished_tiles)
     faults = [*metadata_faults(handle, right), *right.faults]
     faults += [StoreFault(None, f"{key} is not a chunk of this atlas", (FOREIGN, key)) for key in foreign_keys(handle)]
 
-    drawn = draw_cells(handle.tiling, done, sample, seed)
-    tiles = list(_read_tiles(handle, records, done, drawn, notify))
+    drawn = draw_cells(handle.tiling, finished_tiles, sample, seed)
+    tiles = list(_read_tiles(handle, records, finished_tiles, drawn, notify))
     faults += [StoreFault(tile.index, text) for tile in tiles for text in tile.faults]
     faults += [StoreFault(index, f"{chunk_key(handle.regime, index)} is missing") for index in records.lost]
 
-    comparison, solved, doubts = _comparison(handle, sample, bool(done)), 0, list[StoreFault]()
+    comparison, solved, doubts = _comparison(handle, sample, bool(finished_tiles)), 0, list[StoreFault]()
     if comparison in ("bits", "error"):
         samples = [one for tile in tiles for one in tile.samples]
         different, solved = _solve_again(handle.spec, samples, comparison == "bits", notify), len(samples)

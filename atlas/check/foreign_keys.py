@@ -33,6 +33,6 @@ def foreign_keys(handle: AtlasStore) -> Iterator[str]:
 
 def _foreign(handle: AtlasStore, folder: str, variable: Variable, grid: tuple[int, ...]) -> Iterator[str]:
     root = f"{folder}{variable.name}/c/"
-    whole = grid + (1,) * len(variable.extra_dims)  # all numbers of a cell lie in one chunk
-    keys = (key for key in handle.backend.list_keys(root) if chunk_index(key.removeprefix(root), whole) is None)
+    full_grid = grid + (1,) * len(variable.extra_dims)  # all numbers of a cell lie in one chunk
+    keys = (key for key in handle.backend.list_keys(root) if chunk_index(key.removeprefix(root), full_grid) is None)
     yield from sorted(keys)

@@ -84,10 +84,12 @@ def metadata_faults(handle: AtlasStore, right: Mapping[str, bytes]) -> Iterator[
     rounded = {chunk_of_whole(path, stored): stored.values for path, stored in coarse.items()}
     stored = handle.backend.get_all(right)
     for key, must in right.items():
-        own = stored.get(key)
-        if own == must or (key in rounded and _is_close(own, rounded[key])):
+        stored_bytes = stored.get(key)
+        if stored_bytes == must or (key in rounded and _is_close(stored_bytes, rounded[key])):
             continue
-        yield StoreFault(None, f"{key} {describe_difference(own, must)}: {remedy(handle.backend)}", (METADATA, key))
+        yield StoreFault(
+            None, f"{key} {describe_difference(stored_bytes, must)}: {remedy(handle.backend)}", (METADATA, key)
+        )
     if resolved_digest(handle.resolved) != handle.digest:
         yield StoreFault(None, f"{ROOT}: the digest does not match the spec")
 
@@ -96,8 +98,10 @@ def _is_close(stored: bytes | None, values: Any) -> bool:
     """Return True if a stored chunk differs from values by rounding alone."""
     if stored is None or values.dtype.kind != "f" or len(stored) != values.nbytes + 4:
         return False
-    own = np.frombuffer(stored[:-4], dtype="<f8").reshape(values.shape)
-    return encode_whole(own) == stored and bool(np.allclose(own, values, rtol=ROUNDING, atol=ROUNDING))
+    stored_values = np.frombuffer(stored[:-4], dtype="<f8").reshape(values.shape)
+    return encode_whole(stored_values) == stored and bool(
+        np.allclose(stored_values, values, rtol=ROUNDING, atol=ROUNDING)
+    )
 
 
 def _group_fault(handle: AtlasStore, group: str, text: str) -> StoreFault:

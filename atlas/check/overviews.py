@@ -29,8 +29,8 @@ def check_overviews(
     on_level  function called with each level before it is read
     """
     chunks, faults = 0, list[StoreFault]()
-    for whole, wrong in _checked(handle, bad, on_level):
-        chunks += whole
+    for n_whole, wrong in _checked(handle, bad, on_level):
+        chunks += n_whole
         faults += wrong
     return chunks, faults
 
@@ -47,43 +47,47 @@ def _checked(
     with ThreadPoolExecutor(READERS) as readers:
         for level in range(1, pyramid.levels.count + 1):
             on_level(level)
-            complete, shown = (pyramid.stored(level, mark) for mark in MARKS)
+            complete, shown_chunks = (pyramid.stored(level, mark) for mark in MARKS)
             # A chunk over unsound cells cannot be computed, whether or not the chunks between the two are stored.
             over = {pyramid.levels.parent_chunk(index) for index in unsound}
             if level == 1:
                 over = {pyramid.levels.chunk_over(tile) for tile in bad}
-            indices = sorted(complete | shown)
+            indices = sorted(complete | shown_chunks)
             checks = [(part, level, index, index in complete, index in over) for index in indices]
             unsound = over
-            for index, (whole, faults) in zip(indices, readers.map(lambda given: _check(*given), checks), strict=True):
+            for index, (n_whole, faults) in zip(
+                indices, readers.map(lambda given: _check(*given), checks), strict=True
+            ):
                 if faults:
                     unsound.add(index)
-                yield whole, [StoreFault(None, text, (CHUNK, level, index)) for text in faults]
+                yield n_whole, [StoreFault(None, text, (CHUNK, level, index)) for text in faults]
 
 
 def _check(part: StoreBlock, level: int, index: Index, complete: bool, over_unsound: bool) -> tuple[int, list[str]]:
     """Return the number of arrays of a chunk that are whole, and its faults."""
     levels = part.pyramid.levels
-    place = levels.block(level, index)
+    block = levels.block(level, index)
     variables = part.pyramid.variables
     stored, faults = {}, []
     for variable in variables:
         if variable.name == REGIME.name and not complete:
             continue  # written last: a kill may have left the chunk without it, and good all the same
         try:
-            stored[variable] = part.pyramid.read(level, variable.name, place)
+            stored[variable] = part.pyramid.read(level, variable.name, block)
         except ChunkError as error:
             faults += error.lines
-    undone = part.undone(level, place)
+    undone = part.undone(level, block)
     if undone:
         key = level_key(level, MARKS[0] if complete else MARKS[1], index)
         faults.append(f"{key} covers tile {undone[0]}, which is not done")
     elif not over_unsound:
-        finer = levels.finer(level, place)
+        finer = levels.finer(level, block)
         widths = tuple(width[f] for width, f in zip(part.pyramid.widths[level - 1], finer, strict=True))
-        made = coarsen(part.read(level - 1, finer, [variable.name for variable in variables]), widths, levels.coarsened)
+        expected = coarsen(
+            part.read(level - 1, finer, [variable.name for variable in variables]), widths, levels.coarsened
+        )
         for variable, values in stored.items():
-            wrong = int(np.count_nonzero(~_same(values, made[variable.name])))
+            wrong = int(np.count_nonzero(~_same(values, expected[variable.name])))
             if wrong:
                 key = level_key(level, variable, index)
                 faults.append(f"{key} differs from the cells below it: {plural(wrong, 'number')}")

@@ -70,18 +70,18 @@ def _drop_groups(findings: VerifyFindings, names: Names) -> Iterator[str]:
 
 
 def _drop_parts(findings: VerifyFindings, names: Names) -> Iterator[str]:
-    place = findings.handle.backend
+    backend = findings.handle.backend
     for (key,) in names:
-        place.remove(key)
-        yield f"{key} dropped: {REBUILD_COMMANDS[key.removeprefix(PARTS).split('/')[1]]} {place} finds it again"
+        backend.remove(key)
+        yield f"{key} dropped: {REBUILD_COMMANDS[key.removeprefix(PARTS).split('/')[1]]} {backend} finds it again"
 
 
 def _mend_machines(findings: VerifyFindings, names: Names) -> Iterator[str]:
     handle = findings.handle
     for (key,) in names:
         if read_host(handle.backend, key) is None:
-            whole = mend_record(handle, key)
-            yield f"{key} written again" if whole else f"{key} replaced by the record of an unknown host"
+            is_restored = mend_record(handle, key)
+            yield f"{key} written again" if is_restored else f"{key} replaced by the record of an unknown host"
 
 
 def _write_records(findings: VerifyFindings, _: Names) -> Iterator[str]:

@@ -138,6 +138,6 @@ class VerifyReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas verify --json`` prints."""
-        kept = {"store": self.store, "sound": self.is_sound, "complete": self.is_complete} | asdict(self)
+        facts = {"store": self.store, "sound": self.is_sound, "complete": self.is_complete} | asdict(self)
         faults, doubts = ([{"tile": f.tile, "what": f.what} for f in group] for group in (self.faults, self.doubts))
-        return kept | {"faults": faults, "doubts": doubts}
+        return facts | {"faults": faults, "doubts": doubts}

@@ -41,8 +41,10 @@ def solve_again(spec: Spec, sample: SampledCell) -> Mapping[str, np.ndarray]:
     """Solve the cell, and return its results in the shapes of the stored results."""
     block = tuple(slice(i, i + 1) for i in sample.cell)
     allowed = ALLOWANCES if spec.attractors is None else ()  # atlases of all attractors cannot be retried
-    given: dict[str, Any] = {allowance.setting: int(sample.stored[allowance.name].item()) for allowance in allowed}
-    arrays = solve_independent(spec, spec.cell_params(block), replace(spec.settings, **given))
+    allowance_settings: dict[str, Any] = {
+        allowance.setting: int(sample.stored[allowance.name].item()) for allowance in allowed
+    }
+    arrays = solve_independent(spec, spec.cell_params(block), replace(spec.settings, **allowance_settings))
     if spec.basins:  # attractors beyond the table get their labels once all cells are known
         beyond = arrays[LABEL.name] == BEYOND_TABLE
         arrays[LABEL.name] = np.where(beyond, sample.stored[LABEL.name], arrays[LABEL.name])
@@ -96,5 +98,5 @@ def _text(name: str, values: Any) -> str:
         names = {known.code: known.name for known in REGIME.codes}
         return ", ".join(names.get(code, str(code)) for code in values.ravel().tolist())
     flat = values.ravel().tolist()
-    shown = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]
-    return shown[0] if len(flat) == 1 else f"[{', '.join(shown)}{', ...' if len(flat) > 4 else ''}]"
+    texts = [f"{value!r}" if not isinstance(value, float) or math.isfinite(value) else f"{value}" for value in flat[:4]]
+    return texts[0] if len(flat) == 1 else f"[{', '.join(texts)}{', ...' if len(flat) > 4 else ''}]"

@@ -71,11 +71,11 @@ def _broken_of_many(spec: Spec, slices: Slices, arrays: Arrays) -> dict[str, Mas
     broken: dict[str, Any] = {}
     assert spec.attractors is not None
     for k in range(spec.attractors.keep):
-        place = (slice(None),) * len(shape) + (k,)
-        one = {name: values[place] if name in many else values for name, values in arrays.items()}
-        there = k < np.maximum(count, 1)
-        broken |= {f"attractor {k}: {text}": mask & there for text, mask in _broken(spec, slices, one).items()}
-        broken[f"attractor {k} has a regime but does not exist"] = ~there & (one[REGIME.name] != PENDING)
+        index = (slice(None),) * len(shape) + (k,)
+        one = {name: values[index] if name in many else values for name, values in arrays.items()}
+        exists = k < np.maximum(count, 1)
+        broken |= {f"attractor {k}: {text}": mask & exists for text, mask in _broken(spec, slices, one).items()}
+        broken[f"attractor {k} has a regime but does not exist"] = ~exists & (one[REGIME.name] != PENDING)
         broken[f"attractor {k} is undetermined"] = (k < count) & (one[REGIME.name] == UNDETERMINED)
     share = np.nan_to_num(arrays["share"])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -271,13 +271,13 @@ def _sum_law(spec: Spec, slices: Slices, arrays: Arrays) -> Iterator[tuple[str, 
     total = arrays["spectrum"].sum(axis=-1)
     free, per_impact = law_of(spec, slices)
     law = free + np.where(mean == 0.0, 0.0, per_impact * mean)
-    held = np.isfinite(defect)
+    applies = np.isfinite(defect)
     room = SUM_LAW * np.maximum(1.0, np.nan_to_num(np.abs(law)))
-    yield "sum_law_defect is too large, or of no spectrum", held & ~(np.abs(defect) <= room)
-    held &= np.isfinite(law)  # machines with modes have no law of impacts alone: their own defect must do
-    held &= ~arrays["sticks"]  # a schedule's defect may be that of a transient, before the motion came to stick
+    yield "sum_law_defect is too large, or of no spectrum", applies & ~(np.abs(defect) <= room)
+    applies &= np.isfinite(law)  # machines with modes have no law of impacts alone: their own defect must do
+    applies &= ~arrays["sticks"]  # a schedule's defect may be that of a transient, before the motion came to stick
     room = room + np.where(regime == QUASIPERIODIC, TORUS, 0.0)
-    yield "spectrum breaks the sum law", held & ~(np.abs(total - law) <= room)
+    yield "spectrum breaks the sum law", applies & ~(np.abs(total - law) <= room)
 
 
 def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -294,8 +294,8 @@ def law_of(spec: Spec, slices: Slices) -> tuple[NDArray[np.float64], NDArray[np.
     grids = np.broadcast_arrays(*varying.values()) if varying else [np.zeros((1,) * len(spec.shape))]
     free, per_impact = np.empty(grids[0].shape), np.empty(grids[0].shape)
     for cell in np.ndindex(free.shape):
-        given = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
-        free[cell], per_impact[cell] = _law(spec, middle | given)
+        cell_values = {name: float(grid[cell]) for name, grid in zip(varying, grids, strict=False)}
+        free[cell], per_impact[cell] = _law(spec, middle | cell_values)
     return free, per_impact
 
 

@@ -54,14 +54,14 @@ def verify(
     if seed is not None:
         validate_type("seed", seed, int, "a whole number")
     validate_flag("repair", repair)
-    place = open_backend(store, storage_options=storage_options)
+    backend = open_backend(store, storage_options=storage_options)
     if repair:
-        check_not_packed(place)
-    with os_errors_as_input_errors(place, "read"):
-        open_damaged_store(place)  # raises without a store, before its lease is taken
+        check_not_packed(backend)
+    with os_errors_as_input_errors(backend, "read"):
+        open_damaged_store(backend)  # raises without a store, before its lease is taken
     drawn = random.SystemRandom().randrange(2**32) if seed is None else seed
     with progress_reporter(on_progress) as report, ExitStack() as stack:
         if repair:
-            place = stack.enter_context(hold_lease(sidecar_of(place), str(place))).bind(place)
-        findings = find_faults(place, sample, drawn, report or (lambda _: None))
+            backend = stack.enter_context(hold_lease(sidecar_of(backend), str(backend))).bind(backend)
+        findings = find_faults(backend, sample, drawn, report or (lambda _: None))
         return drop_faulty(findings) if repair else findings.report

@@ -46,10 +46,10 @@ class OverviewBuilder:
 
     def missing_chunks(self, level: int) -> list[Index]:
         """Return the missing chunks of a level that can be built: everything below them exists."""
-        levels, there = self._pyramid.levels, self._pyramid.stored(level, REGIME)
+        levels, stored = self._pyramid.levels, self._pyramid.stored(level, REGIME)
         below = done_tiles(self._handle) if level == 1 else self._pyramid.stored(level - 1, REGIME)
-        wanted = (index for index in levels.chunks(level) if index not in there)
-        return [index for index in wanted if below.issuperset(levels.children(level, index))]
+        missing = (index for index in levels.chunks(level) if index not in stored)
+        return [index for index in missing if below.issuperset(levels.children(level, index))]
 
     def finish(self, report: Callable[[int, int], None] = lambda _done, _all: None) -> int:
         """Build all chunks that can be built, level by level, and return their number.
@@ -58,11 +58,11 @@ class OverviewBuilder:
         Raise RunError if a write fails.
         """
         self._handle.backend.confirm_lease()
-        made = 0
+        n_built = 0
         for level in self.levels:
             missing = self.missing_chunks(level)
-            for done, index in enumerate(missing):
-                report(done, len(missing))
+            for n_finished, index in enumerate(missing):
+                report(n_finished, len(missing))
                 try:
                     self._pyramid.build_chunk(level, index)
                 except (RunError, ChunkError):
@@ -72,5 +72,5 @@ class OverviewBuilder:
                         f"{self._handle.backend}: finished tiles are kept, but the overviews could not be written "
                         f"({error}); rerun the same command to build them"
                     ) from error
-            made += len(missing)
-        return made
+            n_built += len(missing)
+        return n_built

@@ -97,14 +97,14 @@ def count_of(name: str) -> str:
 
 def required_variables(variables: Iterable[Variable], names: Iterable[str]) -> list[str]:
     """Return all variables of a level that coarsening the named ones needs, in their order."""
-    wanted = {*names, SHARE.name, REGIME.name}
-    if wanted & {*CLASSES, PERIOD_COUNT.name}:
-        wanted |= {*CLASSES, PERIOD_COUNT.name}
-    if POSITIVE.name in wanted:
-        wanted.add(LARGEST.name)
-    wanted |= {name.removesuffix("_count") for name in wanted}
-    wanted |= {count_of(name) for name in wanted} | {CELLS.name}
-    return [variable.name for variable in variables if variable.name in wanted]
+    required = {*names, SHARE.name, REGIME.name}
+    if required & {*CLASSES, PERIOD_COUNT.name}:
+        required |= {*CLASSES, PERIOD_COUNT.name}
+    if POSITIVE.name in required:
+        required.add(LARGEST.name)
+    required |= {name.removesuffix("_count") for name in required}
+    required |= {count_of(name) for name in required} | {CELLS.name}
+    return [variable.name for variable in variables if variable.name in required]
 
 
 def from_cells(arrays: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Cells:
@@ -203,11 +203,11 @@ def _most_frequent(cells: Cells, dims: Sequence[int]) -> Cells:
     for values in triples:
         least = np.where(most, values, np.iinfo(np.int32).max).min(0)
         most &= values == least
-    chosen = most.argmax(0)[None]
+    winner = most.argmax(0)[None]
     frequent: Cells = {
-        name: np.take_along_axis(values, chosen, 0)[0] for name, values in zip(CLASSES, triples, strict=True)
+        name: np.take_along_axis(values, winner, 0)[0] for name, values in zip(CLASSES, triples, strict=True)
     }
-    return frequent | {PERIOD_COUNT.name: np.take_along_axis(votes, chosen, 0)[0].astype(np.int32)}
+    return frequent | {PERIOD_COUNT.name: np.take_along_axis(votes, winner, 0)[0].astype(np.int32)}
 
 
 def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
@@ -219,6 +219,6 @@ def _largest_class(share: NDArray[np.float64]) -> NDArray[np.int8]:
 
 def _shown(share: NDArray[np.float64], regime: NDArray[np.int8]) -> NDArray[np.int8]:
     of = {code: share[..., i] for i, code in enumerate(CODES.tolist())}
-    shown = np.where(of[UNDETERMINED] >= UNDETERMINED_SHARE - 1e-9, UNDETERMINED, regime)
-    shown = np.where(of[PENDING] > 0, PENDING, shown)
-    return np.where(of[FAILED] > 0, FAILED, shown).astype(np.int8)
+    shown_regime = np.where(of[UNDETERMINED] >= UNDETERMINED_SHARE - 1e-9, UNDETERMINED, regime)
+    shown_regime = np.where(of[PENDING] > 0, PENDING, shown_regime)
+    return np.where(of[FAILED] > 0, FAILED, shown_regime).astype(np.int8)

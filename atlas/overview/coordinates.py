@@ -24,11 +24,11 @@ def level_coordinates(handle: AtlasStore, level: int) -> dict[str, StoredArray]:
             arrays[axis.name] = base[axis.name]
             continue
         edges = edges_of(np.array(axis.values), axis.scale == "log")
-        edges, own = np.append(edges[: -1 : 2**level], edges[-1]), coarse_name(axis.name)
-        bounds = bounds_name(own)
+        edges, level_name = np.append(edges[: -1 : 2**level], edges[-1]), coarse_name(axis.name)
+        bounds = bounds_name(level_name)
         attributes = {**base[axis.name].attributes, "bounds": bounds}
-        arrays[own] = StoredArray(centres(edges, axis.scale == "log"), (own,), attributes)
-        arrays[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (own, "bound"), {})
+        arrays[level_name] = StoredArray(centres(edges, axis.scale == "log"), (level_name,), attributes)
+        arrays[bounds] = StoredArray(np.stack([edges[:-1], edges[1:]], axis=1), (level_name, "bound"), {})
     for name in (name for name in spec.parameters if name in base):
         arrays[name] = StoredArray(np.asarray(base[name].values), (), base[name].attributes)
     named = np.array([regime.name for regime in REGIMES], dtype="T")

@@ -56,9 +56,9 @@ class GuardedStore(BackendStore):
         folder, mark, index = f"/{key}".rpartition("/c")
         if not mark or index[:1] not in ("", "/"):
             return await super().get(key, prototype, byte_range)
-        array, asked = folder[1:], _asked.get()
-        if asked is not None:
-            asked.add((self.backend, array))
+        array, requested = folder[1:], _asked.get()
+        if requested is not None:
+            requested.add((self.backend, array))
             return None
         try:
             data = await super().get(key, prototype, byte_range)
@@ -75,13 +75,13 @@ class GuardedStore(BackendStore):
             return None
         self.chunks_read += not isinstance(byte_range, SuffixByteRequest)  # the index of a shard
         parts = self._parts.get(array, 0) if byte_range is None else 0
-        whole = _is_whole_shard(data.to_bytes(), parts) if parts else _is_whole(data.to_bytes())
+        is_intact = _is_whole_shard(data.to_bytes(), parts) if parts else _is_whole(data.to_bytes())
         size, must = unpacked_size(data.to_bytes()), self._sizes.get(array, 0)
-        if whole and not parts and byte_range is None and None is not size != must > 0:  # a chunk of another array
+        if is_intact and not parts and byte_range is None and None is not size != must > 0:  # a chunk of another array
             raise self._error(key, f"is damaged (it unpacks to {size} bytes, must be {must})")
         above, _, name = array.rpartition("/")
         names = self._complete if above.partition("/")[0] == OVERVIEWS else self._checked
-        if (above in TABLES or name in names) and not whole:
+        if (above in TABLES or name in names) and not is_intact:
             raise self._error(key, "is damaged (its checksum is wrong)")
         return data
 
@@ -93,9 +93,9 @@ class GuardedStore(BackendStore):
         if name not in self._complete or name == REGIME.name:
             return False
         marks = (REGIME.name, REGIME_SHOWN.name) if above else (REGIME.name,)
-        place = "/".join(index.split("/")[: self._dims + 1])
+        chunk_index = "/".join(index.split("/")[: self._dims + 1])
         end = "" if above else self._end
-        keys = [f"{above}/{mark}/c{place}{end}".lstrip("/") for mark in marks if mark != name]
+        keys = [f"{above}/{mark}/c{chunk_index}{end}".lstrip("/") for mark in marks if mark != name]
         return any([await self.exists(key) for key in keys])
 
     def _error(self, key: str, fault: str) -> ChunkError:
@@ -106,10 +106,10 @@ class GuardedStore(BackendStore):
 @contextmanager
 def skip_chunk_reads() -> Iterator[set[tuple[StoreBackend, str]]]:
     """Read no chunk within the block, as if none existed; yield the set of arrays requested, by backend and path."""
-    asked: set[tuple[StoreBackend, str]] = set()
-    token = _asked.set(asked)
+    requested: set[tuple[StoreBackend, str]] = set()
+    token = _asked.set(requested)
     try:
-        yield asked
+        yield requested
     finally:
         _asked.reset(token)
 
@@ -125,8 +125,8 @@ def parts_of(metadata: Mapping[str, Any]) -> int:
     codec: Mapping[str, Any] = next(iter(metadata.get("codecs", ())), {})
     if codec.get("name") != "sharding_indexed":
         return 0
-    inner, whole = codec["configuration"]["chunk_shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
-    return math.prod(n // k for n, k in zip(whole, inner, strict=True))
+    inner, shard_shape = codec["configuration"]["chunk_shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return math.prod(n // k for n, k in zip(shard_shape, inner, strict=True))
 
 
 def chunk_bytes(metadata: Mapping[str, Any]) -> int:

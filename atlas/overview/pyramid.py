@@ -108,8 +108,8 @@ class Pyramid:
         """Widths of the cells of every level along each dimension, level 0 first; only their ratios count."""
         levels = [widths_along(self.handle.spec)]
         for _ in range(self.levels.count):
-            before, kept = levels[-1], self.levels.n_uncoarsened
-            levels.append((*before[:kept], *map(halve_widths, before[kept:])))
+            before, n_uncoarsened = levels[-1], self.levels.n_uncoarsened
+            levels.append((*before[:n_uncoarsened], *map(halve_widths, before[n_uncoarsened:])))
         return levels
 
     def array(self, level: int, name: str) -> Any:
@@ -140,12 +140,12 @@ class Pyramid:
         """Create the groups of all levels, without values, unless they exist."""
         if self.made:
             return
-        place, top = self.handle.backend, f"{GROUP}/{ROOT}"
+        backend, top = self.handle.backend, f"{GROUP}/{ROOT}"
         drop_overviews(self.handle)
-        place.remove_all(place.list_keys(f"{GROUP}/"))
+        backend.remove_all(backend.list_keys(f"{GROUP}/"))
         objects = self.layout()
-        place.put_all({key: data for key, data in objects.items() if key != top})
-        place.put(top, objects[top])
+        backend.put_all({key: data for key, data in objects.items() if key != top})
+        backend.put(top, objects[top])
         write_root(self.handle)  # xarray finds a level by the root's copy
         self.made = True
 
@@ -155,8 +155,10 @@ class Pyramid:
         about = {"multiscales": multiscales(self.handle.spec, self.levels.count)}
         objects = {f"{GROUP}/{ROOT}": sealed(shapes | about, self.nodes)}
         for path, node in self.nodes.items():
-            own = {name.removeprefix(f"{path}/"): n for name, n in self.nodes.items() if name.startswith(f"{path}/")}
-            objects[f"{GROUP}/{path}/{ROOT}"] = encode_node(node, own or None)
+            member_nodes = {
+                name.removeprefix(f"{path}/"): n for name, n in self.nodes.items() if name.startswith(f"{path}/")
+            }
+            objects[f"{GROUP}/{path}/{ROOT}"] = encode_node(node, member_nodes or None)
         for path, stored in self.coordinates().items():
             objects[chunk_of_whole(path, stored)] = encode_whole(stored.values)
         return objects
@@ -217,12 +219,12 @@ class Pyramid:
 
     def drop_chunks(self, chunks: Iterable[tuple[int, Index]]) -> int:
         """Drop chunks, given as pairs (level, index), and all chunks over them; return the number of dropped chunks."""
-        wanted, dropped = set(chunks), set[tuple[int, Index]]()
-        if not wanted or not self.made:
+        requested, dropped = set(chunks), set[tuple[int, Index]]()
+        if not requested or not self.made:
             return 0
         over: set[Index] = set()
         for level in range(1, self.levels.count + 1):
-            over = {self.levels.parent_chunk(index) for index in over} | {index for n, index in wanted if n == level}
+            over = {self.levels.parent_chunk(index) for index in over} | {index for n, index in requested if n == level}
             # Both marks: a kill during writing may have left the second without the first.
             for mark in MARKS:
                 for index in over & self.stored(level, mark):

@@ -112,14 +112,16 @@ def motions(view: MapView) -> MapLayers:
     regime, counts = view.plane.regime, [view.plane[name] for name in VARIABLES]
     names, number = motions_of(regime, *counts)
     colors = [color_of(motion) for motion in names]
-    own = [(color, motion.label) for motion, color in zip(names, colors, strict=True) if color not in UNLISTED]
-    legend = [LegendEntry(color, label) for color, label in own if color != STICKS]
+    listed_motions = [
+        (color, motion.label) for motion, color in zip(names, colors, strict=True) if color not in UNLISTED
+    ]
+    legend = [LegendEntry(color, label) for color, label in listed_motions if color != STICKS]
     by_area = np.argsort(-np.bincount(number[number >= 0], minlength=len(names)), kind="stable")
     for color in UNLISTED:
         shared = [names[k].label for k in by_area if colors[k] == color]
         more = ", …" if len(shared) > _NAMED else ""
         legend += [LegendEntry(color, ", ".join(shared[:_NAMED]) + more)] if shared else []
-    legend += [LegendEntry(STICKS, label, STICKS_HATCH) for color, label in own if color == STICKS]
+    legend += [LegendEntry(STICKS, label, STICKS_HATCH) for color, label in listed_motions if color == STICKS]
     rests = HatchLayer((regime == PERIODIC) & (counts[1] < 0), STICKS_HATCH, style.TEXTURE)
     named = [(number == k, motion.label, colors[k]) for k, motion in enumerate(names) if motion.p >= 0]
     key = text.motion_key(view.ds)
@@ -199,10 +201,10 @@ def branch_colors(known: xr.Dataset, ink: bool = False) -> list[str]:
 
 def branch_entries(known: xr.Dataset, label: NDArray[np.int64], ink: bool = False) -> list[LegendEntry]:
     """Return the legend entries of the branches among these labels."""
-    there, own = np.unique(label[label >= 0]), branch_colors(known, ink)
-    named = [k for k in there.tolist() if own[k] != REST]
-    entries = [LegendEntry(own[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
-    return entries + ([LegendEntry(REST, f"{len(there) - len(named)} others")] if len(there) > len(named) else [])
+    numbers, colors = np.unique(label[label >= 0]), branch_colors(known, ink)
+    named = [k for k in numbers.tolist() if colors[k] != REST]
+    entries = [LegendEntry(colors[k], f"{k}: {_name_of_branch(known, k)}") for k in named]
+    return entries + ([LegendEntry(REST, f"{len(numbers) - len(named)} others")] if len(numbers) > len(named) else [])
 
 
 def _name_of_branch(known: xr.Dataset, label: int) -> str:
@@ -225,11 +227,11 @@ def basins(view: MapView) -> MapLayers:
     label, settled = np.rint(plane[LABEL.name]).astype(np.int64), plane[SETTLED.name]
     regimes = text.regime(view.ds)
     named = [(label == k, color, _name_of_attractor(known, k, regimes)) for k, color in enumerate(colors)]
-    layers, there = build_layers(plane.regime, named), label >= 0
+    layers, labelled_mask = build_layers(plane.regime, named), label >= 0
     points, shade, legend = _points(known, plane, colors), None, list(layers.legend)
-    if there.any():
-        soon, late = np.percentile(settled[there], [SOONEST, LATEST]).tolist()
-        shade = ShadingLayer(np.where(there, settled, np.nan), soon, late, SLOW)
+    if labelled_mask.any():
+        soon, late = np.percentile(settled[labelled_mask], [SOONEST, LATEST]).tolist()
+        shade = ShadingLayer(np.where(labelled_mask, settled, np.nan), soon, late, SLOW)
         if late > soon:
             periods = "natural periods" if unforced else "periods"
             meaning = f"light to dark: settles in {soon:.0f} to {late:.0f} {periods}"

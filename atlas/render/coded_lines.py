@@ -49,9 +49,9 @@ def lines_over(view: MapView, name: str, size: Size) -> OverlayLines:
 def names_on(layers: MapLayers, plane: Plane, size: Size) -> list[dict[str, Any]]:
     """Return the labels that fit into the regions of a map, each with its position, angle and colour."""
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
-    step, place = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
+    step, even_index = np.array(size[::-1]) / (rows.size, columns.size), np.ix_(rows, columns)
     names = []
-    for spot in places([(cells[place], name) for cells, name, _ in layers.names], step, NAME_SIZE):
+    for spot in places([(cells[even_index], name) for cells, name, _ in layers.names], step, NAME_SIZE):
         _, text, under = layers.names[spot.number]
         at = x.values[spot.cell[1]], y.values[spot.cell[0]]
         names.append(_name(text, at, spot.angle, style.ink_on(under)))

@@ -50,9 +50,9 @@ class CodedMap:
 
 def coded_maps(ds: xr.Dataset, seen: xr.Dataset) -> Iterator[CodedMap]:
     """Yield every map that the cells ``seen`` of an atlas have: the kinds of pictures, then each variable."""
-    held = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
+    stored_kinds = [name for name in (BASINS, *MAPS, LABELS) if seen.data_vars.keys() >= {*KIND_TABLE[name].variables}]
     kinds = [
-        name for name in held if name in PAINTERS and not (name == LABELS and BASINS in held)
+        name for name in stored_kinds if name in PAINTERS and not (name == LABELS and BASINS in stored_kinds)
     ]  # these labels are of initial states
     for name in (*kinds, *(f"{NUMBER}{variable}" for variable in numbers_of_cells(seen))):
         with suppress(InputError):  # this machine has no such map
@@ -65,18 +65,18 @@ def coded_map(ds: xr.Dataset, seen: xr.Dataset, name: str) -> CodedMap:
     kind = KIND_TABLE[SCALAR if variable else name]
     needs = (variable,) if variable else kind.variables
     kind.require(seen, needs)
-    wanted = PictureRequest(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
-    view = MapView(kind, ds, Plane.from_dataset(seen, needs), wanted)
+    request = PictureRequest(STANDARD, kind.name, variable=variable, log=name.endswith(LOGARITHM))
+    view = MapView(kind, ds, Plane.from_dataset(seen, needs), request)
     return _coded(name, text_of(text.variable_label(ds, variable)) if variable else kind.description, view, needs)
 
 
 def text_of(label: str) -> str:
     """Return a label of a picture with its mathtext in Unicode."""
     parts = label.split("$")
-    shown = "".join(
+    unicode_text = "".join(
         mathtext_to_unicode(part).replace("-", "\N{MINUS SIGN}") if k % 2 else part for k, part in enumerate(parts)
     )
-    return " ".join(shown.split())
+    return " ".join(unicode_text.split())
 
 
 def described_curves(curves: Sequence[Curve]) -> dict[str, Any]:
@@ -116,14 +116,14 @@ def _coded(name: str, meaning: str, view: MapView, needs: tuple[str, ...]) -> Co
         outlined |= 0 if texture.outlined is None else texture.outlined
     base = 2 * (len(patterns) + 1)
     keys, codes = np.unique(layers.codes * base + 2 * textures + outlined, return_inverse=True)
-    entries, own = [], text.regime(view.ds)
+    entries, regimes = [], text.regime(view.ds)
     for key in keys.tolist():
         rest, look = key % base, layers.styles[key // base]
         entry = _shown(layers, look) | (patterns[rest // 2 - 1] if rest > 1 else {})
         if rest % 2:
             entry["outlined"] = True
         if look.regime in MARKED:
-            entry["enlarged"] = text_of(own.meaning(look.regime).text)  # the same words as in the legend
+            entry["enlarged"] = text_of(regimes.meaning(look.regime).text)  # the same words as in the legend
         entries.append(entry)
     described = {
         "name": name,

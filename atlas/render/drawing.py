@@ -69,10 +69,10 @@ def figure(
     """
     if path is not None:
         check_path(path)
-    wanted = PictureRequest.from_arguments(kind, window, pixels, **options)
-    drawn = _drawn(subject, wanted, [titles] if isinstance(titles, str) else names_in("titles", titles))
+    request = PictureRequest.from_arguments(kind, window, pixels, **options)
+    drawn = _drawn(subject, request, [titles] if isinstance(titles, str) else names_in("titles", titles))
     if path is not None:
-        save(drawn, Path(path), provenance_of(*_sources(subject, wanted)), wanted.page)
+        save(drawn, Path(path), provenance_of(*_sources(subject, request)), request.page)
     return drawn if options.get("ax") is None else options["ax"]
 
 
@@ -176,16 +176,16 @@ def _of_atlas(every: "xr.Dataset", request: PictureRequest) -> "Figure":
         lines = (*lines, "curves")
     check_overlays(ds, lines)
     check_units(ds)
-    shown = select_window(every if kind.name == "coexistence" else ds, request.window)
+    part = select_window(every if kind.name == "coexistence" else ds, request.window)
     request = replace(
         request, overlays=lines, against=None if against is None else select_window(against, request.window)
     )
     from atlas.render.painters import draw  # imports matplotlib
 
     with count_chunk_reads() as reads:
-        drawn = draw(kind, shown, request)
+        drawn = draw(kind, part, request)
     if max(reads.block) > 1 and page.title:
-        _note_coarseness(page.given[0] if page.given else drawn.axes[0], shown, reads.block, page)
+        _note_coarseness(page.given[0] if page.given else drawn.axes[0], part, reads.block, page)
     return drawn
 
 
@@ -194,26 +194,26 @@ def _of_stack(ds: "xr.Dataset", request: PictureRequest) -> "Figure":
 
     A single plane is drawn as a map.
     """
-    kind, page, name, shown = request.kind, request.page, axis_names(ds)[-1], select_window(ds, request.window)
+    kind, page, name, part = request.kind, request.page, axis_names(ds)[-1], select_window(ds, request.window)
     rest = {axis: ends for axis, ends in (request.window or {}).items() if axis != name}
-    count = shown.sizes[name]
+    count = part.sizes[name]
     if count == 1:
-        return _of_atlas(shown.isel({name: 0}), replace(request, window=rest))
-    first = f"--select {name}={float(shown[name][0]):g}"
+        return _of_atlas(part.isel({name: 0}), replace(request, window=rest))
+    first = f"--select {name}={float(part[name][0]):g}"
     if count > MAX_PANELS:
         raise InputError(f"a stack of {count} planes: at most {MAX_PANELS} are drawn together; pick one by {first}")
     alone = {
         "overlay": request.overlays, "curves": request.curves is not None, "against": request.against is not None,
         "ax": page.given, "variable": request.variable, "log": request.log, "observe": request.observe,
     }  # fmt: skip
-    for option in [option for option, given in alone.items() if given]:
+    for option in [option for option, is_given in alone.items() if is_given]:
         raise InputError(f"{option}: goes with one plane, found a stack of {count}; pick one by {first}")
     if kind in KINDS and KIND_TABLE[kind].axes != 2:
         raise InputError(f"kind {kind!r} draws {AXES[KIND_TABLE[kind].axes]}, found a stack of {count} planes")
     from atlas.render import side_by_side
 
     check_units(ds)
-    return side_by_side.side_by_side([shown.isel({name: k}) for k in range(count)], replace(request, window=rest))
+    return side_by_side.side_by_side([part.isel({name: k}) for k in range(count)], replace(request, window=rest))
 
 
 def check_units(*atlases: "xr.Dataset") -> None:

@@ -270,6 +270,6 @@ def paint(layers: MapLayers) -> Colors:
         rgba[cells] = layers.scalar.colors(layers.scalar.values[cells])
     if layers.shade is not None:
         brightness = layers.shade.brightness
-        there = ~np.isnan(brightness)
-        rgba[there, :3] = (rgba[there, :3] * brightness[there][:, None]).astype(np.uint8)
+        shaded_mask = ~np.isnan(brightness)
+        rgba[shaded_mask, :3] = (rgba[shaded_mask, :3] * brightness[shaded_mask][:, None]).astype(np.uint8)
     return rgba

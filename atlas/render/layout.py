@@ -204,15 +204,17 @@ class FigureLayout:
 
     def _one_legend(self, fig: Figure, entries: Sequence[Artist], aside: bool, style: dict[str, Any]) -> Legend:
         host: Any = fig if not self.given else self.given[0 if aside else -1]
-        place: dict[str, Any]
+        location: dict[str, Any]
         if not self.given:
-            place = {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
+            location = (
+                {"loc": "outside right upper"} if aside else {"loc": "outside lower center", "columnspacing": 1.4}
+            )
         elif aside:
-            place = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0)}
+            location = {"loc": "upper left", "bbox_to_anchor": (1.02, 1.0)}
         else:
             drop = host.transAxes + ScaledTranslation(0.0, -3.4 * self.font / 72.0, _root(host).dpi_scale_trans)
-            place = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
-        legend: Legend = host.legend(handles=list(entries), **place | style)
+            location = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": drop, "borderaxespad": 0.0}
+        legend: Legend = host.legend(handles=list(entries), **location | style)
         return legend
 
     def _grow(self, fig: Figure, dots: float) -> None:
@@ -249,23 +251,23 @@ def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
         f"ax: found {brief_repr(ax)}, must be matplotlib axes, one or, for a sweep, one for each of its plots"
     )
     try:
-        given = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
+        axes = () if ax is None else (ax,) if isinstance(ax, Axes) else tuple(ax)
     except TypeError:
         raise wrong from None
-    if any(not isinstance(plot, Axes) for plot in given):
+    if any(not isinstance(plot, Axes) for plot in axes):
         raise wrong
     for name in ("width", "height"):
-        if given and style.get(name) is not None:
+        if axes and style.get(name) is not None:
             raise InputError(f"{name}: the given axes have a size already")
     rc = _style(style.get("style"))
     figsize = rc.pop("figure.figsize", (None, None))
     width = _length("width", style.get("width")) or figsize[0] or WIDTH
-    asked = _number("font_size", style.get("font_size"), positive=True)
-    usual = mpl.rcParams["font.size"] if given else np.interp(width, (_NARROW, WIDTH), (_NARROW_FONT, _FONT))
-    font = float(asked or rc.get("font.size") or usual)
-    if asked:
+    font_size = _number("font_size", style.get("font_size"), positive=True)
+    usual = mpl.rcParams["font.size"] if axes else np.interp(width, (_NARROW, WIDTH), (_NARROW_FONT, _FONT))
+    font = float(font_size or rc.get("font.size") or usual)
+    if font_size:
         rc = {name: value for name, value in rc.items() if name not in _SIZES}
-        rc |= {name: rc_params(font / _FONT)[name] for name in _SIZES if given}
+        rc |= {name: rc_params(font / _FONT)[name] for name in _SIZES if axes}
     styled = rc.pop("savefig.dpi", DPI)  # removed: settings of the style override the layout's
     dpi = _number("dpi", style.get("dpi"), positive=True) or (styled if isinstance(styled, float) else DPI)
     if font * dpi / 72.0 < _LEAST_DOTS:
@@ -283,7 +285,7 @@ def page(ax: Axes | Iterable[Axes] | None = None, **style: Any) -> FigureLayout:
         title=validate_flag("title", style.get("title", True)),
         explained=validate_flag("legend", style.get("legend", True)),
         rc=rc,
-        given=given,
+        given=axes,
     )
 
 

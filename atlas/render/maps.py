@@ -27,14 +27,14 @@ LABEL_SIZE = 7.5
 
 def draw_layers(view: MapView, layers: MapLayers) -> Figure:
     """Return the map of a view as a figure, with its overlays."""
-    wanted, page, layers = view.wanted, view.page, with_legend_notes(layers, view.ds)
+    request, page, layers = view.wanted, view.page, with_legend_notes(layers, view.ds)
     with page.context():
         drawn, (ax,) = page.panels(page.map_height, 1, text.title_line(view.ds))
         entries = [*lay(ax, view.plane, layers, page), *overlays.draw(ax, view)]
         if layers.bar is not None:
             scalar_maps.draw_bar(drawn, [ax], layers.bar, page)
         page.legend(drawn, entries, beside=layers.side_legend_title)
-        if layers.names and wanted.names:
+        if layers.names and request.names:
             page.finalize(drawn)
             name_regions(ax, view.plane, layers.names, LABEL_SIZE * page.scale)
     return drawn
@@ -77,10 +77,10 @@ def with_legend_notes(layers: MapLayers, ds: xr.Dataset) -> MapLayers:
 
     The legend also notes that cells without a result may have too few attractors for the selected one.
     """
-    own = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
+    labels = {meaning.code: meaning.text for meaning in text.regime(ds).codes}
     if ds.attrs.get(ATTRACTOR, 0):
-        own[PENDING] = f"not more than {ds.attrs[ATTRACTOR]}"
-    legend = [entry if entry.regime is None else replace(entry, label=own[entry.regime]) for entry in layers.legend]
+        labels[PENDING] = f"not more than {ds.attrs[ATTRACTOR]}"
+    legend = [entry if entry.regime is None else replace(entry, label=labels[entry.regime]) for entry in layers.legend]
     return replace(layers, legend=legend)
 
 
@@ -90,11 +90,13 @@ def name_regions(ax: Axes, plane: Plane, named: Sequence[Class], type_size: floa
     The plot must have its final size.
     """
     (x, columns), (y, rows) = plane.x.even(), plane.y.even()
-    place = np.ix_(rows, columns)
+    even_index = np.ix_(rows, columns)
     extent, dots = ax.get_window_extent(), ax.figure.dpi / 72.0
     step = np.array([extent.height / rows.size, extent.width / columns.size]) / dots  # in points
     look: Any = {"fontsize": type_size, "ha": "center", "va": "center_baseline", "zorder": 4}
-    for number, (row, column), angle in places([(cells[place], name) for cells, name, _ in named], step, type_size):
+    for number, (row, column), angle in places(
+        [(cells[even_index], name) for cells, name, _ in named], step, type_size
+    ):
         _, name, color = named[number]
         turned: Any = {"rotation": angle, "rotation_mode": "anchor"}  # about its centre
         ax.text(x.values[column], y.values[row], name, color=style.ink_on(color), **turned, **look)

@@ -88,14 +88,16 @@ def accepts_options(options: type, others: bool = False) -> Callable[[Callable[P
     The arguments appear in the function's signature and docstring. A call with another option raises InputError with
     all possible ones, unless the function takes ``others``.
     """
-    asked: dict[str, Any] = options.__annotations__
+    annotations: dict[str, Any] = options.__annotations__
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
         parameters = signature.parameters.values()
-        own = [parameter for parameter in parameters if parameter.kind is not inspect.Parameter.VAR_KEYWORD]
-        rest = [parameter for parameter in parameters if parameter not in own and others]
-        possible = [parameter.name for parameter in own if parameter.name != "self"] + [*asked]
+        named_parameters = [
+            parameter for parameter in parameters if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        rest = [parameter for parameter in parameters if parameter not in named_parameters and others]
+        possible = [parameter.name for parameter in named_parameters if parameter.name != "self"] + [*annotations]
 
         @wraps(function)
         def call(*args: P.args, **options: P.kwargs) -> T:
@@ -108,10 +110,10 @@ def accepts_options(options: type, others: bool = False) -> Callable[[Callable[P
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS.get(name), annotation=kind.__origin__
             )
-            for name, kind in asked.items()
+            for name, kind in annotations.items()
         ]
-        call.__signature__ = signature.replace(parameters=[*own, *added, *rest])  # type: ignore[attr-defined]
-        listed = "\n".join(f"    {name:9} {kind.__metadata__[0]}" for name, kind in asked.items())
+        call.__signature__ = signature.replace(parameters=[*named_parameters, *added, *rest])  # type: ignore[attr-defined]
+        listed = "\n".join(f"    {name:9} {kind.__metadata__[0]}" for name, kind in annotations.items())
         call.__doc__ = f"{inspect.getdoc(function)}\n\nOptions::\n\n{listed}\n"
         return call
 

@@ -82,14 +82,14 @@ def _grazing(ax: Axes, view: MapView) -> list[Artist]:
     size, lines = view.page.map_size, lines_of_grazing(view)
     dashes, halo = (0, (5, 2)), [withStroke(linewidth=2.8, foreground="white")]
     places = [raster.in_points(ax, line, size) for line in lines]
-    cut = [(part, beside) for _, part, beside in crowded_parts(lines, places, _CROWDED)]
-    crowded, alone = ([part for part, beside in cut if beside is side] for side in (True, False))
+    cut = [(part, is_crowded) for _, part, is_crowded in crowded_parts(lines, places, _CROWDED)]
+    crowded, alone = ([part for part, is_crowded in cut if is_crowded is side] for side in (True, False))
     looks = ((lines, "white", 2.8, "solid"), (crowded, "black", 0.8, "solid"), (alone, "black", 1.3, dashes))
     for segments, color, width, look in looks:
         drawn = LineCollection(segments, colors=color, linewidths=width, linestyles=[look], zorder=3)
         ax.add_collection(drawn, autolim=False)
-    shown: Any = {"linestyle": dashes, "path_effects": halo, "label": grazing_label(view, lines)}
-    return [Line2D([], [], color="black", linewidth=1.3, **shown)]
+    legend_look: Any = {"linestyle": dashes, "path_effects": halo, "label": grazing_label(view, lines)}
+    return [Line2D([], [], color="black", linewidth=1.3, **legend_look)]
 
 
 def _boundaries(ax: Axes, view: MapView) -> list[Artist]:
@@ -130,17 +130,17 @@ def draw_curves(ax: Axes, curves: list[Curve], view: MapView) -> list[Artist]:
     parts = list(crowded_parts(lines, [raster.in_points(ax, line, size) for line in lines], _CROWDING_DISTANCE))
     halo = [withStroke(linewidth=_WIDTHS[False] + 1.4, foreground="white")]
     for kind, look in style.EVENT_STYLES.items():
-        own = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
-        if not own:
+        kind_parts = [(part, crowded) for number, part, crowded in parts if every[number][0] == kind]
+        if not kind_parts:
             continue
-        segments, widths = [part for part, _ in own], np.array([_WIDTHS[crowded] for _, crowded in own])
-        wide = widths + [CASING[crowded] for _, crowded in own]
+        segments, widths = [part for part, _ in kind_parts], np.array([_WIDTHS[crowded] for _, crowded in kind_parts])
+        wide = widths + [CASING[crowded] for _, crowded in kind_parts]
         ax.add_collection(LineCollection(segments, colors="white", linewidths=wide, zorder=3.1), autolim=False)
         drawn = LineCollection(segments, colors=look.color, linewidths=widths, linestyles=[look.dashes], zorder=3.2)
         drawn.set_gid(kind)
         ax.add_collection(drawn, autolim=False)
-        shown: Any = {"color": look.color, "linestyle": look.dashes, "label": look.label}
-        entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **shown))
+        legend_look: Any = {"color": look.color, "linestyle": look.dashes, "label": look.label}
+        entries.append(Line2D([], [], linewidth=_WIDTHS[False], path_effects=halo, **legend_look))
     if view.wanted.curves is None or "codimension_two" in view.wanted.curves:
         corners = sorted({(corner.kind, corner.x, corner.y) for curve in curves for corner in curve.stable_corners})
         corners = [corner for corner in corners if ax.viewLim.contains(*corner[1:])]

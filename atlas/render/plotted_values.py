@@ -39,12 +39,16 @@ class PlottedValues:
             return cls()
         stored = [atlas_observables(ds) for ds in atlases]
         if requested is None:
-            common = [observable for observable in stored[0] if all(observable in held for held in stored)]
+            common = [
+                observable for observable in stored[0] if all(observable in observables for observables in stored)
+            ]
             return cls(common[0]) if common else None
-        for held in stored:
-            if requested not in [observable.name for observable in held]:
+        for observables in stored:
+            if requested not in [observable.name for observable in observables]:
                 possible = (
-                    f"it has {', '.join(observable.name for observable in held)}" if held else "see [solve] observe"
+                    f"it has {', '.join(observable.name for observable in observables)}"
+                    if observables
+                    else "see [solve] observe"
                 )
                 raise InputError(f"observe: this atlas has no {requested!r}; {possible}")
         return cls(next(observable for observable in stored[0] if observable.name == requested))
@@ -73,20 +77,20 @@ class PlottedValues:
         """Return legend entries with the number of orbits of which only the first values are stored."""
         if self.observable is None or self.observable.number not in ds:
             return []
-        number, kept = ds[self.observable.number].values, ds[self.name].shape[-1]
+        number, n_stored = ds[self.observable.number].values, ds[self.name].shape[-1]
         orbits = ds[REGIME.name].values == PERIODIC
-        more, endless = (int(np.count_nonzero(orbits & mask)) for mask in (number > kept, number < 0))
-        says = [f"{plural(more, 'orbit')} with more than\n{kept} values: the first of them"] if more else []
-        says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {kept}"] if endless else []
+        more, endless = (int(np.count_nonzero(orbits & mask)) for mask in (number > n_stored, number < 0))
+        says = [f"{plural(more, 'orbit')} with more than\n{n_stored} values: the first of them"] if more else []
+        says += [f"{plural(endless, 'orbit')} with endless values:\nat most the first {n_stored}"] if endless else []
         return [Line2D([], [], linestyle="", label=label) for label in says]
 
 
 def atlas_observables(ds: "xr.Dataset") -> tuple[Observable, ...]:
     """Return the observables of an atlas, from its spec."""
-    system, asked = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
-    if system is None or not asked:
+    system, observe = stored_system(ds.attrs), stored_spec(ds.attrs).get("solve", {}).get("observe", "")
+    if system is None or not observe:
         return ()
-    return tuple(observable for observable in observables_of(asked, system.definition) if observable.variable in ds)
+    return tuple(observable for observable in observables_of(observe, system.definition) if observable.variable in ds)
 
 
 def shown_label(observable: Observable | None, system: System | None) -> str:

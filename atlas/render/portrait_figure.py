@@ -173,18 +173,18 @@ def _phase_plane(
 
 def _section(ax: Axes, orbit: CellTrajectory) -> None:
     """Draw the gap coordinate and its velocity at the section."""
-    shown = _shown(orbit, orbit.gap_row)
-    x, y = shown.project(orbit.section)
+    projection = _shown(orbit, orbit.gap_row)
+    x, y = projection.project(orbit.section)
     few, ink = selection.is_few(x, y), style.INK[int(orbit.cell[REGIME.name])]
     ax.plot(x, y, "o" if few else ".", color=ink, markersize=4.0 if few else 0.9, markeredgewidth=0, rasterized=not few)
     if np.ptp(x) < 1e-9 and np.ptp(y) < 1e-9:
         # A single point has no extent: the orbit gives the scale.
-        for name, values in zip(("xlim", "ylim"), shown.project(orbit.states), strict=True):
+        for name, values in zip(("xlim", "ylim"), projection.project(orbit.states), strict=True):
             reach = 0.55 * float(np.ptp(values)) or 1.0
             middle = 0.5 * float(values.min() + values.max())
             ax.set(**{name: (middle - reach, middle + reach)})
-    ax.set_xlabel(f"{shown.label} at {'its event' if orbit.cycle is not None else '$t = kT$'}")
-    ax.set_ylabel(shown.rate, labelpad=1.0)
+    ax.set_xlabel(f"{projection.label} at {'its event' if orbit.cycle is not None else '$t = kT$'}")
+    ax.set_ylabel(projection.rate, labelpad=1.0)
     ax.ticklabel_format(useOffset=False)
 
 
@@ -208,8 +208,8 @@ def _convergence(ax: Axes, orbit: CellTrajectory) -> None:
     written = selection.written(orbit)
     for i in sorted(range(values.shape[1]), key=lambda i: i % 2):
         # Equal exponents come in pairs: the second one is dashed.
-        shown, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
-        ax.plot(periods, shown, color=color_of(i), linewidth=1.1, linestyle=dashes)
+        finite, dashes = np.where(np.isfinite(values[:, i]), values[:, i], np.nan), (0, (4, 3)) if i % 2 else "solid"
+        ax.plot(periods, finite, color=color_of(i), linewidth=1.1, linestyle=dashes)
     for i, value in enumerate(written):
         if np.isfinite(value):
             dashes = (0, (2, 2)) if orbit.has_exact_exponents else (0, (1, 3))
@@ -228,9 +228,9 @@ def _write_values(ax: Axes, orbit: CellTrajectory, columns: int) -> None:
     over = f"{' ' if columns > 1 else chr(10)}over {len(orbit.running)}{' periods' * (columns == 1)}" if unknown else ""
     lines = [("dotted: exact" if orbit.has_exact_exponents else f"dotted: averaged{over}", "black")]
     for i, value in enumerate(written):
-        shown = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-        shown = r"-\infty" if np.isneginf(value) else shown
-        lines.append((rf"$\lambda_{{{i + 1}}} = {shown}$", color_of(i)))
+        value_text = "unknown" if np.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+        value_text = r"-\infty" if np.isneginf(value) else value_text
+        lines.append((rf"$\lambda_{{{i + 1}}} = {value_text}$", color_of(i)))
     if not orbit.has_exact_exponents and not unknown and np.isfinite(error):
         lines.append((rf"($\lambda_1 \pm {text.number(float(f'{error:.1g}'))}$)", "black"))
     rows = -(-len(lines) // columns)

@@ -47,10 +47,10 @@ def draw_cells(ax: Axes, plane: Plane, layers: MapLayers, layout: FigureLayout) 
     scale_axes(ax, x=x, y=y)
     enlarged = set[int]()
     for code in (*_WITH_TEXTURE, UNDETERMINED):
-        shown = layers.as_regime(code)
+        regime_cells = layers.as_regime(code)
         if code in _WITH_TEXTURE:
-            hatch(ax, plane, shown, style.HATCH[code], style.HATCH_INK[code])
-        if code in MARKED and _mark_small(ax, plane, shown, REGIME_COLORS[code], layout.map_size):
+            hatch(ax, plane, regime_cells, style.HATCH[code], style.HATCH_INK[code])
+        if code in MARKED and _mark_small(ax, plane, regime_cells, REGIME_COLORS[code], layout.map_size):
             enlarged.add(code)
     return enlarged
 

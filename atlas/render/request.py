@@ -73,16 +73,27 @@ class PictureRequest:
         look: dict[str, Any] = dict(options)
         lines, curves = names_in("overlay", look.pop("overlay", ())), chosen_curves(look.pop("curves", None))
         options_of = "names", "against", "variable", "log", "observe"
-        own: dict[str, Any] = {name: look.pop(name) for name in options_of if name in look}
-        for name, value in (("kind", kind), *((option, own.get(option)) for option in ("variable", "observe"))):
+        request_options: dict[str, Any] = {name: look.pop(name) for name in options_of if name in look}
+        for name, value in (
+            ("kind", kind),
+            *((option, request_options.get(option)) for option in ("variable", "observe")),
+        ):
             if value is not None:
                 check_name(name, value)
         check_names("kind of picture", [] if kind is None else [kind], KIND_TABLE)
         for name in ("names", "log"):
-            validate_flag(name, own.get(name, False))
-        if own.get("against") is not None:
-            validate_atlas(own["against"], "against")
-        return cls(page(**look), kind, validate_window(window), lines, curves, pixels=validate_pixels(pixels), **own)
+            validate_flag(name, request_options.get(name, False))
+        if request_options.get("against") is not None:
+            validate_atlas(request_options["against"], "against")
+        return cls(
+            page(**look),
+            kind,
+            validate_window(window),
+            lines,
+            curves,
+            pixels=validate_pixels(pixels),
+            **request_options,
+        )
 
 
 def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
@@ -95,17 +106,17 @@ def resolve_kind(ds: "xr.Dataset", request: PictureRequest) -> PictureKind:
     possible = [name for name in fitting if KIND_TABLE[name].atlases == atlases]
     if not possible:
         raise InputError(f"two atlases are drawn together as sweeps, {axes_found}")
-    held = [name for name in possible if KIND_TABLE[name].variables[0] in ds]
-    held = [BASINS] if BASINS in held else held or possible
-    chosen, here = held[0] if request.kind is None else request.kind, f"; possible here: {', '.join(held)}"
-    kind = KIND_TABLE[chosen]
-    if chosen not in fitting:
-        raise InputError(f"kind {chosen!r} draws {AXES[kind.axes]}, {axes_found}{here}")
-    if chosen not in possible:
+    available = [name for name in possible if KIND_TABLE[name].variables[0] in ds]
+    available = [BASINS] if BASINS in available else available or possible
+    kind_name, hint = available[0] if request.kind is None else request.kind, f"; possible here: {', '.join(available)}"
+    kind = KIND_TABLE[kind_name]
+    if kind_name not in fitting:
+        raise InputError(f"kind {kind_name!r} draws {AXES[kind.axes]}, {axes_found}{hint}")
+    if kind_name not in possible:
         needed = "a second atlas to draw against" if kind.atlases == 2 else "one atlas, found two"
-        raise InputError(f"kind {chosen!r} needs {needed}{here}")
+        raise InputError(f"kind {kind_name!r} needs {needed}{hint}")
     if kind.scale is CLASSES:
-        request.page.check_no_limits(f"kind {chosen!r} draws classes")
+        request.page.check_no_limits(f"kind {kind_name!r} draws classes")
     return kind
 
 
@@ -132,9 +143,9 @@ def chosen_curves(curves: str | Sequence[str] | None) -> tuple[str, ...] | None:
         return None
     if isinstance(curves, str) and curves == "all":
         return CURVES
-    wanted = names_in("curves", curves)
-    check_names("kind of curve", wanted, CURVES)
-    return wanted
+    names = names_in("curves", curves)
+    check_names("kind of curve", names, CURVES)
+    return names
 
 
 def check_overlays(ds: "xr.Dataset", overlays: tuple[str, ...]) -> None:

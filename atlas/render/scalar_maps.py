@@ -99,14 +99,14 @@ def scalar(view: MapView) -> MapLayers:
     norm, known = color_norm(values, log, view.page), ~np.isnan(values)
     zero = known & (values == 0.0) & (log or scale.zero is not None)
     none = ~known & plane.determined_mask & (regime != NO_IMPACT)
-    own = [(zero, *scale.zero)] if scale.zero else []
-    unknown = none if own else zero | none
+    zero_class = [(zero, *scale.zero)] if scale.zero else []
+    unknown = none if zero_class else zero | none
     meaning = " or ".join(word for word, cells in (("0", zero & unknown), ("no such number", none)) if cells.any())
     signs = None if log else (colormap_of(scale.colors), both_signs(scale.colors))
-    shown = bool(np.isfinite(values[~zero]).any())
+    has_bar = bool(np.isfinite(values[~zero]).any())
     colormap = signed_colormap(norm, scale.colors)
-    field = ScalarLayer(colormap, norm, values, text.in_its_unit(view.ds, label), signs=signs, bar=shown)
-    return _scaled(view, field, [*own, (unknown, NEUTRAL, meaning)])
+    field = ScalarLayer(colormap, norm, values, text.in_its_unit(view.ds, label), signs=signs, bar=has_bar)
+    return _scaled(view, field, [*zero_class, (unknown, NEUTRAL, meaning)])
 
 
 def _scaled(view: MapView, field: ScalarLayer, others: Sequence[Class] = ()) -> MapLayers:
@@ -157,8 +157,8 @@ def draw_bar(
     beyond = int(np.any(values < low)) + 2 * int(np.any(values > high))
     extend, mappable = ("neither", "min", "max", "both")[beyond], ScalarMappable(bar.norm, bar.colormap)
     look: Any = {"aspect": 28, "pad": 0.02, "extendfrac": 0.03, "location": "bottom" if below else "right"}
-    beside: Any = panels[0] if len(panels) == 1 else list(panels)  # a single plot keeps its grid cell
-    colorbar = fig.colorbar(mappable, ax=beside, extend=extend, **look)
+    host_axes: Any = panels[0] if len(panels) == 1 else list(panels)  # a single plot keeps its grid cell
+    colorbar = fig.colorbar(mappable, ax=host_axes, extend=extend, **look)
     two = isinstance(bar.norm, TwoSlopeNorm) and -low != high
     colorbar.set_label(f"{bar.label}\n(two linear scales, joined at 0)" if two else bar.label)
     colorbar.outline.set_linewidth(0.6)

@@ -51,20 +51,20 @@ def difference(compared: Comparison, layout: FigureLayout = STANDARD) -> Figure:
         layout.check_no_limits("a comparison without exponents draws classes")
     count = 2 if compared.has_exponents else 1
     with count_chunk_reads() as reads, layout.context():
-        drawn, panels, own = _sheet(layout, count, limit=2)
-        here, there = compared.planes(own.map_pixels)
+        drawn, panels, sheet_layout = _sheet(layout, count, limit=2)
+        first, second = compared.planes(sheet_layout.map_pixels)
         layout.add_title(drawn, _title(compared) + _coarseness(max(reads.block)))
-        pending = (here.regime == PENDING) | (there.regime == PENDING)
-        shown = [(there, "another regime", _changes(here, there, pending, compared.second))]
+        pending = (first.regime == PENDING) | (second.regime == PENDING)
+        titled_maps = [(second, "another regime", _changes(first, second, pending, compared.second))]
         if compared.has_exponents:
             label = text.in_its_unit(compared.first, rf"change of $\lambda_1$ [{PER_PERIOD}]")
-            shown.append((here, "difference of exponents", _difference(here, there, pending, layout, label)))
+            titled_maps.append((first, "difference of exponents", _difference(first, second, pending, layout, label)))
         entries: list[Artist] = []
-        for ax, (plane, title, layers) in zip(reversed(panels), shown, strict=True):
-            entries += maps.lay(ax, plane, layers, own)
+        for ax, (plane, title, layers) in zip(reversed(panels), titled_maps, strict=True):
+            entries += maps.lay(ax, plane, layers, sheet_layout)
             ax.set_title(title, loc="left")
             if layers.bar is not None:
-                scalar_maps.draw_bar(drawn, [ax], layers.bar, own, below=True)
+                scalar_maps.draw_bar(drawn, [ax], layers.bar, sheet_layout, below=True)
         _label_outside(panels)
         layout.legend(drawn, entries)
     return drawn
@@ -78,28 +78,29 @@ def side_by_side(atlases: Sequence[xr.Dataset], request: PictureRequest, names: 
     Axes have the same limits. Raise InputError for fewer than two atlases, for another kind, and for different axes or
     variables.
     """
-    chosen, page = KIND_TABLE[_check(atlases, request.kind)], request.page
-    if chosen.name == "period":
+    kind, page = KIND_TABLE[_check(atlases, request.kind)], request.page
+    if kind.name == "period":
         page.check_no_limits("kind 'period' draws classes")
-    shown = [select_window(ds, request.window) for ds in atlases]
-    changed = differing_parameters(shown)
+    parts = [select_window(ds, request.window) for ds in atlases]
+    changed = differing_parameters(parts)
     with count_chunk_reads() as reads, page.context():
-        drawn, panels, own = _sheet(page, len(shown), limit=3)
-        views = [maps.read(chosen, ds, PictureRequest(own)) for ds in shown]
-        page.add_title(drawn, text.title_line(shown[0].drop_vars(changed)) + _coarseness(max(reads.block)))
+        drawn, panels, sheet_layout = _sheet(page, len(parts), limit=3)
+        views = [maps.read(kind, ds, PictureRequest(sheet_layout)) for ds in parts]
+        page.add_title(drawn, text.title_line(parts[0].drop_vars(changed)) + _coarseness(max(reads.block)))
         bars = []
-        if chosen.name == "exponent":
+        if kind.name == "exponent":
             known = np.concatenate([view.plane.known_values(LARGEST.name).ravel() for view in views])
             norm = scalar_maps.two_sided(page, *scale_ends(known))
-            label = text.in_its_unit(shown[0], rf"$\lambda_1$ [{PER_PERIOD}]")
+            label = text.in_its_unit(parts[0], rf"$\lambda_1$ [{PER_PERIOD}]")
             bars = [ScalarLayer(scalar_maps.EXPONENT, norm, known, label)]
         entries: dict[str, Artist] = {}
-        letters = max(4, int(own.map_size[0] / (0.6 * page.font)))  # number of letters in a line as wide as a map
+        # number of letters in a line as wide as a map
+        letters = max(4, int(sheet_layout.map_size[0] / (0.6 * page.font)))
         for ax, view, name in zip(panels, views, names or map(str, range(1, len(views) + 1)), strict=True):
             title = _values(view.ds, changed) if changed else textwrap.fill(name, letters)
             ax.set_title(title, loc="left", gid=OWN_TITLE)
-            layers = maps.with_legend_notes(PAINTERS[chosen.name](view, *(bar.norm for bar in bars)), view.ds)
-            for entry in maps.lay(ax, view.plane, layers, own):
+            layers = maps.with_legend_notes(PAINTERS[kind.name](view, *(bar.norm for bar in bars)), view.ds)
+            for entry in maps.lay(ax, view.plane, layers, sheet_layout):
                 entries.setdefault(str(entry.get_label()), entry)
         _label_outside(panels)
         # The axes are shared, so these limits apply to all.
@@ -157,12 +158,12 @@ def _check(atlases: Sequence[xr.Dataset], kind: str | None) -> str:
             )
     if kind is not None and kind not in KINDS:
         raise InputError(f"kind {kind!r} is drawn of one atlas; side by side: {', '.join(KINDS)}")
-    for chosen in KINDS if kind is None else [kind]:
-        variable = KIND_TABLE[chosen].variables[0]
+    for name in KINDS if kind is None else [kind]:
+        variable = KIND_TABLE[name].variables[0]
         lacking = [k for k, ds in enumerate(atlases, 1) if variable not in ds]
         if not lacking:
-            return chosen
-    raise InputError(f"kind {chosen!r} draws {variable!r}, which atlas {lacking[0]} lacks")
+            return name
+    raise InputError(f"kind {name!r} draws {variable!r}, which atlas {lacking[0]} lacks")
 
 
 def _values(ds: xr.Dataset, names: Iterable[str]) -> str:
@@ -187,8 +188,8 @@ def _difference(first: Plane, second: Plane, pending: Cells, layout: FigureLayou
     known = change[~np.isnan(change)]
     most = float(np.percentile(np.abs(known), 100.0 - _SHARE)) if known.size else 0.0
     # The limits are symmetric: one given limit decides the other.
-    wanted = [end for end in (layout.vmax, layout.vmin) if end is not None]
-    end = abs(wanted[0]) if wanted else most or 1.0
+    limits = [end for end in (layout.vmax, layout.vmin) if end is not None]
+    end = abs(limits[0]) if limits else most or 1.0
     norm = scalar_maps.two_sided(layout, -end, end)
     change = np.where(pending, np.nan, change)
     unknown = np.isnan(change) & ~pending, WITHOUT, "without an exponent in one"
@@ -202,7 +203,7 @@ def _changes(first: Plane, second: Plane, pending: Cells, ds: xr.Dataset) -> Map
     """Return the layers of the regimes of the second atlas, in its words, where the first has another regime."""
     same = (first.regime == second.regime) & ~pending, SAME, "same regime"
     layers = maps.with_legend_notes(build_layers(np.where(pending, np.int8(PENDING), second.regime), [same]), ds)
-    own = LegendEntry(*same[1:])
-    others = [entry for entry in layers.legend if entry != own]
+    same_entry = LegendEntry(*same[1:])
+    others = [entry for entry in layers.legend if entry != same_entry]
     named = [e if e.regime == PENDING else replace(e, label=f"{e.label} instead") for e in others]
-    return replace(layers, legend=[own, *named])
+    return replace(layers, legend=[same_entry, *named])

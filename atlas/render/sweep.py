@@ -74,16 +74,18 @@ def _of_one(
     ds: xr.Dataset, request: PictureRequest, exponents: Mapping[str, Panel], entries: Sequence[Artist] = ()
 ) -> Figure:
     """Return the plotted values of a sweep over a panel of its exponents, with these entries in the legend."""
-    shown = PlottedValues.resolve(request.observe, ds)
-    panels = ({} if shown is None else {shown.name: _panel_of_points(shown)}) | dict(exponents)
+    plotted_values = PlottedValues.resolve(request.observe, ds)
+    panels = ({} if plotted_values is None else {plotted_values.name: _panel_of_points(plotted_values)}) | dict(
+        exponents
+    )
     if not panels:
         raise InputError("kind 'sweep' needs 'section' or 'largest', and this atlas has neither; see section_samples")
-    more = () if shown is None else shown.reads
+    more = () if plotted_values is None else plotted_values.reads
     errors = held([ERROR.name], ds) if LARGEST.name in panels else []  # other atlases may lack error bars
     read = line(ds, [*panels, *more, *errors])
     regimes = [] if [*panels] == [SPECTRUM.name] else regime_legend(read[0][REGIME.name].values, read[0])
-    notes = [] if shown is None else shown.notes(read[0])
-    return stack(ds, read, panels, [*regimes, *entries, *notes], request, shown)
+    notes = [] if plotted_values is None else plotted_values.notes(read[0])
+    return stack(ds, read, panels, [*regimes, *entries, *notes], request, plotted_values)
 
 
 def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
@@ -95,17 +97,19 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     assert against is not None
     check_same_axis(ds, against)
     atlases = (ds, against)
-    shown = PlottedValues.resolve(request.observe, *atlases)
-    names = ([] if shown is None else [shown.name]) + held([LARGEST.name], *atlases)
+    plotted_values = PlottedValues.resolve(request.observe, *atlases)
+    names = ([] if plotted_values is None else [plotted_values.name]) + held([LARGEST.name], *atlases)
     if not names:
         raise InputError("kind 'hysteresis' needs 'section' or 'largest' in both atlases; found neither in both")
-    (first, x), (second, _) = (line(ds, names if shown is None else [*names, *shown.reads]) for ds in atlases)
+    (first, x), (second, _) = (
+        line(ds, names if plotted_values is None else [*names, *plotted_values.reads]) for ds in atlases
+    )
 
     def panel(ax: Axes, name: str) -> None:
         # The second sweep is smaller and on top, so that both are visible if they agree.
         for cells, color, larger, zorder in ((first, COLORS[0], 1.5, 2), (second, COLORS[1], 0.8, 3)):
             size = point_size(x, _FEW, request.page) * larger
-            draw_points(ax, x, _values(cells, x, name, shown), color, size, zorder=zorder)
+            draw_points(ax, x, _values(cells, x, name, plotted_values), color, size, zorder=zorder)
         if name == LARGEST.name:
             ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
             ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
@@ -113,7 +117,7 @@ def figure_of_two(ds: xr.Dataset, request: PictureRequest) -> Figure:
     panels: dict[str, Panel] = {name: lambda ax, *_, name=name: panel(ax, name) for name in names}
     sweeps = zip(COLORS, atlases, (6.0, 3.5), strict=True)
     legend: list[Artist] = [_dot(color, _direction(cells, x.name), size) for color, cells, size in sweeps]
-    return stack(ds, (first, x), panels, legend, request, shown)
+    return stack(ds, (first, x), panels, legend, request, plotted_values)
 
 
 def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
@@ -125,9 +129,11 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
     if ATTRACTOR not in ds.dims:
         raise InputError("kind 'coexistence' needs all attractors, and this atlas has one per cell; see [attractors]")
     known = branches_of(ds) if LABEL.name in ds else None
-    shown = PlottedValues.resolve(request.observe, ds)
-    names = held([LARGEST.name], ds) if shown is None else [shown.name]
-    panels = {name: _panel_of_attractors(name, known, shown) for name in names} | {"share": _panel_of_shares(known)}
+    plotted_values = PlottedValues.resolve(request.observe, ds)
+    names = held([LARGEST.name], ds) if plotted_values is None else [plotted_values.name]
+    panels = {name: _panel_of_attractors(name, known, plotted_values) for name in names} | {
+        "share": _panel_of_shares(known)
+    }
     ends = [name for name in INTERVAL if name in ds]
     read = line(ds, [*panels, *ends, *([] if known is None else [LABEL.name])])
     regime, entries = read[0][REGIME.name].values, list[Artist]()
@@ -142,16 +148,16 @@ def figure_of_attractors(ds: xr.Dataset, request: PictureRequest) -> Figure:
         low, high = (read[0][end].values for end in ends)
         reach = float(np.nanmax(high - low, initial=0.0)) / 2.0
         entries.append(Line2D([], [], linestyle="", label=f"shares: 95 % interval\nwithin ± {reach:.2f}"))
-    return stack(ds, read, panels, entries, request, shown)
+    return stack(ds, read, panels, entries, request, plotted_values)
 
 
 def figure_of_branches(branches: "BranchTable", layout: FigureLayout = STANDARD) -> Figure:
     """Return branches as a separate figure, under the title line of the other parameters."""
     system, parameter = branches.system, branches.system.parameter(branches.along)
     meaning = CoordinateInfo(parameter.meaning, parameter.symbol, parameter.unit)
-    shown = {name: value for name, value in branches.parameters.items() if name not in system.states}
+    parameters = {name: value for name, value in branches.parameters.items() if name not in system.states}
     with layout.context():
-        drawn, (ax,) = layout.panels(1.2 + 0.45 * layout.width, 1, text.system_line(system, shown))
+        drawn, (ax,) = layout.panels(1.2 + 0.45 * layout.width, 1, text.system_line(system, parameters))
         entries = draw_branches(ax, branches, layout)
         label = shown_label(branches.observable, system)
         ax.set(xlabel=text.axis_label(parameter.name, meaning), ylabel=label, xlim=branches.window)
@@ -240,12 +246,12 @@ def _draw_spectrum(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout)
     spectrum = ds[SPECTRUM.name].values
     ax.axhline(0.0, color="black", linewidth=0.7, zorder=1)
     finite = np.where(np.isfinite(spectrum), spectrum, np.nan)
-    shown = interleave_exponents(
+    visible = interleave_exponents(
         finite, 0.005 * float(np.nanmax(finite) - np.nanmin(finite)) if np.isfinite(finite).any() else 0.0
     )
     for i in range(spectrum.shape[-1]):
         ax.plot(x.values, finite[:, i], "-", color=color_of(i), linewidth=0.4, zorder=1.5)
-        marked, size = np.where(shown[:, i], finite[:, i], np.nan), point_size(x, 1.4, layout)
+        marked, size = np.where(visible[:, i], finite[:, i], np.nan), point_size(x, 1.4, layout)
         ax.plot(x.values, marked, ".", color=color_of(i), markersize=size, markeredgewidth=0, zorder=2)
     label = text.in_its_unit(ds, f"Lyapunov exponents\n$\\lambda_i$ [{PER_PERIOD}]")
     _mark_lost(ax, x, np.any(np.isneginf(spectrum), axis=1), label, r"(▾: some $-\infty$)")
@@ -256,10 +262,10 @@ def _panel_of_attractors(name: str, known: xr.Dataset | None, shown: PlottedValu
 
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         for k in reversed(range(ds.sizes[ATTRACTOR])):
-            here = ds.isel({ATTRACTOR: k})
+            attractor = ds.isel({ATTRACTOR: k})
             size = point_size(x, (1.0 if shown is None else 0.6) * _POINT, layout)
-            values = _values(here, x, name, shown)
-            for cells, color in _groups(here, known):
+            values = _values(attractor, x, name, shown)
+            for cells, color in _groups(attractor, known):
                 draw_points(ax, x, values, color, size, "o", cells=cells)
         ax.set_ylabel(text.in_its_unit(ds, LARGEST_LABEL))
 
@@ -274,9 +280,9 @@ def _panel_of_shares(known: xr.Dataset | None) -> Panel:
     def draw(ax: Axes, ds: xr.Dataset, x: PlaneAxis, layout: FigureLayout) -> None:
         bands: list[tuple[str, Array]] = []
         for k in range(ds.sizes[ATTRACTOR]):
-            here = ds.isel({ATTRACTOR: k})
-            share = np.nan_to_num(here["share"].values)
-            bands += [(color, np.where(cells, share, 0.0)) for cells, color in _groups(here, known)]
+            attractor = ds.isel({ATTRACTOR: k})
+            share = np.nan_to_num(attractor["share"].values)
+            bands += [(color, np.where(cells, share, 0.0)) for cells, color in _groups(attractor, known)]
         ink = [] if known is None else [str(color) for color in class_maps.branch_colors(known, ink=True)]
         order = [*ink, *(color for color, _ in bands)]
         foot, ends = np.zeros(x.values.size), np.repeat(x.edges, 2)[1:-1]
@@ -313,13 +319,13 @@ def draw_branches(ax: Axes, branches: "BranchTable", layout: FigureLayout) -> li
     """Draw branches, also of mirror images, with their events, and return the legend entries."""
     lines, places, entries = list(branches.lines()), list(branches.event_places()), list[Artist]()
     for stable, label in ((True, "stable orbit"), (False, "unstable orbit")):
-        shown, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
-        if shown:
+        segments, width, dashes = [one for holds, one in lines if holds is stable], _WIDTHS[stable], DASHES[stable]
+        if segments:
             look = {"color": INK, "linewidth": width * layout.scale, "linestyle": dashes}
-            ax.add_collection(LineCollection(shown, zorder=4, **look))
+            ax.add_collection(LineCollection(segments, zorder=4, **look))
             entries.append(Line2D([], [], label=label, **look))
     for kind, event in style.EVENT_STYLES.items():
-        at = [place for mark, place in places if mark == kind]
+        at = [point for mark, point in places if mark == kind]
         if at:
             mark = style.mark(event.marker, _MARKER * layout.scale, event.color, "white", 0.5) | {"label": event.label}
             ax.plot(*np.concatenate(at).T, zorder=5, **mark)
@@ -349,9 +355,9 @@ def draw_points(
     cells: Any = True,
 ) -> None:
     """Draw the finite values (N,) or (N, n) of ``cells`` (N,), by default all, as points of ``size`` points."""
-    at, shown = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
+    at, mask = np.broadcast_to(x.values, values.T.shape).T, (np.isfinite(values).T & cells).T
     look: Any = {"color": color, "markersize": size, "markeredgewidth": 0, "zorder": zorder, "rasterized": True}
-    ax.plot(at[shown], values[shown], marker, **look)
+    ax.plot(at[mask], values[mask], marker, **look)
 
 
 def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedValues | None) -> Array:
@@ -361,9 +367,9 @@ def _values(ds: xr.Dataset, x: PlaneAxis, name: str, shown: PlottedValues | None
 
 def regime_legend(regime: NDArray[np.int8], ds: xr.Dataset) -> list[Artist]:
     """Return legend entries for the regimes of the points of an atlas."""
-    own = text.regime(ds)
+    regimes = text.regime(ds)
     codes = np.unique(regime[regime != PENDING]).tolist()
-    return [_dot(style.INK[code], own.meaning(code).text, 4.0) for code in codes]
+    return [_dot(style.INK[code], regimes.meaning(code).text, 4.0) for code in codes]
 
 
 def _dot(color: str, label: str, size: float) -> Line2D:

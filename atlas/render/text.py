@@ -95,18 +95,18 @@ def title_line(ds: xr.Dataset) -> str:
     order = [p.name for p in system.parameters] if system else [str(name) for name in ds.coords]
     fixed = [name for name in order if name in ds.coords and ds[name].ndim == 0 and ds[name].dtype.kind in "iuf"]
     states = system.states if system else ()
-    shown = [n for n in fixed if float(ds[n]) or n not in states]
-    if system is not None and {*shown} <= {TAU}:
-        shown = [n for n in shown if float(ds[n])]
+    names = [n for n in fixed if float(ds[n]) or n not in states]
+    if system is not None and {*names} <= {TAU}:
+        names = [n for n in names if float(ds[n])]
         title = (system.title or system.name).replace("$", r"\$")
-        return ",  ".join(filter(None, [title, parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])]))
-    return parameter_line([(symbol(ds, n), float(ds[n])) for n in shown])
+        return ",  ".join(filter(None, [title, parameter_line([(symbol(ds, n), float(ds[n])) for n in names])]))
+    return parameter_line([(symbol(ds, n), float(ds[n])) for n in names])
 
 
 def system_line(system: System, values: Mapping[str, float]) -> str:
     """Return the ``title_line`` for these parameters of a system."""
-    shown = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
-    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in shown])
+    parameters = [p for p in system.parameters if p.name in values and (values[p.name] or p.name not in system.states)]
+    return parameter_line([(shown_symbol(p.symbol, p.name), values[p.name]) for p in parameters])
 
 
 def parameter_line(items: Sequence[tuple[str, float]]) -> str:
@@ -138,8 +138,9 @@ def gap_label(system: System | None) -> str:
         return f"gap coordinate\n$y${ending}"
     formula = combination(known, [state_symbol(system, state.name) for state in states])
     alone = [(state, c) for state, c in zip(states, known, strict=True) if c != 0.0]
-    own = alone[0][0].meaning.removeprefix("initial ").split(",")[0]  # the text after the comma would take more lines
-    meaning = own if [c for _, c in alone] == [1.0] else "gap coordinate"
+    # The text after the comma would take more lines.
+    short_meaning = alone[0][0].meaning.removeprefix("initial ").split(",")[0]
+    meaning = short_meaning if [c for _, c in alone] == [1.0] else "gap coordinate"
     return f"{meaning}\n${formula}${ending}"
 
 

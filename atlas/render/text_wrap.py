@@ -29,23 +29,23 @@ def _fit_title(fig: Figure, text: Text) -> bool:
     """Put as many comma-separated parts of a title into each line as fit, and return True if the title has changed."""
     before = text.get_text()
     end = text.axes.bbox.x1 if text.axes and text.get_gid() == OWN_TITLE else fig.bbox.x1 - 3.0
-    place = text.get_window_extent()
+    extent = text.get_window_extent()
     for legend in fig.legends:
         box = legend.get_window_extent()
-        if box.x0 > place.x0 and box.y1 > place.y0:  # an artist beside the title
+        if box.x0 > extent.x0 and box.y1 > extent.y0:  # an artist beside the title
             end = min(end, box.x0 - 3.0)
-    room = end - place.x0
+    room = end - extent.x0
     lines = []
     for line in before.replace(",\n", ",  ").split("\n"):  # a line broken earlier may fit now
-        kept, *rest = re.split(r"(?<=,)( +)", line)
+        current_line, *rest = re.split(r"(?<=,)( +)", line)
         for space, part in zip(rest[::2], rest[1::2], strict=True):
-            text.set_text(f"{kept}{space}{part}")
+            text.set_text(f"{current_line}{space}{part}")
             if text.get_window_extent().width <= room:
-                kept = text.get_text()
+                current_line = text.get_text()
             else:
-                lines.append(kept)
-                kept = part
-        lines.append(kept)
+                lines.append(current_line)
+                current_line = part
+        lines.append(current_line)
     text.set_text("\n".join(lines))
     return text.get_text() != before
 

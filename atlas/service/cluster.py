@@ -58,9 +58,9 @@ def _security(tls: Tls | None) -> "Security":
     """
     from distributed import Security
 
-    given = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
-    given = {name: file for name, file in given.items() if file is not None}
-    return Security(**given, **({"require_encryption": True} if given else {}))
+    files = {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.cert, "tls_client_key": tls.key} if tls else {}
+    files = {name: file for name, file in files.items() if file is not None}
+    return Security(**files, **({"require_encryption": True} if files else {}))
 
 
 @contextmanager

@@ -86,7 +86,7 @@ class CurveSummary:
         lines += [_edge_line(names[name], counts) for name, counts in facts["edges"].items() if counts["all"]]
         if facts["events_not_followed"]:
             lines.append(f"budget spent: {plural(facts['events_not_followed'], 'event')} not followed")
-        lines += [_why_line(place) for place in facts["unexplained"]]
+        lines += [_why_line(location) for location in facts["unexplained"]]
         lines += [f"{plural(count, 'place')}: {text}" for text, count in facts["troubles"].items()]
         return "\n".join(lines)
 
@@ -144,9 +144,11 @@ class _CurveRun:
 
     def run(self) -> CurveSummary:
         """Run the unfinished stages, write the curves, and return the summary."""
-        kept = finished_parts(self.handle, CURVES, self.digest)
+        stored_parts = finished_parts(self.handle, CURVES, self.digest)
         while tasks := self.search.tasks():
-            jobs = [self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in kept]
+            jobs = [
+                self._job(k, name, task) for k, (name, task) in enumerate(tasks.items()) if name not in stored_parts
+            ]
             self.pool.run_jobs(jobs, self._progress)
             self.search.add_results([read_part(self.handle, name) for name in tasks])
         curves = finish_search(self.search)

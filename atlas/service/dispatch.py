@@ -233,8 +233,8 @@ class Dispatcher(Generic[J, R]):
         if silent < (2 * median(self._seconds) if self._seconds else self._timing.hung):
             return ""
         holders = self._holders()
-        held = [(holders[f.key], a.open_job.job.index) for f, a in self._attempts.items() if f.key in holders]
-        return f"{begin}{_some_of([f'{worker} has tile {index}' for worker, index in held])}" if held else ""
+        tiles = [(holders[f.key], a.open_job.job.index) for f, a in self._attempts.items() if f.key in holders]
+        return f"{begin}{_some_of([f'{worker} has tile {index}' for worker, index in tiles])}" if tiles else ""
 
     def _fill(self) -> bool:
         """Submit jobs until the window is full; return False if no worker is fit, and one may come.
@@ -345,8 +345,8 @@ class Dispatcher(Generic[J, R]):
         by_number = {n: future for n, future in enumerate(ended) if future.status == "finished"}
 
         async def gather() -> dict[int, AttemptOutcome[R]]:
-            asked = self.client.gather(by_number, errors="skip", direct=False, asynchronous=True)
-            return await asyncio.wait_for(asked, self._timing.connect)
+            gathering = self.client.gather(by_number, errors="skip", direct=False, asynchronous=True)
+            return await asyncio.wait_for(gathering, self._timing.connect)
 
         outcomes: dict[int, AttemptOutcome[R]] = {}
         with loss_reported(self.client), suppress(TimeoutError):

@@ -65,14 +65,14 @@ def extend(
     if (spec is None) == (refine is None):
         raise InputError("extend: give either spec or refine")
     grown = refine_spec(old.spec, refine, old.tile) if spec is None else extend_spec(old.spec, spec, str(old.backend))
-    place = place_from(old, into, options.storage_options)
-    kept = count_shared(old, grown, done_tiles(old))
-    if not kept:
+    backend = place_from(old, into, options.storage_options)
+    n_reused = count_shared(old, grown, done_tiles(old))
+    if not n_reused:
         raise InputError(f"{old.backend}: no finished cell lies on the new grid; compute the new atlas with atlas run")
     with progress_reporter(options.on_progress) as report:
         options = replace(options, on_progress=report)
-        options.report(Progress(f"reusing {kept} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
-        return complete(grown, place, client, options, Origin(sibling_name(place, old.backend), old.run_id))
+        options.report(Progress(f"reusing {n_reused} of {plural(math.prod(grown.shape), 'cell')} from {old.backend}"))
+        return complete(grown, backend, client, options, Origin(sibling_name(backend, old.backend), old.run_id))
 
 
 def handle_from(store: "Given | AtlasStore", storage_options: Mapping[str, Any] | None) -> AtlasStore:
@@ -85,16 +85,16 @@ def place_from(old: AtlasStore, into: Given, storage_options: Mapping[str, Any] 
 
     Raise InputError if it cannot reuse any.
     """
-    place = open_backend(into, storage_options=storage_options)
-    if place == old.backend:
-        raise InputError(f"{place}: found the store to take cells from, must be another path")
-    if sibling_backend(place, str(old.backend)) != old.backend:
+    backend = open_backend(into, storage_options=storage_options)
+    if backend == old.backend:
+        raise InputError(f"{backend}: found the store to take cells from, must be another path")
+    if sibling_backend(backend, str(old.backend)) != old.backend:
         raise InputError(
-            f"{old.backend}: workers reach it in the same way as {place}; give both as paths or both as URLs"
+            f"{old.backend}: workers reach it in the same way as {backend}; give both as paths or both as URLs"
         )
     if old.solver_version != SOLVER_VERSION:
         raise InputError(
             f"{old.backend}: computed by solver version {old.solver_version}, installed is {SOLVER_VERSION}; "
             "a store cannot mix solver versions, compute the new atlas with atlas run"
         )
-    return place
+    return backend

@@ -76,8 +76,10 @@ class MeasureSummary:
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas attractors measure --json`` prints."""
         times = {"seconds": self.seconds, "processor_seconds": self.processor_seconds, "tasks": self.tasks}
-        given = {name: {k: v for k, v in request.items() if k != "content"} for name, request in self.requests.items()}
-        return {"store": self.store, "measures": dict(self.measures), **given, **times}
+        requests = {
+            name: {k: v for k, v in request.items() if k != "content"} for name, request in self.requests.items()
+        }
+        return {"store": self.store, "measures": dict(self.measures), **requests, **times}
 
     __repr__ = text_repr
 
@@ -112,10 +114,10 @@ def measure_attractors(
     with open_store_call(store, client, merge_options(options, fields)) as (handle, options, stack):
         check_store(handle)
         weights = validate_weights(norm, handle.spec.system_def)
-        wanted = _requests(handle, validate_flag("shocks", shocks), weights)
+        requests = _requests(handle, validate_flag("shocks", shocks), weights)
         before = read_measures(handle)
-        stored = _still_true(before, wanted)
-        missing = [family for family, request in wanted.items() if stored.requests.get(family) != request]
+        stored = _still_true(before, requests)
+        missing = [family for family, request in requests.items() if stored.requests.get(family) != request]
         if not missing:
             return MeasureSummary(str(handle.backend), summary_of(stored.arrays), stored.requests)
         check_not_packed(handle.backend)
@@ -127,8 +129,8 @@ def measure_attractors(
             raise RunError(f"{handle.backend}: another run has measured it meanwhile; rerun the same command")
         measured = StoredMeasures(dict(stored.arrays), dict(stored.requests))
         job = _MeasureRun(handle, pool, tuple(weights.items()))
-        measured.arrays.update(job.run({name: _digest({name: wanted[name]}) for name in missing}))
-        measured.requests.update({family: wanted[family] for family in missing})
+        measured.arrays.update(job.run({name: _digest({name: requests[name]}) for name in missing}))
+        measured.requests.update({family: requests[family] for family in missing})
         ordered = {name: measured.arrays[name] for name in MEASURES if name in measured.arrays}
         write_measures(handle, StoredMeasures(ordered, measured.requests))
         for family in missing:
@@ -153,9 +155,12 @@ def _requests(handle: AtlasStore, shocks: bool, norm: Mapping[str, float]) -> di
 def _still_true(stored: StoredMeasures, wanted: Mapping[str, Request]) -> StoredMeasures:
     """Return the stored measures of the present cells."""
     content = wanted[LINEAR]["content"]
-    kept = {family: request for family, request in stored.requests.items() if request.get("content") == content}
+    current_requests = {
+        family: request for family, request in stored.requests.items() if request.get("content") == content
+    }
     return StoredMeasures(
-        {name: values for name, values in stored.arrays.items() if MEASURES[name].family in kept}, kept
+        {name: values for name, values in stored.arrays.items() if MEASURES[name].family in current_requests},
+        current_requests,
     )
 
 
@@ -188,18 +193,18 @@ class _MeasureRun:
         The digest of a family identifies the stored parts of its request.
         """
         handle = self.handle
-        kept = {
+        stored_parts = {
             f"{family}/{name}"
             for family, digest in families.items()
             for name in finished_parts(handle, group_of(family), digest)
         }
         parts = [(family, *piece) for family in families for piece in pieces(handle, family)]
         self.cells = sum(last - first for *_, first, last in parts)
-        self.done = sum(last - first for _, name, _, first, last in parts if name in kept)
+        self.done = sum(last - first for _, name, _, first, last in parts if name in stored_parts)
         jobs = [
             MeasureJob((k,), name, family, tile, first, last, self.norm, self.pool.store_ref)
             for k, (family, name, tile, first, last) in enumerate(parts)
-            if name not in kept
+            if name not in stored_parts
         ]
         self.pool.run_jobs(jobs, self._progress, self._count)
         many = (handle.spec.attractors.keep,) if handle.spec.coexistence and handle.spec.attractors else ()
@@ -209,9 +214,9 @@ class _MeasureRun:
         for _, name, tile, first, last in parts:
             at = handle.tiling.at(tile)
             cells = np.unravel_index(np.arange(first, last), at.shape)
-            here = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
+            index = tuple(cell + part.start for cell, part in zip(cells, at.slices, strict=True))
             for measured, values in read_measured(handle, name).items():
-                arrays[measured][here] = values if many else values[:, 0]
+                arrays[measured][index] = values if many else values[:, 0]
         return arrays
 
     def _count(self, report: PartReport) -> None:

@@ -62,10 +62,10 @@ class RunOptions:
     def __post_init__(self) -> None:
         self._check_kinds()
         if self.workers is not None and (not 1 <= self.workers <= MAX_WORKERS or self.scheduler is not None):
-            given, most = brief_repr(self.workers), f"must be 1 to {MAX_WORKERS}"
-            raise InputError(f"workers: found {given}, {most}, for a local cluster only")
-        whole = isinstance(self.tile, Sequence) and all(is_integer(n, Integral) for n in self.tile)
-        if self.tile is not None and not whole:
+            value_text, most = brief_repr(self.workers), f"must be 1 to {MAX_WORKERS}"
+            raise InputError(f"workers: found {value_text}, {most}, for a local cluster only")
+        is_index = isinstance(self.tile, Sequence) and all(is_integer(n, Integral) for n in self.tile)
+        if self.tile is not None and not is_index:
             raise InputError(f"tile: found {brief_repr(self.tile)}, must be the index of a tile, whole numbers")
         if self.tls is not None and self.scheduler is None:
             raise InputError("tls: found files for a connection to a scheduler, but no scheduler; give its address")
@@ -92,8 +92,8 @@ class RunOptions:
             ("performance_report", str | os.PathLike, "the path of a file"),
             ("storage_options", Mapping, "settings by name, such as {'anon': True}"),
         ):
-            if (given := getattr(self, name)) is not None:
-                validate_type(name, given, kind, right)
+            if (value := getattr(self, name)) is not None:
+                validate_type(name, value, kind, right)
         for name in ("patience", "wait"):
             validate_type(name, getattr(self, name), Real, "a number of seconds")
         validate_type("dashboard", self.dashboard, bool, "true or false")
@@ -119,12 +119,14 @@ def with_fields(function: F) -> F:
     ``help`` shows the signature.
     """
     signature = inspect.signature(function)
-    own = [given for given in signature.parameters.values() if given.kind is not inspect.Parameter.VAR_KEYWORD]
+    named_parameters = [
+        parameter for parameter in signature.parameters.values() if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
     named = [
         inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=option.default)
         for option in fields(RunOptions)
     ]
-    function.__signature__ = signature.replace(parameters=[*own, *named])  # type: ignore[attr-defined]
+    function.__signature__ = signature.replace(parameters=[*named_parameters, *named])  # type: ignore[attr-defined]
     return function
 
 

@@ -59,8 +59,8 @@ class PackSummary:
         packed = f"{self.file}: {plural(self.objects, 'object')}, {byte_size(self.bytes)}"
         if self.is_complete:
             return packed
-        done = f"only {self.tiles_done} of {self.tiles} tiles are done"
-        return f"{packed}\n{done}: the rest reads as pending, and a zip file cannot be completed; keep the store"
+        tiles_text = f"only {self.tiles_done} of {self.tiles} tiles are done"
+        return f"{packed}\n{tiles_text}: the rest reads as pending, and a zip file cannot be completed; keep the store"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas pack --json`` prints."""
@@ -185,9 +185,9 @@ def write_zip(target: Path, members: Iterable[tuple[str, bytes]]) -> int:
             with suppress(OSError), _held(left, timeout=0):
                 left.unlink()
     unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
-    with ExitStack() as held:
+    with ExitStack() as lock:
         with suppress(OSError):  # a file system without locks
-            held.enter_context(_held(unfinished))
+            lock.enter_context(_held(unfinished))
         try:
             with unfinished.open("wb") as file:
                 with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, strict_timestamps=True) as archive:

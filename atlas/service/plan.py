@@ -206,15 +206,15 @@ def make_plan(spec: Spec, workers: int | None = None, tile: tuple[int, ...] | No
     """
     spec.check_stored_form()
     count = processors() if workers is None else workers
-    chosen = tile or spec.tile or _default_tile(spec, count)
-    chosen = tuple(min(t, n) for t, n in zip(chosen, spec.shape, strict=True))
-    name, size = max(_chunks(spec, chosen).items(), key=lambda item: item[1])
+    tile_shape = tile or spec.tile or _default_tile(spec, count)
+    tile_shape = tuple(min(t, n) for t, n in zip(tile_shape, spec.shape, strict=True))
+    name, size = max(_chunks(spec, tile_shape).items(), key=lambda item: item[1])
     if size > LARGEST_CHUNK:
         raise InputError(
-            f"store.tile: found {' x '.join(map(str, chosen))}, in which a chunk of {name} has {size} bytes, must be "
-            f"at most {LARGEST_CHUNK}; choose smaller tiles or fewer solve.section_samples"
+            f"store.tile: found {' x '.join(map(str, tile_shape))}, in which a chunk of {name} has {size} bytes, must "
+            f"be at most {LARGEST_CHUNK}; choose smaller tiles or fewer solve.section_samples"
         )
-    return Plan(spec, Tiling(spec.shape, chosen), count)
+    return Plan(spec, Tiling(spec.shape, tile_shape), count)
 
 
 def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, workers: int, tile: Index | None) -> Plan:
@@ -228,8 +228,8 @@ def plan_of_run(spec: Spec, place: StoreBackend, handle: AtlasStore | None, work
         check_free_space(plan, place.local)
     grid = plan.tiling.grid
     if tile is not None and not (len(tile) == len(grid) and all(0 <= i < n for i, n in zip(tile, grid, strict=True))):
-        given, most = brief_repr(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
-        raise InputError(f"tile: found {given}, must be the index of a tile: {most}")
+        index_text, most = brief_repr(tuple(tile)), ", ".join(f"0 to {n - 1}" for n in grid)
+        raise InputError(f"tile: found {index_text}, must be the index of a tile: {most}")
     return plan
 
 
@@ -256,8 +256,8 @@ def _default_tile(spec: Spec, workers: int) -> tuple[int, ...]:
     shape = spec.shape
     fixed = {0: 1} if len(shape) == MAX_AXES else {}
     if spec.continuation is not None:
-        place, _ = spec.continuation
-        fixed[place] = shape[place]
+        continued_dim, _ = spec.continuation
+        fixed[continued_dim] = shape[continued_dim]
     free = [dim for dim in range(len(shape)) if dim not in fixed]
 
     def tiling(side: int) -> Tiling:

@@ -83,25 +83,25 @@ def probe(spec: Spec, tile: tuple[int, ...], clock: Callable[[], float] = time.t
     starts, length = spread_cells(spec)
     together = max(1, math.prod(tile) // (tile[spec.continuation[0]] if spec.continuation else 1))
     _solve(spec, starts[:1], length)
-    costs, done, spent, rate = list[Array](), 0, 0.0, 0.0
+    costs, n_solved, spent, rate = list[Array](), 0, 0.0, 0.0
     for cells in STEPS:
-        chosen = starts[done : max(1, cells // length)]
-        budget = BUDGET if done * length >= FEW else LONG_BUDGET
-        if not chosen or spent * (1 + len(chosen) / max(done, 1)) > budget:
+        step_starts = starts[n_solved : max(1, cells // length)]
+        budget = BUDGET if n_solved * length >= FEW else LONG_BUDGET
+        if not step_starts or spent * (1 + len(step_starts) / max(n_solved, 1)) > budget:
             break
         begin = clock()
-        solved = [_solve(spec, chosen[k : k + together], length) for k in range(0, len(chosen), together)]
+        solved = [_solve(spec, step_starts[k : k + together], length) for k in range(0, len(step_starts), together)]
         seconds = clock() - begin
         used, least, most = (np.concatenate(arrays) for arrays in zip(*solved, strict=True))
         costs.append(np.stack([least.mean(axis=1), most.mean(axis=1)]))
         rate = seconds / (used.sum() + least.size)  # a cell costs something even without a period
-        done, spent = done + len(chosen), spent + seconds
+        n_solved, spent = n_solved + len(step_starts), spent + seconds
     least, most = np.concatenate(costs, axis=1)
     middle = 0.5 * (least + most)
-    spread = np.std(middle, ddof=1) / math.sqrt(done) if done > 1 else middle.mean()
-    doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - done * length / math.prod(spec.shape)))
+    spread = np.std(middle, ddof=1) / math.sqrt(n_solved) if n_solved > 1 else middle.mean()
+    doubt = STANDARD_ERRORS * float(spread) * math.sqrt(max(0.0, 1.0 - n_solved * length / math.prod(spec.shape)))
     return ProbeResult(
-        cells=done * length,
+        cells=n_solved * length,
         periods_per_cell=float(middle.mean()),
         seconds_per_cell=rate * (float(middle.mean()) + 1.0),
         low=rate * (max(float(least.mean()) - doubt, 0.0) + 1.0),
@@ -166,12 +166,12 @@ def full_periods(settings: Settings, few: Settings, arrays: dict[str, NDArray[An
     """
     used, regime = arrays["periods_used"].astype(np.float64), arrays[REGIME.name]
     if settings.method == "fixed":
-        whole = used * (settings.transient_periods + settings.periods) / (few.transient_periods + few.periods)
-        return whole, whole
+        periods = used * (settings.transient_periods + settings.periods) / (few.transient_periods + few.periods)
+        return periods, periods
     least, scale = used.copy(), settings.max_periods / few.max_periods
     if "error" in arrays:
         with np.errstate(over="ignore"):  # if the tolerance is tiny
-            wanted = np.clip((arrays["error"] / settings.tolerance) ** 2, 1.0, scale) - 1.0
-        least += np.where(regime == CHAOTIC, np.minimum(used, few.deciding_periods) * wanted, 0.0)
+            extra_intervals = np.clip((arrays["error"] / settings.tolerance) ** 2, 1.0, scale) - 1.0
+        least += np.where(regime == CHAOTIC, np.minimum(used, few.deciding_periods) * extra_intervals, 0.0)
     watched = np.isin(regime, (CHAOTIC, APERIODIC, UNDETERMINED)) * float(settings.survival - few.survival)
     return least, np.where(regime == UNDETERMINED, used * scale, least) + watched

@@ -68,11 +68,11 @@ class Progress:
     def format_line(self) -> str:
         """Tiles, cells, speed, time left and regimes; before the first tile, share or detail, and seconds."""
         if not self.tiles:
-            done = f"{100 * self.cells_done / self.cells:.0f} %" if self.cells else self.detail
-            after = f"{done} after " if done else ""
+            amount = f"{100 * self.cells_done / self.cells:.0f} %" if self.cells else self.detail
+            after = f"{amount} after " if amount else ""
             return f"{self.stage}: {after}{duration(self.seconds)}" if self.seconds else self.stage
-        done = f"{self.tiles_done}/{self.tiles} tiles, {self.cells_done}/{self.cells} cells"
-        return ", ".join(part for part in (done, self.format_speed, self.outcome) if part)
+        amount = f"{self.tiles_done}/{self.tiles} tiles, {self.cells_done}/{self.cells} cells"
+        return ", ".join(part for part in (amount, self.format_speed, self.outcome) if part)
 
     def __str__(self) -> str:
         return f"{self.stage}: {self.format_line}" if self.tiles else self.stage

@@ -59,11 +59,11 @@ def retry(
     (True, 1.0)
     """
     options = merge_options(options, fields)
-    spec, place, origin, report = prepare_retry(store, into, regimes, max_periods, survival, options.storage_options)
+    spec, backend, origin, report = prepare_retry(store, into, regimes, max_periods, survival, options.storage_options)
     with progress_reporter(options.on_progress) as on_progress:
         options = replace(options, on_progress=on_progress)
         options.report(Progress(report))
-        return complete(spec, place, client, options, origin)
+        return complete(spec, backend, client, options, origin)
 
 
 def prepare_retry(
@@ -86,15 +86,15 @@ def prepare_retry(
             f"{old.backend}: a continued sweep cannot be retried: each cell depends on the cells before it"
         )
     names = regimes.split(",") if isinstance(regimes, str) else validate_type("regimes", regimes, Iterable, "names")
-    wanted = validate_retry(old, tuple(names), max_periods, survival)
-    place = place_from(old, into, storage_options)
+    request = validate_retry(old, tuple(names), max_periods, survival)
+    backend = place_from(old, into, storage_options)
     status = read_status(old)
     if status.fraction < 1:
-        done = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
-        raise InputError(f"{old.backend}: {done} done: complete it first, with the command that began it")
-    count = sum(status.regimes.get(name, 0) for name in wanted.regimes)
+        tiles_text = f"{status.tiles_done} of {plural(old.tiling.count, 'tile')}"
+        raise InputError(f"{old.backend}: {tiles_text} done: complete it first, with the command that began it")
+    count = sum(status.regimes.get(name, 0) for name in request.regimes)
     report = f"solving {count} of {plural(old.tiling.cells, 'cell')} of {old.backend} again"
-    return old.spec.in_tiles(old.tile), place, Origin(sibling_name(place, old.backend), old.run_id, wanted), report
+    return old.spec.in_tiles(old.tile), backend, Origin(sibling_name(backend, old.backend), old.run_id, request), report
 
 
 def validate_retry(

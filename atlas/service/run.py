@@ -75,8 +75,8 @@ def run(
     options = merge_options(options, fields)
     validate_type("spec", spec, Spec, "an atlas.Spec")
     with progress_reporter(options.on_progress) as report:
-        place = open_backend(store, storage_options=options.storage_options)
-        return complete(spec, place, client, replace(options, on_progress=report))
+        backend = open_backend(store, storage_options=options.storage_options)
+        return complete(spec, backend, client, replace(options, on_progress=report))
 
 
 def complete(

@@ -109,8 +109,8 @@ class StoreStatus:
         workers = int(self._reported("workers"))
         speed = "" if self.seconds_left is None else f", {self.progress.rate:.3g} cells/s"
         left = "" if self.seconds_left is None else f", {duration(self.seconds_left)} left"
-        asked = ", asked to stop" if self.run.cancelled else ""
-        return f"{self.run}, {workers} workers{speed}{left}{asked}"
+        stop_note = ", asked to stop" if self.run.cancelled else ""
+        return f"{self.run}, {workers} workers{speed}{left}{stop_note}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the dict that ``atlas status --json`` prints."""

@@ -84,11 +84,11 @@ class RunSummary:
     __repr__ = text_repr
 
     def __str__(self) -> str:
-        done = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
+        tiles_line = f"{self.store}: {self.tiles_done} of {plural(self.tiles, 'tile')} done"
         if not self.tiles_solved:
-            return done
+            return tiles_line
         lines = [
-            done,
+            tiles_line,
             f"{plural(self.cells_solved, 'cell')} in {duration(self.seconds)}: "
             f"{self.cells_per_second:.3g} cells/s, {self.periods / self.seconds:.3g} periods/s, "
             f"{plural(self.workers, 'worker')} solving {100 * self.efficiency:.0f} % of the time "

@@ -32,12 +32,12 @@ class TileOrder:
         coarse, fine = self._lattice(STRIDE), self._lattice(STRIDE // 2)
         stages = (self._due & coarse, self._due & fine & ~coarse, self._due & ~fine)
         rest = np.concatenate([np.flatnonzero(stage) for stage in stages])
-        enough, given, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
+        enough, n_yielded, first = max(1, int(coarse.sum()) // 4), 0, int(stages[0].sum())
         for _ in range(rest.size):
             if self._noted >= enough and first <= 0:  # sorted again whenever twice as many costs are known
-                rest, given, enough = self._costly_first(rest[given:]), 0, 2 * self._noted
-            yield tuple(map(int, np.unravel_index(rest[given], self._due.shape)))
-            given, first = given + 1, first - 1
+                rest, n_yielded, enough = self._costly_first(rest[n_yielded:]), 0, 2 * self._noted
+            yield tuple(map(int, np.unravel_index(rest[n_yielded], self._due.shape)))
+            n_yielded, first = n_yielded + 1, first - 1
 
     def _lattice(self, stride: int) -> np.ndarray:
         mask = np.zeros(self._due.shape, dtype=bool)
@@ -48,8 +48,8 @@ class TileOrder:
         from scipy.spatial import KDTree
 
         known = np.isfinite(self._cost)
-        wanted = np.stack(np.unravel_index(places, self._due.shape), axis=-1)
+        points = np.stack(np.unravel_index(places, self._due.shape), axis=-1)
         neighbours = range(1, min(NEIGHBOURS, self._noted) + 1)
-        distance, near = KDTree(np.argwhere(known)).query(wanted, k=neighbours)
+        distance, near = KDTree(np.argwhere(known)).query(points, k=neighbours)
         guess = np.average(self._cost[known][near], axis=1, weights=1 / distance)
         return places[np.argsort(-guess, kind="stable")]

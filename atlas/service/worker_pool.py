@@ -180,8 +180,8 @@ def open_store_call(
         if isinstance(store, AtlasStore):
             handle = store.with_backend(with_patience(store.backend, options.patience))
         else:
-            place = open_backend(store, storage_options=options.storage_options)
-            handle = open_store(with_patience(place, options.patience))
+            backend = open_backend(store, storage_options=options.storage_options)
+            handle = open_store(with_patience(backend, options.patience))
         yield handle, options, stack
 
 

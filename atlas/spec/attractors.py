@@ -28,9 +28,9 @@ def parse_attractors(given: object, system: System, settings: Settings) -> Attra
     check_names("key in attractors", table, KEYS)
     if settings.method == "fixed":
         raise InputError('attractors: need method = "adaptive", found "fixed"')
-    whole = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
+    arguments = {"count" if key == "starts" else key: table[key] for key in ("starts", "seed", "keep") if key in table}
     try:
-        starts = AttractorSettings(**whole, box=_checked_box(table.get("box", {}), system))
+        starts = AttractorSettings(**arguments, box=_checked_box(table.get("box", {}), system))
     except ValueError as error:
         raise error if isinstance(error, InputError) else InputError(f"attractors.{error}") from None
     cost = settings.max_periods + settings.survival

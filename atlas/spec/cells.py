@@ -44,8 +44,8 @@ def nearest(name: str, values: NDArray[np.float64], edges: NDArray[np.float64], 
     exact = np.flatnonzero(values == value)  # edges between neighbouring floats are rounded to one of the floats
     if exact.size:
         return int(exact[0])
-    place = int(np.searchsorted(edges[1:-1], value, side="right"))
-    return int(np.argsort(values)[place])
+    rank = int(np.searchsorted(edges[1:-1], value, side="right"))
+    return int(np.argsort(values)[rank])
 
 
 def widths_of(values: NDArray[np.float64], log: bool) -> NDArray[np.float64]:

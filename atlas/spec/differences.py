@@ -14,12 +14,12 @@ def differences(stored: Spec, given: Spec) -> list[str]:
         texts.append(f"system {stored.system} in the store, {given.system} in the spec")
     elif identity(stored.system_def.to_resolved()) != identity(given.system_def.to_resolved()):
         texts.append(f"system {stored.system} is defined differently in the store: {_defined_otherwise(stored, given)}")
-    names, wanted = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
+    names, given_names = [axis.name for axis in stored.axes], [axis.name for axis in given.axes]
     if stored.points or given.points:
         texts += describe_difference(stored.points, given.points)
-    elif names != wanted:
-        what = "axis order differs" if sorted(names) == sorted(wanted) else "axes differ"
-        texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(wanted)}) in the spec")
+    elif names != given_names:
+        what = "axis order differs" if sorted(names) == sorted(given_names) else "axes differ"
+        texts.append(f"{what}: ({', '.join(names)}) in the store, ({', '.join(given_names)}) in the spec")
     else:
         pairs = zip(stored.axes, given.axes, strict=True)
         texts += [

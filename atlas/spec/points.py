@@ -91,17 +91,19 @@ def _read_rows(where: str, rows: Iterator[list[str]], system: System) -> Columns
     names = [name.strip() for name in next(rows, [])]
     _check_handle(where, names, system)
     columns: dict[str, list[object]] = {name: [] for name in names}
-    for place, row in enumerate(rows, 2):
+    for row_number, row in enumerate(rows, 2):
         if not any(field.strip() for field in row):
-            raise InputError(f"{where}, row {place}: is empty; remove it")
+            raise InputError(f"{where}, row {row_number}: is empty; remove it")
         if len(row) != len(names):
-            raise InputError(f"{where}, row {place}: found {len(row)} fields, must be {len(names)} as in the first row")
+            raise InputError(
+                f"{where}, row {row_number}: found {len(row)} fields, must be {len(names)} as in the first row"
+            )
         for name, field in zip(names, row, strict=True):
             try:
                 columns[name].append(float(field.strip() if "_" not in field else ""))
             except ValueError:
                 raise InputError(
-                    f"{where}, row {place}, column {name}: found {brief_repr(field)}, must be a number"
+                    f"{where}, row {row_number}, column {name}: found {brief_repr(field)}, must be a number"
                 ) from None
     return _checked_columns(where, columns, system)
 
@@ -126,7 +128,8 @@ def _checked_columns(where: str, given: Mapping[str, Any], system: System) -> Co
         if not isinstance(listed, Sequence) or isinstance(listed, str):
             raise InputError(f"{where}: column {name}: found {brief_repr(values)}, must be a list of numbers")
         columns[name] = _all_admitted(system.parameter(name), listed) or tuple(
-            _value(f"{where}, row {place}, column {name}", name, value, system) for place, value in enumerate(listed, 2)
+            _value(f"{where}, row {row_number}, column {name}", name, value, system)
+            for row_number, value in enumerate(listed, 2)
         )
     for (one, values), (other, others) in itertools.pairwise(columns.items()):
         if len(values) != len(others):

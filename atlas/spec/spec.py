@@ -117,7 +117,7 @@ class Spec:
         put(self, "system", record.name)
         put(self, "system_def", record)
         put(self, "points", columns)
-        read = tuple(read_axis(record.parameter(name), given) for name, given in axes.items())
+        read = tuple(read_axis(record.parameter(name), axis_values) for name, axis_values in axes.items())
         put(self, "axes", (axis_of(columns),) if columns else read)
         _check_continuation(self.axes, record)
         fixed = validate_parameters(record, parameters)
@@ -130,12 +130,12 @@ class Spec:
             raise InputError("attractors: an axis with continuation starts each cell from its neighbour; remove one")
 
     def __repr__(self) -> str:
-        given = [
+        changed_parameters = [
             f"{name} = {value:g}"
             for name, value in self.parameters.items()
             if value != self.system_def.parameter(name).default
         ]
-        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.axis_descriptions), *given])}>"
+        return f"<Spec of {self.system}: {'; '.join([' x '.join(self.axis_descriptions), *changed_parameters])}>"
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, Any], folder: Path | None = None) -> "Spec":
@@ -193,9 +193,9 @@ class Spec:
     @property
     def continuation(self) -> tuple[int, bool] | None:
         """Index in ``dims`` of the continued axis, and True if backward; None for independent cells."""
-        for place, axis in enumerate(reversed(self.axes)):
+        for dim, axis in enumerate(reversed(self.axes)):
             if axis.continuation:
-                return place, axis.continuation == "backward"
+                return dim, axis.continuation == "backward"
         return None
 
     def to_resolved(self) -> dict[str, Any]:
@@ -228,12 +228,12 @@ class Spec:
 
     def check_stored_form(self) -> None:
         """Raise InputError unless an equal spec can be read from its JSON in a store."""
-        own = json.loads(json.dumps(self.to_resolved()))
+        stored_form = json.loads(json.dumps(self.to_resolved()))
         try:
-            again = Spec.from_resolved(own).to_resolved()
+            again = Spec.from_resolved(stored_form).to_resolved()
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"a store of this spec could not be read: {error}") from None
-        if json.loads(json.dumps(again)) != own:
+        if json.loads(json.dumps(again)) != stored_form:
             raise InputError("a store of this spec could not be read: its spec would be another one")
 
     @classmethod
@@ -262,15 +262,19 @@ class Spec:
     @property
     def extra_sizes(self) -> dict[str, int]:
         """Lengths of the dimensions that a variable may have after the axes."""
-        kept = {ATTRACTOR: self.attractors.keep} if self.attractors is not None and self.coexistence else {}
-        asked = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
-        return {"exponent": self.system_def.exponents, "state": len(self.system_def.states)} | asked | kept
+        attractor_sizes = {ATTRACTOR: self.attractors.keep} if self.attractors is not None and self.coexistence else {}
+        sample_sizes = {"sample": self.settings.section_samples, VALUE: self.settings.observe_values}
+        return (
+            {"exponent": self.system_def.exponents, "state": len(self.system_def.states)}
+            | sample_sizes
+            | attractor_sizes
+        )
 
     def with_observables(self, observe: str) -> "Spec":
         """Return the same spec with these observables, see ``workers.Settings``."""
         other = copy(self)
-        asked = replace(self.settings, observe=observe)
-        object.__setattr__(other, "settings", observable_settings(asked, self.system_def))
+        settings = replace(self.settings, observe=observe)
+        object.__setattr__(other, "settings", observable_settings(settings, self.system_def))
         return other
 
     def in_tiles(self, tile: tuple[int, ...]) -> "Spec":
@@ -354,11 +358,11 @@ def parse_settings(given: Mapping[str, Any]) -> Settings:
         if is_integer(value) and abs(value) >= 2**63:  # no setting is so large, and few messages could show it
             raise InputError(f"solve.{name}: found {brief_repr(value)}, must be less than 2**63")
     # A whole tolerance must have the same digest as the equal float.
-    whole: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         name: float(value) if name == "tolerance" and is_integer(value) else value for name, value in given.items()
     }
     try:
-        return Settings(**whole)
+        return Settings(**arguments)
     except ValueError as error:
         raise InputError(f"solve.{error}") from None
 
@@ -412,11 +416,11 @@ def _check_continuation(axes: tuple[Axis, ...], system: System) -> None:
 def _check_whole_lines(spec: Spec) -> None:
     if spec.tile is None or spec.continuation is None:
         return
-    place, _ = spec.continuation
-    if spec.tile[place] < spec.shape[place]:
+    dim, _ = spec.continuation
+    if spec.tile[dim] < spec.shape[dim]:
         raise InputError(
-            f"store.tile: found {brief_repr(list(spec.tile))}, must hold whole lines of {spec.dims[place]}, "
-            f"which is continued over {spec.shape[place]} cells"
+            f"store.tile: found {brief_repr(list(spec.tile))}, must hold whole lines of {spec.dims[dim]}, "
+            f"which is continued over {spec.shape[dim]} cells"
         )
 
 

@@ -31,5 +31,5 @@ def _axis_table(axis: Axis) -> dict[str, Any]:
     """Return an axis by its ends if it is evenly spaced on its scale, else by its values."""
     ends = {"start": axis.start, "stop": axis.stop, "num": len(axis)}
     table = ends if spaced_values(axis.name, ends, axis.scale) == axis.values else {"values": list(axis.values)}
-    kept = {"scale": axis.scale, "continuation": axis.continuation}
-    return table | {key: value for key, value in kept.items() if value not in ("linear", None)}
+    axis_options = {"scale": axis.scale, "continuation": axis.continuation}
+    return table | {key: value for key, value in axis_options.items() if value not in ("linear", None)}

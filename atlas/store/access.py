@@ -60,9 +60,9 @@ class StorageAccess:
         known += [str(config[name]) for name in _HERE if name in config]
         if any(text.startswith("http://") for text in known):
             options = {"allow_http": True} | options  # a URL says http explicitly
-        wanted = {"config": config, _CLIENT: options, _PROVIDER: self.provider}
-        given: dict[str, Any] = {name: value for name, value in wanted.items() if value}
-        return from_url(url, retry_config={"max_retries": 0}, **given)
+        all_arguments = {"config": config, _CLIENT: options, _PROVIDER: self.provider}
+        arguments: dict[str, Any] = {name: value for name, value in all_arguments.items() if value}
+        return from_url(url, retry_config={"max_retries": 0}, **arguments)
 
 
 BY_ENVIRONMENT = StorageAccess()
@@ -79,14 +79,14 @@ def access_by(options: Mapping[str, Any], url: str) -> StorageAccess:
         raise InputError(f"storage_options: found {brief_repr(options)}, must be settings by name, such as anon=True")
     words = S3_SYNONYMS if url.startswith(("s3://", "s3a://")) else SYNONYMS
     config: dict[str, Any] = {}
-    for given, value in options.items():
-        if given in (_CLIENT, _PROVIDER):
+    for option, value in options.items():
+        if option in (_CLIENT, _PROVIDER):
             continue
-        name = words.get(given, given)
+        name = words.get(option, option)
         if name in config:
-            raise InputError(f"storage_options: {given} and another name of {name} are given; give one")
+            raise InputError(f"storage_options: {option} and another name of {name} are given; give one")
         if not isinstance(value, str | int | float | bool):
-            raise InputError(f"storage_options: {given}: must be a text, a number, or true or false")  # may be secret
+            raise InputError(f"storage_options: {option}: must be a text, a number, or true or false")  # may be secret
         config[name] = value if isinstance(value, str | bool) else str(value)
     client = options.get(_CLIENT, {})
     if not isinstance(client, Mapping):

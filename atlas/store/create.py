@@ -89,10 +89,10 @@ def create_store(
     tile     cells of a tile along each dimension
     origin   store whose cells the new store takes over, None if there is none
     """
-    place = open_backend(store)
-    with os_errors_as_input_errors(place, "written"):
-        make_store(place, spec, tile, origin, "")
-    return open_store(place)
+    backend = open_backend(store)
+    with os_errors_as_input_errors(backend, "written"):
+        make_store(backend, spec, tile, origin, "")
+    return open_store(backend)
 
 
 def make_store(place: StoreBackend, spec: Spec, tile: tuple[int, ...], origin: Origin | None, run_id: str) -> None:

@@ -47,19 +47,23 @@ def write_group(
     handle: AtlasStore, group: str, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]
 ) -> None:
     """Write a group, replacing an existing one."""
-    place = handle.backend
-    place.confirm_lease()
+    backend = handle.backend
+    backend.confirm_lease()
     drop_group(handle, group)
     nodes = {name: whole_node(array, COMPRESSED) for name, array in arrays.items()}
     objects = {f"{group}/{name}/{ROOT}": encode_node(node) for name, node in nodes.items()}
     for name, array in arrays.items():
         if array.values.size:
-            whole = tuple(map(slice, array.values.shape))
-            objects |= encode_chunks(array_by(place, f"{group}/{name}", nodes[name]), whole, array.values)
-    place.remove_all([key for key in place.list_keys(f"{group}/") if key not in objects])
-    place.put_all(objects)
-    own = {**attributes, ARRAYS: list(arrays), CONTENT: _content(nodes, {n: a.values for n, a in arrays.items()})}
-    place.commit(f"{group}/{ROOT}", sealed(own, nodes))
+            full_slices = tuple(map(slice, array.values.shape))
+            objects |= encode_chunks(array_by(backend, f"{group}/{name}", nodes[name]), full_slices, array.values)
+    backend.remove_all([key for key in backend.list_keys(f"{group}/") if key not in objects])
+    backend.put_all(objects)
+    stored_attributes = {
+        **attributes,
+        ARRAYS: list(arrays),
+        CONTENT: _content(nodes, {n: a.values for n, a in arrays.items()}),
+    }
+    backend.commit(f"{group}/{ROOT}", sealed(stored_attributes, nodes))
     write_root(handle)  # xarray finds the group by the root's copy
 
 

@@ -49,7 +49,9 @@ def current_host() -> HostInfo:
         "processor": processor_name(),
         "architecture": platform.machine(),
         "compiled_for": binding.get_host_cpu_name(),
-        "instructions": " ".join(sorted(name for name, there in binding.get_host_cpu_features().items() if there)),
+        "instructions": " ".join(
+            sorted(name for name, is_available in binding.get_host_cpu_features().items() if is_available)
+        ),
         "compiler_settings": _settings(BIT_VARIABLES),
         "library": " ".join(platform.libc_ver()),
         "software": "; ".join(

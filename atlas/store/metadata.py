@@ -132,16 +132,24 @@ def describe_difference(stored: bytes | None, right: bytes) -> str:
     if not right.startswith(b"{"):
         return "is damaged or another chunk"
     try:
-        own, must, where = json.loads(stored), json.loads(right), ""
+        stored_value, must, where = json.loads(stored), json.loads(right), ""
     except (ValueError, RecursionError) as error:
         return f"is damaged ({message_of(error)})"
-    while isinstance(own, dict) and isinstance(must, dict) and own != must:
-        key = next(key for key in {**must, **own} if key not in own or key not in must or own[key] != must[key])
+    while isinstance(stored_value, dict) and isinstance(must, dict) and stored_value != must:
+        key = next(
+            key
+            for key in {**must, **stored_value}
+            if key not in stored_value or key not in must or stored_value[key] != must[key]
+        )
         where += f".{key}" if where else key
         if key not in must:
             return f"has an unknown key {where}"
-        own, must = own.get(key), must[key]
-    return f"has {where} {brief_repr(own)}, must be {brief_repr(must)}" if own != must else "is written differently"
+        stored_value, must = stored_value.get(key), must[key]
+    return (
+        f"has {where} {brief_repr(stored_value)}, must be {brief_repr(must)}"
+        if stored_value != must
+        else "is written differently"
+    )
 
 
 def _checksum(plain: Mapping[str, Any]) -> str:

@@ -123,8 +123,8 @@ def sibling_name(place: StoreBackend, other: StoreBackend) -> str:
     """
     if is_url(str(other)) or is_url(str(place)):
         return str(other)
-    name, here = Path(os.path.realpath(str(other))), Path(os.path.realpath(str(place)))
-    return (name if name.anchor != here.anchor else Path(os.path.relpath(name, here))).as_posix()
+    name, base_path = Path(os.path.realpath(str(other))), Path(os.path.realpath(str(place)))
+    return (name if name.anchor != base_path.anchor else Path(os.path.relpath(name, base_path))).as_posix()
 
 
 def sibling_backend(place: StoreBackend, store: str) -> StoreBackend:
@@ -303,9 +303,9 @@ class ObjectBackend(StoreBackend):
             self._persist(lambda: obstore.delete(self.client, key))
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
-        wanted = list(keys)
+        key_list = list(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            pairs = zip(wanted, pool.map(self.get, wanted), strict=True)
+            pairs = zip(key_list, pool.map(self.get, key_list), strict=True)
             return {key: data for key, data in pairs if data is not None}
 
     def remove_all(self, keys: Iterable[str]) -> None:

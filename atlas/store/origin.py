@@ -74,8 +74,8 @@ class Origin:
 
     def attributes(self) -> dict[str, str]:
         """Return the attributes of the new store's root."""
-        given = {} if self.retry is None else {"origin_retry": json.dumps(vars(self.retry))}
-        return {"origin": self.store, "origin_run_id": self.run_id, **given}
+        retry_attribute = {} if self.retry is None else {"origin_retry": json.dumps(vars(self.retry))}
+        return {"origin": self.store, "origin_run_id": self.run_id, **retry_attribute}
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> "Origin | None":

@@ -67,8 +67,8 @@ class _Outage:
         line = first_line(error)
         if not _PASSING.search(line):
             if isinstance(error, PermissionDeniedError | UnauthenticatedError) or _REFUSED.search(line):
-                asked = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
-                raise PermissionError(errno.EACCES, line + asked) from None
+                hint = "; check that the credentials are still valid" if line.endswith("400 Bad Request") else ""
+                raise PermissionError(errno.EACCES, line + hint) from None
             raise OSError(line) from None
         now = time.monotonic()
         self.begin = min(self.begin, now)

@@ -175,8 +175,8 @@ def root_with_groups(attributes: Mapping[str, Any], nodes: Mapping[str, Node], g
     """
     members = dict(nodes)
     for name, data in groups.items():
-        own = json.loads(data)
-        members[name] = {key: own[key] for key in ("zarr_format", "node_type", "attributes")}
+        metadata = json.loads(data)
+        members[name] = {key: metadata[key] for key in ("zarr_format", "node_type", "attributes")}
         members |= {f"{name}/{path}": node for path, node in members_of(data).items()}
     return sealed(attributes, members)
 

@@ -28,16 +28,16 @@ def sidecar_of(store: Given) -> StoreBackend:
     is only read, such as a Zarr store object, has no sidecar and is returned itself; it has no object of these names.
     Raise InputError for a store at the root of a bucket.
     """
-    place = open_backend(store)
-    if isinstance(place, ObjectBackend):
-        parts = urlsplit(place.url)
+    backend = open_backend(store)
+    if isinstance(backend, ObjectBackend):
+        parts = urlsplit(backend.url)
         above, _, name = parts.path.rstrip("/").rpartition("/")
         if not name:
-            raise InputError(f"{place}: a store needs a name below the bucket, such as {place}/plane.zarr")
-        return replace(place, url=parts._replace(path=f"{above}/.{name}.run").geturl())
-    path = place.file if isinstance(place, ZarrBackend) else place.local
+            raise InputError(f"{backend}: a store needs a name below the bucket, such as {backend}/plane.zarr")
+        return replace(backend, url=parts._replace(path=f"{above}/.{name}.run").geturl())
+    path = backend.file if isinstance(backend, ZarrBackend) else backend.local
     if path is None:
-        return place
+        return backend
     path = Path(os.path.realpath(path))
     return LocalBackend(path.parent / f".{path.name}.run")
 

@@ -55,11 +55,11 @@ class SharedCachedProperty(cached_property[_T]):
     """A property that is computed once for all views of a handle."""
 
     def __get__(self, instance: Any, owner: Any = None) -> _T:  # type: ignore[override]
-        name, kept = str(self.attrname), instance.cache
-        with kept.lock:  # the threads of a worker ask at the same time
-            if name not in kept:
-                kept[name] = self.func(instance)
-            value: _T = kept[name]
+        name, cache = str(self.attrname), instance.cache
+        with cache.lock:  # the threads of a worker ask at the same time
+            if name not in cache:
+                cache[name] = self.func(instance)
+            value: _T = cache[name]
         return value
 
 
@@ -192,20 +192,20 @@ def open_store(store: "Given | AtlasStore", storage_options: Mapping[str, Any] |
     """
     if isinstance(store, AtlasStore):
         return store
-    place = open_backend(store, storage_options=storage_options)
-    with os_errors_as_input_errors(place, "read"):
-        return _open_handle(place)
+    backend = open_backend(store, storage_options=storage_options)
+    with os_errors_as_input_errors(backend, "read"):
+        return _open_handle(backend)
 
 
 def _open_handle(place: StoreBackend) -> AtlasStore:
     content = place.get(ROOT)
     attributes = unsealed(content)
-    whole = attributes is not None and TILES in members_of(content)
-    other = None if whole else unsealed(place.get(SPEC_KEY))
+    is_intact = attributes is not None and TILES in members_of(content)
+    other = None if is_intact else unsealed(place.get(SPEC_KEY))
     if attributes is None and other is not None and other.get("format") == FORMAT:
         damage = "is missing" if content is None else "is damaged (its checksum is wrong)"
         raise InputError(f"{place}: {ROOT} {damage}: {remedy(place)}")
-    if not whole and other is None and _is_copy(place, content):
+    if not is_intact and other is None and _is_copy(place, content):
         raise InputError(f"{place}: {COPY_BY_XARRAY}")
     return replace(handle_by(place, attributes or _attributes(place, content)), state=_state(content))
 
@@ -269,10 +269,10 @@ def write_root(handle: AtlasStore, without: str = "") -> None:
 
 def find_store(store: Given) -> AtlasStore | None:
     """Return the handle of a store; None if it does not exist yet. Raise InputError if something else exists there."""
-    place = open_backend(store)
-    with os_errors_as_input_errors(place, "written"):
-        free = is_free(place)
-    return None if free else open_store(place)
+    backend = open_backend(store)
+    with os_errors_as_input_errors(backend, "written"):
+        free = is_free(backend)
+    return None if free else open_store(backend)
 
 
 def is_free(place: StoreBackend) -> bool:

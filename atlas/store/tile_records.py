@@ -71,33 +71,33 @@ class TileRecords:
             checks = (add_up(rows, self._sizes[block]).all() for block, rows in self._blocks())
             if all(checks):
                 return np.ones(self.handle.tiling.grid, dtype=bool)
-        done = np.zeros(self.handle.tiling.grid, dtype=bool)
+        finished = np.zeros(self.handle.tiling.grid, dtype=bool)
         for index in done_tiles(self.handle) if self._listed is None else self._listed:
-            done[index] = True
-        return done
+            finished[index] = True
+        return finished
 
     def valid_blocks(self) -> Iterator[tuple[Block, Rows]]:
         """Yield the rows chunk by chunk, with zeros for tiles without a valid row, and which tiles they are of.
 
         Memory does not grow with the atlas.
         """
-        done, self.lost = self.done, []
+        finished, self.lost = self.done, []
         for block, rows in self._blocks():
-            whole = add_up(rows, self._sizes[block])
+            valid = add_up(rows, self._sizes[block])
             begins = [part.start for part in block]
-            self.lost += [tuple(index) for index in (np.argwhere(whole & ~done[block]) + begins).tolist()]
-            rows[~(whole & done[block])] = 0.0
+            self.lost += [tuple(index) for index in (np.argwhere(valid & ~finished[block]) + begins).tolist()]
+            rows[~(valid & finished[block])] = 0.0
             yield block, rows
 
     def columns(self, part: slice = slice(0, WIDTH)) -> Rows:
         """Return some columns of the rows of all tiles, by default all; zeros for a tile without a valid row."""
-        kept = self._columns.get((part.start, part.stop))
-        if kept is None:
-            kept = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
+        values = self._columns.get((part.start, part.stop))
+        if values is None:
+            values = np.zeros((*self.handle.tiling.grid, part.stop - part.start))
             for block, rows in self.valid_blocks():
-                kept[block] = rows[..., part]
-            self._columns[part.start, part.stop] = kept
-        return kept
+                values[block] = rows[..., part]
+            self._columns[part.start, part.stop] = values
+        return values
 
     @cached_property
     def known_mask(self) -> NDArray[np.bool_]:
@@ -106,8 +106,8 @@ class TileRecords:
 
     def tiles_without(self, codes: Iterable[int]) -> NDArray[np.bool_]:
         """Return the mask of the tiles without a cell of these regimes, according to their records."""
-        asked = np.isin([regime.code for regime in REGIMES], list(codes))
-        return self.known_mask & (self.columns(CELLS)[..., asked].sum(axis=-1) == 0)
+        code_mask = np.isin([regime.code for regime in REGIMES], list(codes))
+        return self.known_mask & (self.columns(CELLS)[..., code_mask].sum(axis=-1) == 0)
 
     def _blocks(self) -> Iterator[tuple[Block, Rows]]:
         """Yield the rows of each chunk of the table, and the tiles that they are of."""
@@ -262,8 +262,8 @@ def _table_grid(grid: Index) -> Index:
 def _blocks_of(grid: Index) -> Iterator[Block]:
     """Yield the tiles of each chunk of the table."""
     ends = record_block(grid)
-    for place in itertools.product(*map(range, _table_grid(grid))):
-        yield tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in zip(place, ends, grid, strict=True))
+    for index in itertools.product(*map(range, _table_grid(grid))):
+        yield tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in zip(index, ends, grid, strict=True))
 
 
 def _block_index(index: Index, grid: Index) -> Index:
@@ -272,5 +272,5 @@ def _block_index(index: Index, grid: Index) -> Index:
 
 
 def _chunk_key(block: Block, grid: Index) -> str:
-    place = _block_index(tuple(part.start for part in block), grid)
-    return f"{RECORDS}/{'.'.join(['c', *map(str, place), '0'])}"
+    index = _block_index(tuple(part.start for part in block), grid)
+    return f"{RECORDS}/{'.'.join(['c', *map(str, index), '0'])}"

@@ -27,15 +27,15 @@ def write_tile(handle: AtlasStore, index: tuple[int, ...], arrays: Mapping[str, 
 
     The tile is finished once ``regime`` exists. Another attempt at the tile writes the same bits.
     """
-    to, whole = handle.arrays, _with_allowances(handle, index, arrays)
-    objects, done = dict[str, bytes](), dict[str, bytes]()
+    to, all_arrays = handle.arrays, _with_allowances(handle, index, arrays)
+    objects, final_objects = dict[str, bytes](), dict[str, bytes]()
     for variable in _written(handle):
-        array, values = to[variable.name], whole[variable.name]
-        made = encode_chunks(array, block(array, index), values, variable.sparse)
-        (done if variable.name == REGIME.name else objects).update(made)
-    row = _begin_tile(handle, index, whole)
+        array, values = to[variable.name], all_arrays[variable.name]
+        chunks = encode_chunks(array, block(array, index), values, variable.sparse)
+        (final_objects if variable.name == REGIME.name else objects).update(chunks)
+    row = _begin_tile(handle, index, all_arrays)
     handle.backend.put_all(objects)
-    for key, data in done.items():
+    for key, data in final_objects.items():
         handle.backend.commit(key, data)
     return row
 
@@ -124,12 +124,12 @@ def read_tile(
 
     Raise ChunkError, which names every damaged chunk, or OSError if the backend cannot be read at all.
     """
-    wanted = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
+    requested = {variable.name for variable in (*handle.variables, *ALLOWANCES)} if names is None else set(names)
     arrays = handle.arrays
     values: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
     for variable in (*handle.variables, *ALLOWANCES):
-        if variable.name not in wanted:
+        if variable.name not in requested:
             continue
         if isinstance(variable, BudgetVariable) and variable.name not in arrays:
             values[variable.name] = _as_in_spec(handle, index, variable)

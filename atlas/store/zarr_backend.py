@@ -65,12 +65,12 @@ class ZarrBackend(StoreBackend):
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes]:
         from zarr.buffer import default_buffer_prototype
 
-        wanted, prototype = list(keys), default_buffer_prototype()
+        key_list, prototype = list(keys), default_buffer_prototype()
 
         async def gather() -> list[Any]:
-            return await asyncio.gather(*(self.read(key, prototype) for key in wanted))
+            return await asyncio.gather(*(self.read(key, prototype) for key in key_list))
 
-        pairs = zip(wanted, run_in_zarr(gather()), strict=True)
+        pairs = zip(key_list, run_in_zarr(gather()), strict=True)
         return {key: data.to_bytes() for key, data in pairs if data is not None}
 
     async def read(self, key: str, prototype: Any, byte_range: Any = None) -> Any:

@@ -18,17 +18,17 @@ _headers: dict[tuple[StoreBackend, float], tuple[Hashable, AtlasStore]] = {}
 
 def cached_handle(store: str | StoreBackend, patience: float = LONG_PATIENCE) -> AtlasStore:
     """Return the handle of a store, after one check of its root's version. Raise errors like ``open_store``."""
-    place = with_patience(open_backend(store), patience)
-    version = place.version(ROOT)
+    backend = with_patience(open_backend(store), patience)
+    version = backend.version(ROOT)
     with _reading:  # the threads of a worker ask at the same time
-        known = _headers.get((place, patience))
+        known = _headers.get((backend, patience))
         if known is None or known[0] != version:
             if len(_headers) >= MAX_HANDLES:
                 oldest = next(iter(_headers))
                 del _headers[oldest]
                 _records.pop(oldest[0], None)
-            known = _headers[place, patience] = version, open_store(place)
-            _records.pop(place, None)
+            known = _headers[backend, patience] = version, open_store(backend)
+            _records.pop(backend, None)
     return known[1]
 
 

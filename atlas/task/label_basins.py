@@ -64,8 +64,8 @@ def labelling_bytes(handle: AtlasStore) -> int:
 
     The maximum is that of a band entirely beyond the table.
     """
-    place = _leading(handle.tile)
-    cells = math.prod(handle.tile[:place]) * math.prod(handle.spec.shape[place:])
+    n_leading = _leading(handle.tile)
+    cells = math.prod(handle.tile[:n_leading]) * math.prod(handle.spec.shape[n_leading:])
     return cells * (2 * 8 * len(handle.spec.system_def.states) + BYTES_OF_LABEL)
 
 

@@ -77,7 +77,7 @@ def shared(old: Spec, new: Spec) -> tuple[SharedPositions, ...]:
 def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: dict[str, np.ndarray]) -> None:
     """Copy the origin's finished cells in a tile into its arrays."""
     first = True
-    for index, here, there in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
+    for index, cells, origin_cells in _meetings(shared(origin.spec, handle.spec), slices, origin.tile):
         if not is_done(origin, index):
             continue
         if first:
@@ -91,7 +91,7 @@ def _copy_known(handle: AtlasStore, origin: AtlasStore, slices: Slices, arrays: 
             for allowance in ALLOWANCES:
                 known[REGIME.name][known.pop(allowance.name) != allowance.from_spec(origin.spec)] = PENDING
         for name, values in known.items():
-            arrays[name][np.ix_(*here)] = values[np.ix_(*there)]
+            arrays[name][np.ix_(*cells)] = values[np.ix_(*origin_cells)]
 
 
 def _meetings(
@@ -102,20 +102,20 @@ def _meetings(
     Each entry is the index of the origin's tile, the shared cells in the store's tile, and those in the origin's tile.
     """
     parts = []
-    for (here, there), part, length in zip(dimensions, slices, tile, strict=True):
-        inside = (here >= part.start) & (here < part.stop)
-        here, there = here[inside] - part.start, there[inside]
-        tiles, within = there // length, there % length
-        parts.append([(int(k), here[tiles == k], within[tiles == k]) for k in np.unique(tiles)])
+    for (cells, origin_cells), part, length in zip(dimensions, slices, tile, strict=True):
+        inside = (cells >= part.start) & (cells < part.stop)
+        cells, origin_cells = cells[inside] - part.start, origin_cells[inside]
+        tiles, within = origin_cells // length, origin_cells % length
+        parts.append([(int(k), cells[tiles == k], within[tiles == k]) for k in np.unique(tiles)])
     for met in itertools.product(*parts):
-        yield tuple(k for k, _, _ in met), [here for _, here, _ in met], [there for _, _, there in met]
+        yield tuple(k for k, _, _ in met), [cells for _, cells, _ in met], [origin_cells for _, _, origin_cells in met]
 
 
 def _origin_of(handle: AtlasStore) -> AtlasStore:
     assert handle.origin is not None
-    done, otherwise = "extended", f"extend {handle.backend} into a new store"
+    action, otherwise = "extended", f"extend {handle.backend} into a new store"
     if handle.origin.retry is not None:
-        done, otherwise = "retried", "recompute it with atlas run and retry it into a new store"
+        action, otherwise = "retried", "recompute it with atlas run and retry it into a new store"
     try:
         origin = cached_handle(sibling_backend(handle.backend, handle.origin.store))
     except InputError as error:
@@ -123,7 +123,7 @@ def _origin_of(handle: AtlasStore) -> AtlasStore:
     else:
         if origin.run_id == handle.origin.run_id:
             return origin
-        trouble = f"{origin.backend}: another store than the one that was {done}"
+        trouble = f"{origin.backend}: another store than the one that was {action}"
     raise RunError(f"{trouble}; {handle.backend} copies cells from it: restore it, or {otherwise}")
 
 
@@ -133,7 +133,9 @@ def count_shared(origin: AtlasStore, spec: Spec, done: set[tuple[int, ...]]) -> 
     ``done`` are the origin's finished tiles.
     """
     counts = [
-        np.bincount(there // length, minlength=tiles)
-        for (_, there), length, tiles in zip(shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True)
+        np.bincount(positions // length, minlength=tiles)
+        for (_, positions), length, tiles in zip(
+            shared(origin.spec, spec), origin.tile, origin.tiling.grid, strict=True
+        )
     ]
     return sum(int(np.prod([count[i] for count, i in zip(counts, index, strict=True)])) for index in done)
