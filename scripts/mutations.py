@@ -66,7 +66,7 @@ MUTATIONS = tuple(
         ("atlas/orbits/labels/table.py", "alone=int(np.sum(cells == 1))", "alone=int(np.sum(cells <= 2))", "orbits/labels/test_labels.py orbits/labels/test_labelling.py"),
         ("atlas/orbits/labels/components.py", "if len(roots) > 1:", "if len(roots) > 2:", "orbits/labels/test_labels.py orbits/labels/test_labelling.py"),
         ("atlas/orbits/branches/from_cell.py", "if not low <= seed.values[along] <= high:", "if not low <= high:", "orbits/branches/test_branch_cells.py"),
-        ("atlas/orbits/branches/table.py", "if len(here) == len(before) > 1:", "if len(here) == len(before) > 2:", "orbits/branches/test_branch_pictures.py orbits/branches/test_branch_cells.py"),
+        ("atlas/orbits/branches/table.py", "if len(current_row) == len(before) > 1:", "if len(current_row) == len(before) > 2:", "orbits/branches/test_branch_pictures.py orbits/branches/test_branch_cells.py"),
         ("atlas/robustness/linear_measures.py", "-1.0 / largest", "-2.0 / largest", "robustness/test_robustness.py"),
         ("atlas/robustness/norm.py", "if weight <= 0.0:", "if weight < 0.0:", "robustness/test_robustness.py"),
         ("atlas/robustness/stored_cells.py", "if shock.reached >= 0 else", "if shock.reached > 0 else", "robustness/test_measure_store.py::test_shocks_of_a_store_are_those_of_single_cells"),
